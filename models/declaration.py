@@ -1,0 +1,246 @@
+"""How a model is declared, and how the one source of it runs plain or compiled.
+
+A model is a tuple of `Variable` plus two plain functions::
+
+    def init(s: Record) -> int: ...                        # states and outputs from parameters and inputs
+    def step(s: Record, t: float, h: float) -> int: ...    # from t to t + h, inputs held
+
+All data of an instance live in ONE aligned numpy record `s` (a C struct), so the complete state
+of a component is its bytes. The two functions return a status: 0, or the index of a message in
+`Model.errors`. They allocate nothing: scalar loops over record fields, scratch kept in the record.
+The same two functions run in plain Python, compiled in process, and inside an FMU.
+"""
+
+from __future__ import annotations
+
+import math
+import string
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from models.units import UNITS
+
+Causality = Literal["input", "output", "parameter", "state"]
+Kind = Literal["real", "integer", "boolean", "table"]
+Record = Any
+"""A `numpy.record` (plain Python) or a Numba record (compiled); its fields are the declared variables."""
+
+FloatArray = npt.NDArray[np.float64]
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+COMPILER_OPTIONS: dict[str, Any] = {
+    "error_model": "numpy",
+    "fastmath": False,
+    "boundscheck": True,
+    "_nrt": False,
+}
+"""Options of every compiled function. Without the Numba runtime an array temporary is a compile
+error; no fast maths and no contraction keep the numbers equal to those of plain Python."""
+
+RESERVED_NAMES = frozenset(dir(np.record)) | frozenset(dir(np.recarray))
+
+
+def kernel(function: Function) -> Function:
+    """Mark a helper that `init` or `step` calls: plain Python stays plain, compiled code compiles it.
+
+    Without Numba the function is returned as it is.
+    """
+    try:
+        from numba.extending import register_jitable
+    except ImportError:
+        return function
+    marked: Function = register_jitable(**COMPILER_OPTIONS)(function)
+    return marked
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One declared variable of a model.
+
+    Arrays have a `shape`; their elements are called `name[1]`, `name[2]` or `name[1,2]` outside
+    (counted from one, as the axes of a robot are). A `table` is an array parameter with `shape`
+    (capacity, columns) that is loaded from a ``.npy`` file; its record also has the field
+    `<name>_rows`, the number of rows in use.
+    """
+
+    name: str
+    causality: Causality
+    description: str
+    unit: str = "1"
+    shape: tuple[int, ...] = ()
+    start: float | Sequence[Any] | FloatArray = 0.0
+    minimum: float | None = None
+    maximum: float | None = None
+    kind: Kind = "real"
+    display_unit: str | None = None
+    depends_on: tuple[str, ...] | None = None
+    """Outputs only: the inputs that this output is an instantaneous function of. None = all inputs."""
+    effect: bool = False
+    """Parameters only: an effect of the diagnosis catalogue, off at its start value of zero."""
+
+    def __post_init__(self) -> None:
+        """Refuse what would only fail later: bad names, unknown units, starts out of shape or bounds."""
+        if not self.name.isidentifier() or self.name in RESERVED_NAMES:
+            raise ValueError(f"variable {self.name!r}: not usable as a record field; choose an identifier that numpy.record does not own")
+        for unit in filter(None, (self.unit, self.display_unit)):
+            if unit not in UNITS:
+                raise ValueError(f"variable {self.name!r}: unknown unit {unit!r}; known units: {', '.join(sorted(UNITS))}")
+        if UNITS[self.unit].factor != 1.0 or UNITS[self.unit].offset != 0.0:
+            raise ValueError(f"variable {self.name!r}: unit {self.unit!r} is not SI; use it as display_unit")
+        if self.kind == "table" and (self.causality != "parameter" or len(self.shape) != 2):
+            raise ValueError(f"variable {self.name!r}: a table is a parameter of shape (capacity, columns)")
+        if not self.description:
+            raise ValueError(f"variable {self.name!r}: a description is missing")
+        if self.kind != "table":
+            start = self.start_values
+            for bound, bad in ((self.minimum, start < _or(self.minimum, -math.inf)), (self.maximum, start > _or(self.maximum, math.inf))):
+                if bool(np.any(bad)):
+                    raise ValueError(f"variable {self.name!r}: start {self.start} violates the bound {bound} {self.unit}")
+            if self.effect and bool(np.any(start != 0.0)):
+                raise ValueError(f"variable {self.name!r}: an effect is off, that is zero, by default")
+
+    @property
+    def start_values(self) -> FloatArray:
+        """Start values as an array of `shape` [unit]; a scalar start fills the array."""
+        values = np.asarray(self.start, dtype=np.float64)
+        if values.ndim and values.shape != self.shape:
+            raise ValueError(f"variable {self.name!r}: start has shape {values.shape}, declared is {self.shape}")
+        return np.broadcast_to(values, self.shape)
+
+    @property
+    def dtype(self) -> type[np.float64] | type[np.int64]:
+        """Storage type in the record: float64 for reals and tables, int64 for integers and booleans."""
+        return np.float64 if self.kind in ("real", "table") else np.int64
+
+    @property
+    def element_names(self) -> tuple[str, ...]:
+        """Names of the scalar elements in C order: `x`, or `x[1]`, `x[2]`, or `x[1,1]`, `x[1,2]`."""
+        if not self.shape:
+            return (self.name,)
+        return tuple(f"{self.name}[{','.join(str(i + 1) for i in index)}]" for index in np.ndindex(*self.shape))
+
+
+def _or(value: float | None, default: float) -> float:
+    return default if value is None else value
+
+
+@dataclass(frozen=True)
+class Model:
+    """A component's model: its variables, its two functions and its error messages.
+
+    `errors[i]` is the message of status i; `{field}` and `{field[0]}` in it are replaced from the
+    record and `{t}` by the time in s. `errors[0]` is empty.
+    """
+
+    name: str
+    description: str
+    variables: tuple[Variable, ...]
+    init: Callable[[Record], int]
+    step: Callable[[Record, float, float], int]
+    errors: tuple[str, ...] = ("",)
+    default_tables: dict[str, FloatArray] = field(default_factory=dict, compare=False)
+    """Rows that a table holds until a file is named; a table without an entry starts empty."""
+
+    def __post_init__(self) -> None:
+        """Refuse duplicate names and dependencies on inputs that do not exist."""
+        names = [v.name for v in self.variables]
+        doubles = sorted({n for n in names if names.count(n) > 1})
+        if doubles:
+            raise ValueError(f"model {self.name!r}: declared twice: {', '.join(doubles)}")
+        known = {v.name for v in self.variables if v.causality == "input"}
+        for v in self.variables:
+            unknown = set(v.depends_on or ()) - known
+            if unknown:
+                raise ValueError(
+                    f"model {self.name!r}: output {v.name!r} depends on {', '.join(sorted(unknown))}; inputs are {', '.join(sorted(known))}"
+                )
+
+    def variable(self, name: str) -> Variable:
+        """The declared variable of that name; KeyError lists what there is."""
+        for v in self.variables:
+            if v.name == name:
+                return v
+        raise KeyError(f"model {self.name!r} has no variable {name!r}; it has {', '.join(v.name for v in self.variables)}")
+
+    @cached_property
+    def dtype(self) -> np.dtype[np.void]:
+        """The aligned record type (a C struct) that holds everything an instance knows."""
+        fields: list[tuple[Any, ...]] = []
+        for v in self.variables:
+            fields.append((v.name, v.dtype, v.shape))
+            if v.kind == "table":
+                fields.append((f"{v.name}_rows", np.int64))
+        return np.dtype(fields, align=True)
+
+    def new(self) -> npt.NDArray[np.void]:
+        """A fresh instance: a one-element array of `dtype` with every variable at its start value."""
+        data = np.zeros(1, self.dtype)
+        for v in self.variables:
+            if v.kind == "table":
+                self.load_table(data, v.name, self.default_tables.get(v.name, np.zeros((0, v.shape[1]))))
+            else:
+                data[v.name] = v.start_values
+        return data
+
+    def load_table(self, data: npt.NDArray[np.void], name: str, rows: FloatArray) -> None:
+        """Put `rows` (n, columns) into the table `name` of an instance; ValueError says what does not fit."""
+        capacity, columns = self.variable(name).shape
+        if rows.ndim != 2 or rows.shape[1] != columns or rows.shape[0] > capacity:
+            raise ValueError(
+                f"table {name!r} of {self.name!r}: has shape {rows.shape}, expected at most {capacity} rows of {columns} columns"
+            )
+        if not np.all(np.isfinite(rows)):
+            raise ValueError(f"table {name!r} of {self.name!r}: holds values that are not finite")
+        data[name] = 0.0
+        data[name][0, : len(rows)] = rows
+        data[f"{name}_rows"] = len(rows)
+
+    def message(self, status: int, s: Record, t: float) -> str:
+        """The text of a non-zero status, with the values of the record put in."""
+        if not 0 < status < len(self.errors):
+            return f"{self.name}: status {status} without a message"
+        return f"{self.name}: {_RecordFormatter().vformat(self.errors[status], (), _Fields(s, t))}"
+
+    def plain(self) -> tuple[Callable[..., int], Callable[..., int]]:
+        """`init` and `step` as they stand: for debugging, coverage and machines without Numba."""
+        return self.init, self.step
+
+    def compiled(self, cache: bool = True) -> tuple[Callable[..., int], Callable[..., int]]:
+        """`init` and `step` compiled by Numba for this record type (cached on disk; see `models.cache`)."""
+        if self.name not in _COMPILED:
+            from numba import njit
+
+            options = {**COMPILER_OPTIONS, "nogil": True, "cache": cache}
+            _COMPILED[self.name] = njit(**options)(self.init), njit(**options)(self.step)
+        return _COMPILED[self.name]
+
+
+_COMPILED: dict[str, tuple[Callable[..., int], Callable[..., int]]] = {}
+
+
+def record(data: npt.NDArray[np.void]) -> Record:
+    """The record `s` of a one-element array, as `init` and `step` take it; it shares memory with `data`."""
+    return data.view(np.recarray)[0]
+
+
+class _Fields(dict[str, Any]):
+    """Fields of a record as a mapping for `str.format`."""
+
+    def __init__(self, s: Record, t: float) -> None:
+        super().__init__(t=t)
+        self._record = s
+
+    def __missing__(self, key: str) -> Any:
+        return getattr(self._record, key)
+
+
+class _RecordFormatter(string.Formatter):
+    """`str.format` whose mapping may be lazy."""
+
+    def get_value(self, key: int | str, args: Sequence[Any], kwargs: Any) -> Any:
+        return kwargs[key]
