@@ -1,0 +1,41 @@
+# Two commands: `make run` (environment, FMUs, the main job) and `make test` (environment, every test).
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/ready
+
+.PHONY: run test check quick build golden clean help
+
+run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictures in results/test_part
+	$(BIN)/robomill build
+	$(BIN)/robomill run scenarios/test_part.toml
+
+test: $(READY) ## every test, the slow ones too
+	$(BIN)/python -m pytest -m "slow or not slow"
+
+quick: $(READY) ## the short tests only
+	$(BIN)/python -m pytest
+
+check: $(READY) ## formatter, linter with docstring check, types, import rules
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+build: $(READY) ## write every FMU to dist/
+	$(BIN)/robomill build
+
+golden: $(READY) ## write the golden results anew; review the diff
+	$(BIN)/python -m tests.golden.regenerate
+
+$(READY): requirements.lock pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "robomill needs Python 3.11 or newer; set PYTHON=/path/to/python3.11")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $(READY)
+
+clean: ## remove the environment and everything that was made
+	rm -rf .venv dist results
+
+help: ## this list
+	@grep -E '^[a-z]+:.*##' Makefile | sed 's/:.*##/\t/'
