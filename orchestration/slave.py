@@ -1,0 +1,134 @@
+"""The one interface between the master and a component, wherever the component comes from.
+
+A slave is an FMU (`orchestration.fmu`), an in-process model (given from outside by a resolver) or
+a recording (`orchestration.replay`). The master calls it in this order::
+
+    configure(parameters)                              # any number of times, before initialise
+    initialise(start, stop, step)                      # enters initialisation; inputs at their starts
+    set_inputs(u); get_outputs(y)                      # any number of times, t = start
+    [ set_inputs(u); step(t, h); get_outputs(y) ] ...  # the first step leaves initialisation
+    close()                                            # always, also after an error; may be repeated
+
+Ports are scalars. An element of an array is a port called `base[1]`, `base[2]` or `base[1,2]`
+(counted from one); the elements of an array stand next to each other, in C order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+Causality = Literal["input", "output", "parameter"]
+Kind = Literal["real", "integer", "boolean", "string"]
+FloatArray = npt.NDArray[np.float64]
+Scalar = float | int | bool | str
+ParameterValue = Scalar | Sequence[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Port:
+    """One scalar variable of a component as others see it.
+
+    Inputs and outputs are real, integer or boolean; on the bus all are float64 (booleans 0.0 and
+    1.0). Parameters may also be strings. Values, start, minimum and maximum are in `unit`.
+    """
+
+    name: str
+    causality: Causality
+    type: Kind = "real"
+    unit: str | None = None
+    """Unit of the value; None = not declared, which matches every unit. Dimensionless is "1"."""
+    start: Scalar | None = None
+    minimum: float | None = None
+    maximum: float | None = None
+    description: str = ""
+    dependencies: tuple[str, ...] | None = None
+    """Outputs only: element names of the inputs it is an instantaneous function of; None = unknown = all."""
+
+
+@runtime_checkable
+class Slave(Protocol):
+    """A component that can be stepped. Errors are raised as `SlaveError` with a text that says what is wrong."""
+
+    @property
+    def name(self) -> str:
+        """Name of the instance in the system, for messages."""
+        ...
+
+    @property
+    def ports(self) -> tuple[Port, ...]:
+        """All inputs, outputs and parameters; the order of inputs (outputs) here is that of `set_inputs` (`get_outputs`)."""
+        ...
+
+    def configure(self, parameters: Mapping[str, ParameterValue]) -> None:
+        """Set parameters before `initialise`, in the unit of their port.
+
+        A key is an element (`q[1]`), a scalar, or the base name of an array with a (nested) sequence of its shape.
+        """
+        ...
+
+    def initialise(self, start: float, stop: float, step: float) -> None:
+        """Enter initialisation at time `start` [s]; the run will go to `stop` [s] in steps of `step` [s]."""
+        ...
+
+    def set_inputs(self, values: FloatArray) -> None:
+        """Take all inputs, float64[n_inputs]. The slave copies what it keeps: the array is reused."""
+        ...
+
+    def step(self, t: float, h: float) -> None:
+        """Advance from `t` [s] to `t + h` [s] with the inputs held."""
+        ...
+
+    def get_outputs(self, out: FloatArray) -> None:
+        """Write all outputs into `out`, float64[n_outputs].
+
+        Before the first step they are consistent with the inputs set so far; afterwards they are those of the last step.
+        """
+        ...
+
+    def get_state(self) -> Any:
+        """A copy of the complete state, for `set_state` of this instance; SlaveError if it cannot be saved."""
+        ...
+
+    def set_state(self, state: Any) -> None:
+        """Go back to a state from `get_state`: the next steps repeat bitwise."""
+        ...
+
+    def close(self) -> None:
+        """Free everything; may be called at any time, and again."""
+        ...
+
+
+class OrchestrationError(Exception):
+    """Base of all errors of this package."""
+
+
+class SlaveError(OrchestrationError):
+    """A component could not be loaded, configured, initialised or stepped."""
+
+
+def base_name(name: str) -> str:
+    """Name of the array that an element belongs to: `q[1]` -> `q`; a scalar's own name stays."""
+    return name.partition("[")[0] if name.endswith("]") else name
+
+
+def inputs(ports: Sequence[Port]) -> tuple[Port, ...]:
+    """The input ports, in the order of `Slave.set_inputs`."""
+    return tuple(p for p in ports if p.causality == "input")
+
+
+def outputs(ports: Sequence[Port]) -> tuple[Port, ...]:
+    """The output ports, in the order of `Slave.get_outputs`."""
+    return tuple(p for p in ports if p.causality == "output")
+
+
+def arrays(ports: Sequence[Port]) -> dict[str, tuple[Port, ...]]:
+    """Elements by base name, in their order; a scalar is an entry of one element under its own name."""
+    found: dict[str, list[Port]] = {}
+    for p in ports:
+        found.setdefault(base_name(p.name), []).append(p)
+    return {name: tuple(elements) for name, elements in found.items()}
