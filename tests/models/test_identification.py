@@ -1,0 +1,202 @@
+"""Identification of weight, offset, centre of gravity and hose pack: exact on exact data, honest on noisy data."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from models.identification import (
+    FEATURES,
+    THREE_POSES,
+    Load,
+    fit_orientation_polynomial,
+    identify_poses,
+    identify_three_poses,
+    orientation_features,
+    quaternion_from_abc,
+)
+from tests.tolerances import ROUNDOFF, physics
+
+WEIGHT = 60 * 9.81
+TRUE = Load(np.array([0.0, 0.0, -WEIGHT]), np.array([0.012, -0.02, 0.135]), np.array([12.0, -7.0, 25.0]), np.array([1.5, -2.0, 0.7]))
+
+
+def orientation_with_up(up: np.ndarray) -> np.ndarray:
+    """Some R_BS [3, 3] whose third row, the upward direction in S, is `up`."""
+    first = np.cross([0.3, 0.5, -0.8], up)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(up, first), up])
+
+
+def poses(n: int, seed: int = 4) -> np.ndarray:
+    return Rotation.random(n, random_state=seed).as_matrix()
+
+
+def quaternions(n: int, seed: int = 5) -> np.ndarray:
+    q = Rotation.random(n, random_state=seed).as_quat()
+    return q[:, [3, 0, 1, 2]]
+
+
+def distance(a: Load, b: Load) -> float:
+    """Largest relative deviation; moments and levers relative to 1 N m and 0.1 m."""
+    return max(
+        float(np.abs(a.weight_B - b.weight_B).max()) / WEIGHT,
+        float(np.abs(a.cog_S - b.cog_S).max()) / 0.1,
+        float(np.abs(a.offset_f - b.offset_f).max()) / 25.0,
+        float(np.abs(a.offset_m - b.offset_m).max()),
+    )
+
+
+# ------------------------------------------------------------------------------------------- physics
+
+
+def test_wrench_of_a_load_is_weight_times_lever() -> None:
+    """Flange level, CoG 135 mm below along z of S: force and moment by hand."""
+    force, moment = Load(np.array([0, 0, -100.0]), np.array([0.2, 0, 0.135]), np.zeros(3), np.zeros(3)).wrench(np.eye(3)[None])
+    assert np.array_equal(force, [[0, 0, -100.0]])
+    assert np.allclose(moment, [[0, 20.0, 0]], rtol=ROUNDOFF, atol=0.0)
+
+
+def test_three_poses_recover_everything() -> None:
+    """Eqs. (12)-(15) with the corrected Eq. (13); the example of check_facts.py, section ft."""
+    force, moment = TRUE.wrench(np.array([orientation_with_up(up) for up in THREE_POSES]))
+    # the gravity directions that the equations imply, FACTS 8.2
+    expected = np.array([[-WEIGHT / math.sqrt(2), -WEIGHT / math.sqrt(2), 0], [0, 0, WEIGHT], [0, -WEIGHT, 0]]) + TRUE.offset_f
+    assert np.abs(force - expected).max() < ROUNDOFF * WEIGHT
+    assert distance(identify_three_poses(force, moment), TRUE) < 100 * ROUNDOFF  # differences of numbers 100 times as large
+
+
+def test_equation_13_as_printed_would_be_416_newton_wrong() -> None:
+    """FACTS 0.4: why the factor is 1/sqrt(2) and not sqrt(2)."""
+    force, _ = TRUE.wrench(np.array([orientation_with_up(up) for up in THREE_POSES]))
+    weight = force[0, 2] - force[1, 2]
+    printed = force[0, 0] - math.sqrt(2) * weight
+    assert abs((printed - TRUE.offset_f[0]) - 416.0) <= physics(416.0, absolute=0.5)
+
+
+def test_least_squares_recovers_everything_and_the_tilt_of_the_base() -> None:
+    tilted = Load(Rotation.from_euler("xy", [1.0, -0.5], degrees=True).apply([0, 0, -WEIGHT]), TRUE.cog_S, TRUE.offset_f, TRUE.offset_m)
+    R = poses(27)
+    found = identify_poses(R, *tilted.wrench(R))
+    assert distance(found, tilted) < 100 * ROUNDOFF
+    assert abs(found.weight - WEIGHT) < 100 * ROUNDOFF * WEIGHT
+
+
+def test_least_squares_agrees_with_three_poses() -> None:
+    R = np.array([orientation_with_up(up) for up in THREE_POSES])
+    force, moment = TRUE.wrench(R)
+    assert distance(identify_poses(R, force, moment), identify_three_poses(force, moment)) < 100 * ROUNDOFF
+
+
+def test_noise_leaves_the_published_errors() -> None:
+    """FACTS 8.3: 12 poses, 0.5 N and 0.05 N m noise, 60 kg: errors of 0.06 N, 0.15 N, 0.02 mm, 0.04 N m.
+
+    Those are one draw; here the rms of 50 draws must stay within four times that and above a quarter.
+    """
+    rng = np.random.default_rng(3)
+    errors = []
+    for draw in range(50):
+        R = poses(12, seed=draw)
+        force, moment = TRUE.wrench(R)
+        found = identify_poses(R, force + rng.normal(0, 0.5, force.shape), moment + rng.normal(0, 0.05, moment.shape))
+        errors.append(
+            [
+                found.weight - WEIGHT,
+                *(found.offset_f - TRUE.offset_f),
+                *(found.cog_S - TRUE.cog_S) * 1e3,
+                *(found.offset_m - TRUE.offset_m),
+            ]
+        )
+    rms = np.sqrt(np.mean(np.square(errors), axis=0))
+    published = np.array([0.06, *[0.15] * 3, *[0.02] * 3, *[0.04] * 3])
+    assert np.all(rms < 4 * published)
+    assert np.all(rms > published / 4)
+
+
+def test_quaternion_of_the_published_angles() -> None:
+    """FACTS 8.1: A = 30, B = 20, C = 10 deg (its last number is printed to eight digits only)."""
+    quat = quaternion_from_abc(*np.deg2rad([30.0, 20.0, 10.0]))
+    published = np.array([0.951548525, 0.038134577, 0.189307857, 0.239298341])
+    assert np.abs(quat - published).max() <= physics(1.0, absolute=5e-9)
+
+
+def test_quaternion_is_that_of_scipy_and_its_scalar_part_is_never_negative() -> None:
+    """Eq. (16) against scipy's z-y'-x'' at 100 seeded triples over all quadrants."""
+    for a, b, c in np.random.default_rng(0).uniform(-math.pi, math.pi, (100, 3)):
+        quat = quaternion_from_abc(a, b, c)
+        expected = Rotation.from_euler("ZYX", [a, b, c]).as_quat()[[3, 0, 1, 2]]
+        assert quat[0] >= 0.0
+        assert np.abs(quat - math.copysign(1.0, expected[0]) * expected).max() < ROUNDOFF
+
+
+def test_basis_has_rank_14_and_both_signs_of_a_quaternion_give_the_same_terms() -> None:
+    q = quaternions(200)
+    features = orientation_features(q)
+    assert features.shape == (200, FEATURES)
+    assert np.linalg.matrix_rank(features) == 14
+    assert np.array_equal(orientation_features(-q), features)
+
+
+def test_polynomial_reproduces_a_polynomial_at_other_orientations() -> None:
+    """27 poses as in the paper determine Eq. (17): its values everywhere, though not its 15 coefficients."""
+    truth = np.random.default_rng(6).normal(0.0, 20.0, (FEATURES, 3))
+    q, other = quaternions(27), quaternions(100, seed=8)
+    found = fit_orientation_polynomial(q, orientation_features(q) @ truth)
+    # conditioning of 27 random poses amplifies the rounding by some hundreds
+    assert np.abs(orientation_features(other) @ (found - truth)).max() < 1e4 * ROUNDOFF * 20.0
+    assert np.linalg.norm(found) <= np.linalg.norm(truth) * (1 + ROUNDOFF)  # the smallest of all solutions
+
+
+def test_rigid_gravity_is_a_quadratic_form_of_the_quaternion() -> None:
+    """So the polynomial alone would remove the weight as well, and the model must be subtracted first (FACTS 8.1)."""
+    q = quaternions(40)
+    gravity = Rotation.from_quat(q[:, [1, 2, 3, 0]]).inv().apply([0, 0, -WEIGHT])
+    coefficients = fit_orientation_polynomial(q, gravity)
+    assert np.abs(orientation_features(q) @ coefficients - gravity).max() < 1e3 * ROUNDOFF * WEIGHT
+    assert np.abs(coefficients[1:5]).max() < 1e3 * ROUNDOFF * WEIGHT  # no linear terms
+
+
+def test_ridge_keeps_the_coefficients_small_where_the_poses_are_clustered() -> None:
+    q = np.array([quaternion_from_abc(*np.deg2rad(abc)) for abc in np.random.default_rng(9).uniform(-4, 4, (27, 3))])
+    force = np.random.default_rng(10).normal(0.0, 1.0, (27, 3))  # nothing but noise
+    damped = fit_orientation_polynomial(q, force, ridge=1e-3)
+    assert np.abs(orientation_features(quaternions(100)) @ damped).max() < 50.0
+    assert np.abs(orientation_features(quaternions(100)) @ fit_orientation_polynomial(q, force)).max() > 500.0
+
+
+# -------------------------------------------------------------------------------------------- errors
+
+
+def test_poses_that_leave_something_open_are_refused() -> None:
+    about_z = Rotation.from_euler("z", [[0.0], [0.5], [1.0], [2.0]]).as_matrix()
+    with pytest.raises(ValueError, match="gravity must point along all three axes of the sensor"):
+        identify_poses(about_z, *TRUE.wrench(about_z))
+
+
+def test_errors_name_what_is_wrong() -> None:
+    force, moment = TRUE.wrench(poses(4))
+    with pytest.raises(ValueError, match="4 poses given, exactly 3 expected; use identify_poses"):
+        identify_three_poses(force, moment)
+    with pytest.raises(ValueError, match="must be O1, O2, O3"):
+        identify_three_poses(np.zeros((3, 3)), np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="2 poses given, at least 3 needed"):
+        identify_poses(poses(2), force[:2], moment[:2])
+    with pytest.raises(ValueError, match=r"must both have the shape \(poses, 3\)"):
+        identify_poses(poses(4), force, moment[:3])
+    with pytest.raises(ValueError, match=r"R_BS has shape \(3, 3, 3\)"):
+        identify_poses(poses(3), force, moment)
+    with pytest.raises(ValueError, match="not finite"):
+        identify_poses(poses(4), force * math.nan, moment)
+    with pytest.raises(ValueError, match="without weight the centre of gravity is unknown"):
+        identify_poses(poses(4), np.zeros((4, 3)), np.zeros((4, 3)))
+    with pytest.raises(ValueError, match=r"rank 10, needed is 14; add orientations .* or set ridge"):
+        fit_orientation_polynomial(quaternions(10), np.zeros((10, 3)))
+    with pytest.raises(ValueError, match="ridge is -1"):
+        fit_orientation_polynomial(quaternions(30), np.zeros((30, 3)), ridge=-1)
+    with pytest.raises(ValueError, match=r"expected \(30, 3\)"):
+        fit_orientation_polynomial(quaternions(30), np.zeros((29, 3)))
+    with pytest.raises(ValueError, match="expected unit quaternions"):
+        orientation_features(np.ones((2, 4)))
