@@ -9,50 +9,97 @@ a recording (`orchestration.replay`). The master calls it in this order::
     [ set_inputs(u); step(t, h); get_outputs(y) ] ...  # the first step leaves initialisation
     close()                                            # always, also after an error; may be repeated
 
-Ports are scalars. An element of an array is a port called `base[1]`, `base[2]` or `base[1,2]`
-(counted from one); the elements of an array stand next to each other, in C order.
+`Slave` and `Port` are protocols: who implements them need not import this file. Ports are scalars.
+An element of an array is a port called `base[1]`, `base[2]` or `base[1,2]` (counted from one); the
+elements of an array stand next to each other, in C order.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
-Causality = Literal["input", "output", "parameter"]
-Kind = Literal["real", "integer", "boolean", "string"]
 FloatArray = npt.NDArray[np.float64]
 Scalar = float | int | bool | str
 ParameterValue = Scalar | Sequence[Any]
+KINDS = ("real", "integer", "boolean", "string")
 
 
-@dataclass(frozen=True, slots=True)
-class Port:
+class Port(Protocol):
     """One scalar variable of a component as others see it.
 
     Inputs and outputs are real, integer or boolean; on the bus all are float64 (booleans 0.0 and
     1.0). Parameters may also be strings. Values, start, minimum and maximum are in `unit`.
     """
 
+    @property
+    def name(self) -> str:
+        """Name of the element: `x`, `q[1]`."""
+        ...
+
+    @property
+    def causality(self) -> str:
+        """`input`, `output` or `parameter`."""
+        ...
+
+    @property
+    def type(self) -> str:
+        """`real`, `integer`, `boolean` or `string`."""
+        ...
+
+    @property
+    def unit(self) -> str | None:
+        """Unit of the value; None = not declared, which matches every unit. Dimensionless is "1"."""
+        ...
+
+    @property
+    def start(self) -> Scalar | None:
+        """Value before anything is set; None = not declared."""
+        ...
+
+    @property
+    def minimum(self) -> float | None:
+        """Least value allowed, None = unbounded."""
+        ...
+
+    @property
+    def maximum(self) -> float | None:
+        """Largest value allowed, None = unbounded."""
+        ...
+
+    @property
+    def description(self) -> str:
+        """One line for people."""
+        ...
+
+    @property
+    def dependencies(self) -> tuple[str, ...] | None:
+        """Outputs only: element names of the inputs it is an instantaneous function of in a step; None = unknown = all."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class PortData:
+    """A `Port` as plain data."""
+
     name: str
-    causality: Causality
-    type: Kind = "real"
+    causality: str
+    type: str = "real"
     unit: str | None = None
-    """Unit of the value; None = not declared, which matches every unit. Dimensionless is "1"."""
     start: Scalar | None = None
     minimum: float | None = None
     maximum: float | None = None
     description: str = ""
     dependencies: tuple[str, ...] | None = None
-    """Outputs only: element names of the inputs it is an instantaneous function of; None = unknown = all."""
 
 
 @runtime_checkable
 class Slave(Protocol):
-    """A component that can be stepped. Errors are raised as `SlaveError` with a text that says what is wrong."""
+    """A component that can be stepped. Whatever it raises ends the run with its text, component and time."""
 
     @property
     def name(self) -> str:
@@ -60,7 +107,7 @@ class Slave(Protocol):
         ...
 
     @property
-    def ports(self) -> tuple[Port, ...]:
+    def ports(self) -> Sequence[Port]:
         """All inputs, outputs and parameters; the order of inputs (outputs) here is that of `set_inputs` (`get_outputs`)."""
         ...
 
@@ -72,7 +119,7 @@ class Slave(Protocol):
         ...
 
     def initialise(self, start: float, stop: float, step: float) -> None:
-        """Enter initialisation at time `start` [s]; the run will go to `stop` [s] in steps of `step` [s]."""
+        """Enter initialisation at time `start` [s]; the run will go to `stop` [s, may be inf] in steps of `step` [s]."""
         ...
 
     def set_inputs(self, values: FloatArray) -> None:
@@ -91,7 +138,7 @@ class Slave(Protocol):
         ...
 
     def get_state(self) -> Any:
-        """A copy of the complete state, for `set_state` of this instance; SlaveError if it cannot be saved."""
+        """A copy of the complete state, for `set_state` of this instance; an error if it cannot be saved."""
         ...
 
     def set_state(self, state: Any) -> None:
@@ -103,17 +150,9 @@ class Slave(Protocol):
         ...
 
 
-class OrchestrationError(Exception):
-    """Base of all errors of this package."""
-
-
-class SlaveError(OrchestrationError):
-    """A component could not be loaded, configured, initialised or stepped."""
-
-
 def base_name(name: str) -> str:
     """Name of the array that an element belongs to: `q[1]` -> `q`; a scalar's own name stays."""
-    return name.partition("[")[0] if name.endswith("]") else name
+    return name[: name.rindex("[")] if name.endswith("]") and "[" in name else name
 
 
 def inputs(ports: Sequence[Port]) -> tuple[Port, ...]:

@@ -1,0 +1,67 @@
+"""The errors of this package, and the wording that several of them share."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+
+class OrchestrationError(Exception):
+    """Base of all errors of this package; the text says what, value, expected, available, remedy."""
+
+
+class SystemFileError(OrchestrationError):
+    """A system file cannot be read or says something that is not allowed."""
+
+
+class SlaveError(OrchestrationError):
+    """A component could not be loaded, configured, initialised or stepped."""
+
+
+class WiringError(OrchestrationError):
+    """The system cannot run as it is connected; `problems` holds each one."""
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("\n".join(problems))
+
+
+class ResultsError(OrchestrationError):
+    """A folder with results cannot be read or written."""
+
+
+class RunError(OrchestrationError):
+    """A run ended early because of a component; everything up to then is recorded."""
+
+    def __init__(self, message: str, component: str, time: float, folder: Path | None = None) -> None:
+        self.component = component
+        self.time = time
+        """Time reached [s]: the last for which all outputs are there."""
+        self.folder = folder
+        super().__init__(message + (f"\nResults up to t = {time:.9g} s are in {folder}" if folder else ""))
+
+
+class Interrupted(OrchestrationError):  # noqa: N818  # not a failure
+    """A run was stopped by the user (Ctrl-C); everything up to then is recorded."""
+
+    def __init__(self, time: float, folder: Path | None = None) -> None:
+        self.time = time
+        """Time reached [s]: the last for which all outputs are there."""
+        self.folder = folder
+        super().__init__(f"interrupted at t = {time:.9g} s" + (f"; results up to there are in {folder}" if folder else ""))
+
+
+def available(names: Iterable[str], limit: int = 40) -> str:
+    """The names as a comma separated list, shortened after `limit`."""
+    listed = list(names)
+    more = f", ... ({len(listed)} in all)" if len(listed) > limit else ""
+    return (", ".join(listed[:limit]) + more) or "none"
+
+
+def unknown(what: str, name: str, names: Iterable[str]) -> str:
+    """Sentence for a name that does not exist: closest matches first, then what is available."""
+    listed = list(names)
+    close = difflib.get_close_matches(name, listed, n=3, cutoff=0.6)
+    hint = f" did you mean {' or '.join(repr(c) for c in close)}?" if close else ""
+    return f"unknown {what} {name!r};{hint} available: {available(listed)}"
