@@ -26,6 +26,7 @@ from orchestration.slave import FloatArray, ParameterValue, Port, Scalar, inputs
 _STATUS = ("OK", "warning", "discard", "error", "fatal", "pending")
 _WARNING, _FATAL = 1, 4
 _MESSAGES = 50  # last log messages kept for error texts
+_PROBLEMS = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 _BUFFER = {"real": np.float64, "integer": np.int32, "boolean": np.int32}
 _CALL = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
 _DO_STEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
@@ -150,15 +151,23 @@ class FmuSlave:
             self._free_instance()
         self.messages.clear()
         try:
-            self._fmu.instantiate(callbacks=self._callbacks, loggingOn=False)
+            self._fmu.instantiate(callbacks=self._callbacks, loggingOn=True)
         except Exception:
             raise SlaveError(f"component {self._name!r}: fmi2Instantiate failed" + self._log_text()) from None
         self._dead = False
         self._component = ctypes.c_void_p(self._fmu.component)
+        self._log_only_problems()
         self._set_parameters()
         self._call("fmi2SetupExperiment", 0, 0.0, start, int(np.isfinite(stop)), stop if np.isfinite(stop) else 0.0)
         self._call("fmi2EnterInitializationMode")
         self._initialising, self._stepped = True, False
+
+    def _log_only_problems(self) -> None:
+        """Ask for the categories of warnings and errors where the FMU has them: a chatty one costs time in every step."""
+        names = [n.encode() for n in self.description.log_categories if n in _PROBLEMS]
+        # pythonfmu reports its own errors without a category, so a choice would hide them; a failure only means more messages
+        if names and not self.description.made_by_pythonfmu:
+            self._fmu._functions["fmi2SetDebugLogging"](self._fmu.component, 1, len(names), (ctypes.c_char_p * len(names))(*names))
 
     def _set_parameters(self) -> None:
         types = {p.name: p.type for p in self.ports}

@@ -36,6 +36,7 @@ class FmuDescription:
     can_serialise_state: bool
     made_by_pythonfmu: bool
     """Its log messages are finished texts, not printf formats."""
+    log_categories: tuple[str, ...]
     units: dict[str, Any] = field(repr=False)
     """FMPy's unit definitions by name."""
 
@@ -74,6 +75,7 @@ def open_fmu(file: Path, folder: Path) -> FmuDescription:
         can_save_state=bool(md.coSimulation.canGetAndSetFMUstate),
         can_serialise_state=bool(md.coSimulation.canSerializeFMUstate),
         made_by_pythonfmu=(folder / "resources" / "slavemodule.txt").is_file(),
+        log_categories=tuple(c.name for c in md.logCategories),
         units={u.name: u for u in md.unitDefinitions},
     )
 

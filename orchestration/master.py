@@ -1,0 +1,292 @@
+"""The master: integer time, one flat bus, Jacobi or Gauss-Seidel. It knows slaves and nothing else.
+
+What is observed (recording) and what is manipulated (an input overridden while it runs) is given
+from outside, as in libcosim.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from orchestration.errors import Interrupted, OrchestrationError, RunError, WiringError, unknown
+from orchestration.guard import Guard
+from orchestration.slave import FloatArray, Slave
+from orchestration.system import ALGORITHMS, TICK, ticks
+from orchestration.wiring import Wiring
+
+Progress = Callable[[int, int], object]
+"""Called after each step with (steps done, steps in all)."""
+
+
+class Observer(Protocol):
+    """Sees every set of outputs; `end` is called exactly once after `begin`, however the run ends."""
+
+    def begin(self, wiring: Wiring, step: float) -> None:
+        """The run is about to be initialised."""
+        ...
+
+    def observe(self, t: float, outputs: FloatArray) -> None:
+        """All outputs at time `t` [s], in the order of the bus. The array is reused: copy what is kept."""
+        ...
+
+    def end(self, outcome: str, message: str) -> None:
+        """The run is over: `finished`, `interrupted` or `failed`, with the text of the error."""
+        ...
+
+
+Manipulator = Callable[["Master", float], object]
+"""Called before each step with the master and the time [s]; may call `Master.override` and `Master.release`."""
+
+
+class Master:
+    """Steps configured slaves in lock step.
+
+    `slaves` by component name; `step` the communication step [s]; `algorithm` as in
+    `system.ALGORITHMS`; `check_ranges` whether leaving a declared minimum or maximum ends the run
+    (NaN and infinite values always do); `folder` is only named in messages.
+    """
+
+    def __init__(
+        self,
+        slaves: Mapping[str, Slave],
+        wiring: Wiring,
+        step: float,
+        algorithm: str = "gauss-seidel",
+        observers: Sequence[Observer] = (),
+        manipulators: Sequence[Manipulator] = (),
+        check_ranges: bool = True,
+        folder: Path | None = None,
+    ) -> None:
+        if algorithm not in ALGORITHMS:
+            raise ValueError(unknown("algorithm", algorithm, ALGORITHMS))
+        self.wiring, self.algorithm, self.folder = wiring, algorithm, folder
+        self._slaves = {name: slaves[name] for name in wiring.order}
+        self._observers, self._manipulators = tuple(observers), tuple(manipulators)
+        self._step_ticks = ticks(step, "step")
+        self._start_ticks = 0
+        self._done = 0  # steps
+        self._bus = wiring.start_values.copy()
+        n = wiring.n_outputs
+        self._fresh, self._last = self._bus[:n], self._bus[n : 2 * n]
+        self._gather = {name: indices.copy() for name, indices in wiring.gather.items()}
+        self._u = {name: np.zeros(len(indices)) for name, indices in wiring.gather.items()}
+        self._y = {name: self._fresh[s] for name, s in wiring.output_slice.items()}
+        self._guard = Guard(wiring, check_ranges)
+        self._stop_requested = False
+        self._current = ""  # component being called, for messages
+        self._advance = self._jacobi if algorithm == "jacobi" else self._gauss_seidel
+        self._plan = [(name, s, self._gather[name], self._u[name], self._y[name]) for name, s in self._slaves.items()]
+
+    @property
+    def time(self) -> float:
+        """Time reached [s]: t = start + k h, from whole nanoseconds."""
+        return (self._start_ticks + self._done * self._step_ticks) / TICK
+
+    @property
+    def outputs(self) -> FloatArray:
+        """The current outputs of all components, in the order of the bus (a view)."""
+        return self._fresh
+
+    def run(self, stop: float, start: float = 0.0, progress: Progress | None = None, until: str | None = None) -> float:
+        """Initialise at `start` and step until `stop` [s] is reached or the output `until` is not zero; return the time reached.
+
+        If `stop - start` is no multiple of the step, the last step goes beyond `stop`. `stop` may be
+        inf when `until` is given. Raises RunError (component, time) or Interrupted; the observers
+        have ended by then, so that all results up to there are on disk. Slaves stay open: see `close`.
+        """
+        self._start_ticks = round(start * TICK)
+        total = self._steps(stop)
+        watched = self._watched(until, stop)
+        begun: list[Observer] = []
+        outcome, message = "failed", ""
+        try:
+            for o in self._observers:
+                o.begin(self.wiring, self._step_ticks / TICK)
+                begun.append(o)
+            with self._interruptible():
+                self.initialise(start, stop)
+                self._loop(total, progress, watched)
+            outcome = "finished"
+        except KeyboardInterrupt:
+            outcome, message = "interrupted", f"interrupted by the user at t = {self.time:.9g} s"
+            raise Interrupted(self.time, self.folder) from None
+        except BaseException as error:
+            message = str(error)
+            raise
+        finally:
+            for o in begun:
+                o.end(outcome, message)
+        return self.time
+
+    def initialise(self, start: float, stop: float) -> None:
+        """Initialise all slaves, then give each in order the inputs that are known and take its outputs."""
+        self._done, self._start_ticks = 0, round(start * TICK)
+        self._bus[:] = self.wiring.start_values
+        try:
+            for name, slave in self._slaves.items():
+                self._current = name
+                slave.initialise(start, stop, self._step_ticks / TICK)
+            for name, slave, _, u, y in self._plan:
+                self._current = name
+                if len(u):
+                    np.take(self._bus, self.wiring.gather_first[name], out=u, mode="clip")
+                    slave.set_inputs(u)
+                slave.get_outputs(y)
+        except Exception as error:
+            raise self._failure(error, "during initialisation") from error
+        if not self._guard.ok(self._fresh):
+            raise self._violation(self.time)
+        for o in self._observers:
+            o.observe(self.time, self._fresh)
+
+    def step(self) -> None:
+        """One communication step of all slaves; then the guards and the observers."""
+        t = self.time
+        for manipulate in self._manipulators:
+            manipulate(self, t)
+        try:
+            self._advance(t, self._step_ticks / TICK)
+        except Exception as error:
+            raise self._failure(error, f"in the step from t = {t:.9g} s") from error
+        if not self._guard.ok(self._fresh):
+            raise self._violation((self._start_ticks + (self._done + 1) * self._step_ticks) / TICK)
+        self._done += 1
+        t = self.time
+        for o in self._observers:
+            o.observe(t, self._fresh)
+
+    def _jacobi(self, t: float, h: float) -> None:
+        """All inputs from the last outputs; then all step; then all outputs."""
+        bus = self._bus
+        for name, slave, gather, u, _ in self._plan:
+            if len(u):
+                self._current = name
+                bus.take(gather, out=u, mode="clip")
+                slave.set_inputs(u)
+        for name, slave, _, _, _ in self._plan:
+            self._current = name
+            slave.step(t, h)
+        for name, slave, _, _, y in self._plan:
+            self._current = name
+            slave.get_outputs(y)
+
+    def _gauss_seidel(self, t: float, h: float) -> None:
+        """In order, each with the fresh outputs of those before it."""
+        bus = self._bus
+        if self.wiring.any_delayed:
+            self._last[:] = self._fresh
+        for name, slave, gather, u, y in self._plan:
+            self._current = name
+            if len(u):
+                bus.take(gather, out=u, mode="clip")
+                slave.set_inputs(u)
+            slave.step(t, h)
+            slave.get_outputs(y)
+
+    def _loop(self, total: float, progress: Progress | None, watched: int | None) -> None:
+        in_all = int(total) if math.isfinite(total) else 0
+        while self._done < total and not (watched is not None and self._fresh[watched] != 0.0):
+            if self._stop_requested:
+                raise KeyboardInterrupt
+            self.step()
+            if progress is not None:
+                progress(self._done, in_all)
+
+    def override(self, name: str, value: float) -> None:
+        """Give the input `component.port` a value from now on, instead of what it is connected to."""
+        component, position, slot = self._input(name)
+        self._bus[slot] = value
+        self._gather[component][position] = slot
+
+    def release(self, name: str) -> None:
+        """End an override: connected inputs follow their source again, open ones have their start value."""
+        component, position, slot = self._input(name)
+        self._bus[slot] = self.wiring.start_values[slot]
+        self._gather[component][position] = self.wiring.gather[component][position]
+
+    def _input(self, name: str) -> tuple[str, int, int]:
+        names = [f"{c}.{p.name}" for c, p in self.wiring.inputs]
+        if name not in names:
+            raise WiringError([unknown("input", name, names)])
+        index = names.index(name)
+        component = self.wiring.inputs[index][0]
+        position = index - next(i for i, (c, _) in enumerate(self.wiring.inputs) if c == component)
+        return component, position, 2 * self.wiring.n_outputs + index
+
+    def close(self) -> None:
+        """Close all slaves, whatever one of them says."""
+        for slave in self._slaves.values():
+            try:
+                slave.close()
+            except Exception:  # the others must be closed too, and the run is over
+                traceback.print_exc()
+
+    def _steps(self, stop: float) -> float:
+        if math.isinf(stop) and stop > 0:
+            return math.inf
+        span = round(stop * TICK) - self._start_ticks
+        if not span >= 0:
+            raise OrchestrationError(f"the run stops at {stop:.9g} s, before it starts at {self._start_ticks / TICK:.9g} s")
+        return -(-span // self._step_ticks)
+
+    def _watched(self, until: str | None, stop: float) -> int | None:
+        if until is None:
+            if math.isinf(stop):
+                raise OrchestrationError("the run has no end: give a stop time, or an output that ends it (stop_when)")
+            return None
+        names = self.wiring.column_names()
+        if until not in names:
+            raise WiringError([f"stop_when: {unknown('output', until, names)}"])
+        return names.index(until)
+
+    def _failure(self, error: Exception, when: str) -> RunError:
+        """The one error that a run ends with when a slave raised `error`."""
+        text = f"component {self._current!r} failed {when}: {_text_of(error)}"
+        cause = self._guard.problem(self._fresh)
+        if cause is not None:  # garbage in: the slave that failed is not the one to look at
+            text += f"\nIt was given values from component {cause[0]!r} that are not all right: {cause[1]}"
+        return RunError(text, self._current, self.time, self.folder)
+
+    def _violation(self, t: float) -> RunError:
+        found = self._guard.problem(self._fresh)
+        name, text = found if found else ("", "")
+        return RunError(f"component {name!r} at t = {t:.9g} s: {text}", name, self.time, self.folder)
+
+    @contextmanager
+    def _interruptible(self) -> Iterator[None]:
+        """Ctrl-C ends the run between two steps; a second one at once.
+
+        An exception within a step could come up inside an FMU, which would take it for its own failure.
+        """
+        self._stop_requested = False
+        previous = signal.getsignal(signal.SIGINT)
+        if threading.current_thread() is not threading.main_thread() or previous in (None, signal.SIG_IGN):
+            yield
+            return
+
+        def request(*_: Any) -> None:
+            if self._stop_requested:
+                raise KeyboardInterrupt
+            self._stop_requested = True
+
+        signal.signal(signal.SIGINT, request)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, previous)
+
+
+def _text_of(error: BaseException) -> str:
+    """The text of one of our errors; for any other exception also where it was raised."""
+    if isinstance(error, OrchestrationError):
+        return str(error)
+    return f"{type(error).__name__}: {error}\n" + "".join(traceback.format_exception(error)).rstrip()

@@ -1,0 +1,276 @@
+"""A system as data: components, connections, parameters, what to record; loaded from `system.toml`.
+
+::
+
+    name = "groove"
+    step = "4 ms"
+    algorithm = "gauss-seidel"          # or "jacobi"
+
+    [components.drive]
+    source = "robot_drive"              # in process, or "dist/robot_drive.fmu", or "replay:runs/42"
+    parameters = {backlash = "20 urad", "stiffness_scale[2]" = 0.9}
+
+    [[connections]]
+    from = "drive.q_link"
+    to = "compliance.q_link"
+    delayed = false
+
+    [recording]
+    columns = ["drive", "compliance.p_BT_B", "sensor.f_T_T[1]"]
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from orchestration.errors import SystemFileError, unknown
+from orchestration.parameters import Convert, quantity, same_unit_only
+from orchestration.toml_text import find_line
+
+ALGORITHMS = ("jacobi", "gauss-seidel")
+TICK = 1_000_000_000
+"""Ticks per second: time is counted in whole nanoseconds."""
+
+_TOP = {
+    "name": str,
+    "description": str,
+    "step": (int, float, str),
+    "stop": (int, float, str),
+    "stop_when": str,
+    "algorithm": str,
+    "require_connected": bool,
+    "check_ranges": bool,
+    "labels": dict,
+    "components": dict,
+    "connections": list,
+    "recording": dict,
+}
+_COMPONENT = {"source": str, "parameters": dict}
+_CONNECTION = {"from": str, "to": str, "delayed": bool}
+_RECORDING = {"columns": list, "every": int, "csv": bool, "chunk": int}
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+
+@dataclass(frozen=True)
+class Component:
+    """One component: where it comes from and its parameters as written (not yet checked against its ports)."""
+
+    name: str
+    source: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    line: int | None = None
+
+
+@dataclass(frozen=True)
+class Connection:
+    """From an output to an input, `component.port` each: whole arrays, elements or scalars.
+
+    `delayed` says that the input sees the output of the last step, which breaks a loop.
+    """
+
+    source: str
+    target: str
+    delayed: bool = False
+    line: int | None = None
+
+    def __str__(self) -> str:
+        return f"{self.source} -> {self.target}"
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What is written: `columns` are patterns on `component.port` (`*` = anything; a component or array stands for all its elements)."""
+
+    columns: tuple[str, ...] = ("*",)
+    every: int = 1
+    """Each how many steps a row is written."""
+    csv: bool = False
+    chunk: int = 250
+    """Rows that are kept in memory before they go to disk."""
+
+
+@dataclass(frozen=True)
+class System:
+    """Everything that a run is made of, except where its results go."""
+
+    name: str
+    step: float
+    """Communication step [s], a whole number of nanoseconds."""
+    components: tuple[Component, ...]
+    connections: tuple[Connection, ...] = ()
+    algorithm: str = "gauss-seidel"
+    stop: float | None = None
+    """End of the run [s]."""
+    stop_when: str | None = None
+    """An output (`path.finished`) that ends the run when it is not zero."""
+    recording: Recording = Recording()
+    labels: Mapping[str, Any] = field(default_factory=dict)
+    """Program, robot, tool, workpiece, condition, repeat, held_out ...: copied to run.toml."""
+    description: str = ""
+    require_connected: bool = False
+    """Whether an open input is an error."""
+    check_ranges: bool = True
+    """Whether an output outside its declared minimum and maximum ends the run."""
+    file: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Check what does not need the components' ports. SystemFileError says what is wrong."""
+        ticks(self.step, "step")
+        if self.algorithm not in ALGORITHMS:
+            raise SystemFileError(f"algorithm {self.algorithm!r} is unknown; available: {', '.join(ALGORITHMS)}")
+        if self.recording.every < 1 or self.recording.chunk < 1:
+            raise SystemFileError(f"recording: every and chunk are at least 1; found {self.recording.every} and {self.recording.chunk}")
+        if not self.components:
+            raise SystemFileError("the system has no components")
+
+    @property
+    def folder(self) -> Path:
+        """What relative paths in the system are relative to."""
+        return self.file.parent if self.file else Path()
+
+    def component(self, name: str) -> Component:
+        """The component of that name; SystemFileError lists what there is."""
+        for c in self.components:
+            if c.name == name:
+                return c
+        raise SystemFileError(unknown("component", name, [c.name for c in self.components]))
+
+    def where(self, line: int | None) -> str:
+        """Prefix of error texts: file and line as far as they are known."""
+        if self.file is None:
+            return ""
+        return f"{self.file.name}:{line}: " if line else f"{self.file.name}: "
+
+    def with_source(self, component: str, source: str) -> System:
+        """The same system with another source for one component (another FMU, or a replay)."""
+        old = self.component(component)
+        return replace(self, components=tuple(replace(c, source=source) if c is old else c for c in self.components))
+
+    def with_parameters(self, component: str, parameters: Mapping[str, Any]) -> System:
+        """The same system with some parameters of one component set anew."""
+        old = self.component(component)
+        merged = MappingProxyType({**old.parameters, **parameters})
+        return replace(self, components=tuple(replace(c, parameters=merged) if c is old else c for c in self.components))
+
+    @staticmethod
+    def load(file: str | Path, convert: Convert = same_unit_only) -> System:
+        """Read `system.toml`. `convert` turns texts like "4 ms" into s.
+
+        SystemFileError names file, line, what was found and what is allowed.
+        """
+        return load(Path(file), convert)
+
+
+def ticks(seconds: float, what: str) -> int:
+    """Seconds as a whole number of nanoseconds; SystemFileError if it is not one, or not positive."""
+    count = round(seconds * TICK)
+    if count <= 0 or abs(seconds * TICK - count) > 1e-6 * max(1.0, count * 1e-6):
+        raise SystemFileError(f"{what} = {seconds!r} s is not a positive whole number of nanoseconds")
+    return count
+
+
+def load(file: Path, convert: Convert = same_unit_only) -> System:
+    """See `System.load`."""
+    if not file.is_file():
+        near = sorted(p.name for p in file.parent.glob("*.toml")) if file.parent.is_dir() else []
+        raise SystemFileError(f"no system file {file}; TOML files in that folder: {', '.join(near) or 'none'}")
+    text = file.read_text(encoding="utf-8")
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SystemFileError(f"{file.name}: not valid TOML: {error}") from None
+    return _Loader(file, text, convert).system(table)
+
+
+class _Loader:
+    """One system file while it is read: knows where things stand."""
+
+    def __init__(self, file: Path, text: str, convert: Convert) -> None:
+        self.file, self.text, self.convert = file, text, convert
+
+    def fail(self, message: str, *path: str | int) -> SystemFileError:
+        line = find_line(self.text, *path) if path else None
+        return SystemFileError(f"{self.file.name}:{line}: {message}" if line else f"{self.file.name}: {message}")
+
+    def check(self, table: Any, keys: Mapping[str, Any], required: Sequence[str], what: str, *path: str | int) -> Mapping[str, Any]:
+        """The table if it has only known keys of the right type and the required ones."""
+        if not isinstance(table, dict):
+            raise self.fail(f"{what}: expected a table with {', '.join(keys)}; found {table!r}", *path)
+        for key, value in table.items():
+            if key not in keys:
+                raise self.fail(f"{what}: {unknown('key', key, keys)}", *path, key)
+            allowed = keys[key] if isinstance(keys[key], tuple) else (keys[key],)
+            if not isinstance(value, allowed) or (isinstance(value, bool) and bool not in allowed):
+                expected = " or ".join(_WORDS[a] for a in allowed)
+                raise self.fail(f"{what}: {key} is {expected}; found {value!r}", *path, key)
+        for key in required:
+            if key not in table:
+                raise self.fail(f"{what}: {key} is missing", *path)
+        return table
+
+    def seconds(self, value: float | str, key: str) -> float:
+        if not isinstance(value, str):
+            return float(value)
+        try:
+            return quantity(value, "s", self.convert)
+        except ValueError as error:
+            raise self.fail(f"{key}: {error}", key) from None
+
+    def system(self, table: Mapping[str, Any]) -> System:
+        self.check(table, _TOP, ("name", "step", "components"), "system")
+        try:
+            return System(
+                name=table["name"],
+                description=table.get("description", ""),
+                step=self.seconds(table["step"], "step"),
+                stop=self.seconds(table["stop"], "stop") if "stop" in table else None,
+                stop_when=table.get("stop_when"),
+                algorithm=table.get("algorithm", "gauss-seidel"),
+                components=tuple(self.component(name, c) for name, c in table["components"].items()),
+                connections=tuple(self.connection(i, c) for i, c in enumerate(table.get("connections", []))),
+                recording=self.recording(table.get("recording", {})),
+                labels=MappingProxyType(table.get("labels", {})),
+                require_connected=table.get("require_connected", False),
+                check_ranges=table.get("check_ranges", True),
+                file=self.file,
+            )
+        except SystemFileError as error:
+            if str(error).startswith(self.file.name):
+                raise
+            raise self.fail(str(error)) from None
+
+    def recording(self, table: Any) -> Recording:
+        self.check(table, _RECORDING, (), "recording", "recording")
+        columns = table.get("columns", ["*"])
+        if not all(isinstance(c, str) for c in columns):
+            raise self.fail(f"recording: columns is a list of texts; found {columns!r}", "recording", "columns")
+        return Recording(tuple(columns), table.get("every", 1), table.get("csv", False), table.get("chunk", 250))
+
+    def component(self, name: str, table: Any) -> Component:
+        path = ("components", name)
+        if not _NAME.fullmatch(name):
+            raise self.fail(f"component name {name!r}: letters, digits and underscores only, no digit first", *path)
+        self.check(table, _COMPONENT, ("source",), f"component {name!r}", *path)
+        return Component(name, table["source"], MappingProxyType(table.get("parameters", {})), find_line(self.text, *path))
+
+    def connection(self, index: int, table: Any) -> Connection:
+        path = ("connections", index)
+        self.check(table, _CONNECTION, ("from", "to"), f"connection {index + 1}", *path)
+        for key in ("from", "to"):
+            if "." not in table[key]:
+                raise self.fail(f"connection {index + 1}: {key} = {table[key]!r} is not of the form component.port", *path, key)
+        return Connection(table["from"], table["to"], table.get("delayed", False), self.connection_line(index, table))
+
+    def connection_line(self, index: int, table: Mapping[str, Any]) -> int | None:
+        line = find_line(self.text, "connections", index)
+        listed = [n for n, s in enumerate(self.text.splitlines(), 1) if f'"{table["from"]}"' in s and f'"{table["to"]}"' in s]
+        return listed[0] if len(listed) == 1 else line
+
+
+_WORDS = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", dict: "a table", list: "a list"}

@@ -1,0 +1,232 @@
+"""Connections checked and turned into index arrays before anything runs.
+
+The bus is one flat float64 array in three parts: the outputs of all components in the order of the
+system; the same outputs as they were at the last step (for delayed connections); one slot per input
+that holds its start value (for open inputs, and before the first step).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from orchestration.errors import WiringError, unknown
+from orchestration.graph import Element, Link, execution_order, feedthrough, find_loop
+from orchestration.slave import FloatArray, Port, arrays, base_name, inputs, outputs
+from orchestration.system import Connection, System
+
+Indices = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """What the master needs to run a system; see the module text for the bus."""
+
+    order: tuple[str, ...]
+    """Components in the order in which they are initialised, and stepped by Gauss-Seidel."""
+    outputs: tuple[tuple[str, Port], ...]
+    """(component, port) of each output, in the order of the bus."""
+    inputs: tuple[tuple[str, Port], ...]
+    """(component, port) of each input, in the order of the start slots."""
+    output_slice: Mapping[str, slice]
+    """Where a component's outputs stand on the bus."""
+    gather: Mapping[str, Indices]
+    """Positions on the bus of a component's inputs during a run."""
+    gather_first: Mapping[str, Indices]
+    """The same for initialisation: connections that are delayed or go backwards give the input's start value."""
+    start_values: FloatArray = field(repr=False)
+    """The bus before initialisation."""
+    any_delayed: bool
+    """Whether the part with the last step's outputs is read at all."""
+    warnings: tuple[str, ...]
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of scalar outputs of the system."""
+        return len(self.outputs)
+
+    def column_names(self) -> list[str]:
+        """`component.port` of each output, in the order of the bus."""
+        return [f"{c}.{p.name}" for c, p in self.outputs]
+
+
+@dataclass(frozen=True)
+class _Pair:
+    source: Element
+    target: Element
+    delayed: bool
+    connection: Connection
+
+
+def wire(system: System, components: Mapping[str, Sequence[Port]]) -> Wiring:
+    """Check `system.connections` against the ports of the `components` and lay out the bus.
+
+    WiringError lists every problem found, one sentence each: unknown component or port, wrong
+    direction, unit, type or array size, two sources of one input, open inputs (if required to be
+    connected), an algebraic loop that Gauss-Seidel cannot resolve.
+    """
+    problems: list[str] = []
+    pairs: list[_Pair] = []
+    taken: dict[Element, Connection] = {}
+    for c in system.connections:
+        where = system.where(c.line)
+        found, said = _expand(c, components)
+        problems.extend(f"{where}{p}" for p in said)
+        for pair in found:
+            other = taken.setdefault(pair.target, c)
+            if other is not c:
+                problems.append(f"{where}input {_name(pair.target)} has two sources: {other} and {c}; remove one of them")
+                break
+        pairs.extend(found)
+    open_inputs = _open_inputs(components, taken)
+    if system.require_connected:
+        problems.extend(f"{system.where(None)}{text}; connect it, or set require_connected = false" for text in open_inputs)
+    if problems:
+        raise WiringError(problems)
+    through = feedthrough(components)
+    links: list[Link] = [(p.source, p.target) for p in pairs if not p.delayed]
+    loop = find_loop(through, links) if system.algorithm == "gauss-seidel" else None
+    if loop:
+        raise WiringError([system.where(None) + _loop_text(loop, pairs, list(components))])
+    order = execution_order(through, links, list(components))
+    rank = {name: i for i, name in enumerate(order)}
+    backward = [p for p in pairs if not p.delayed and rank[p.source[0]] >= rank[p.target[0]]]
+    warnings = [*open_inputs, *(_backward_texts(backward) if system.algorithm == "gauss-seidel" else [])]
+    return _layout(components, pairs, order, system.algorithm, warnings)
+
+
+def _layout(
+    components: Mapping[str, Sequence[Port]], pairs: Sequence[_Pair], order: Sequence[str], algorithm: str, warnings: Sequence[str]
+) -> Wiring:
+    outs = [(name, p) for name, ports in components.items() for p in outputs(ports)]
+    ins = [(name, p) for name, ports in components.items() for p in inputs(ports)]
+    n = len(outs)
+    place = {(name, p.name): i for i, (name, p) in enumerate(outs)}
+    slot = {(name, p.name): 2 * n + i for i, (name, p) in enumerate(ins)}
+    run, first = dict(slot), dict(slot)
+    rank = {name: i for i, name in enumerate(order)}
+    any_delayed = False
+    for p in pairs:
+        forward = rank[p.source[0]] < rank[p.target[0]]
+        # With Jacobi, and backwards, the output on the bus is still that of the last step when it is read.
+        from_last = p.delayed and forward and algorithm == "gauss-seidel"
+        any_delayed |= from_last
+        run[p.target] = place[p.source] + (n if from_last else 0)
+        if forward and not p.delayed:
+            first[p.target] = place[p.source]
+    starts = np.concatenate([np.zeros(2 * n), [float(p.start or 0.0) for _, p in ins]])
+    slices, begin = {}, 0
+    for name, ports in components.items():
+        slices[name] = slice(begin, begin + len(outputs(ports)))
+        begin = slices[name].stop
+
+    def indices(positions: Mapping[Element, int], name: str) -> Indices:
+        return np.array([positions[name, p.name] for p in inputs(components[name])], dtype=np.intp)
+
+    return Wiring(
+        order=tuple(order),
+        outputs=tuple(outs),
+        inputs=tuple(ins),
+        output_slice=slices,
+        gather={name: indices(run, name) for name in components},
+        gather_first={name: indices(first, name) for name in components},
+        start_values=starts,
+        any_delayed=any_delayed,
+        warnings=tuple(warnings),
+    )
+
+
+def _expand(c: Connection, components: Mapping[str, Sequence[Port]]) -> tuple[list[_Pair], list[str]]:
+    """The scalar connections of one connection, and what is wrong with it (then there are none)."""
+    ends = []
+    for text, wanted, word in ((c.source, "output", "from"), (c.target, "input", "to")):
+        name, _, port = text.partition(".")
+        if name not in components:
+            return [], [f"connection {c}: {unknown('component', name, components)}"]
+        ports = components[name]
+        members = arrays(ports).get(port) or tuple(p for p in ports if p.name == port)
+        if not members:
+            others = arrays([p for p in ports if p.causality == wanted])
+            return [], [f"connection {c}: {unknown(f'{wanted} of {name!r}:', port, others)}"]
+        if members[0].causality != wanted:
+            return [], [f"connection {c}: {_direction(text, members[0].causality, word, wanted, name)}"]
+        ends.append((name, port, members))
+    (source, from_port, froms), (target, to_port, tos) = ends
+    if [p.name[len(from_port) :] for p in froms] != [p.name[len(to_port) :] for p in tos] and not len(froms) == len(tos) == 1:
+        return [], [f"connection {c}: {c.source} has {_size(froms, from_port)}, {c.target} has {_size(tos, to_port)}"]
+    for a, b in zip(froms, tos, strict=True):
+        if a.type != b.type and (a.type, b.type) != ("integer", "real"):
+            return [], [f"connection {c}: type mismatch: {source}.{a.name} is {a.type}, {target}.{b.name} is {b.type}"]
+        if a.unit is not None and b.unit is not None and a.unit != b.unit:
+            return [], [f"connection {c}: unit mismatch: {source}.{a.name} is in {a.unit!r}, {target}.{b.name} expects {b.unit!r}"]
+    return [_Pair((source, a.name), (target, b.name), c.delayed, c) for a, b in zip(froms, tos, strict=True)], []
+
+
+def _direction(text: str, causality: str, word: str, wanted: str, name: str) -> str:
+    article = "an" if causality[0] in "aeiou" else "a"
+    if causality == "parameter":
+        return f"{text} is a parameter; set it under [components.{name}.parameters]"
+    return f"{text} is {article} {causality}; {word!r} takes an {wanted}" + (
+        "" if wanted == "output" else " (an output is never a destination)"
+    )
+
+
+def _size(members: Sequence[Port], port: str) -> str:
+    if len(members) == 1:
+        return "1 element"
+    last = members[-1].name[len(port) + 1 : -1]
+    return f"{len(members)} elements" + (f" [{last}]" if "," in last else "")
+
+
+def _open_inputs(components: Mapping[str, Sequence[Port]], taken: Mapping[Element, object]) -> list[str]:
+    """One text per array with open elements."""
+    texts = []
+    for name, ports in components.items():
+        for base, members in arrays(inputs(ports)).items():
+            missing = [p for p in members if (name, p.name) not in taken]
+            if missing:
+                which = f"{name}.{base}" if len(missing) == len(members) else ", ".join(f"{name}.{p.name}" for p in missing)
+                starts = dict.fromkeys(f"{float(p.start or 0.0):.9g}" for p in missing)
+                value = starts.popitem()[0] if len(starts) == 1 else "[" + ", ".join(f"{float(p.start or 0.0):.9g}" for p in missing) + "]"
+                unit = "" if missing[0].unit in (None, "1") else f" {missing[0].unit}"
+                texts.append(f"input {which} is not connected: it keeps its start value {value}{unit}")
+    return texts
+
+
+def _loop_text(loop: Sequence[Element], pairs: Sequence[_Pair], components: Sequence[str]) -> str:
+    hops = [base for base, nxt in pairwise([*map(_base, loop), ""]) if base != nxt]
+    by_ends = {(p.source, p.target): p.connection for p in pairs if not p.delayed}
+    closed = [*loop, loop[0]]
+    candidates = [by_ends[edge] for edge in pairwise(closed) if edge in by_ends]
+    place = {name: i for i, name in enumerate(components)}
+
+    def backwards(c: Connection) -> int:
+        return place[c.source.partition(".")[0]] - place[c.target.partition(".")[0]]
+
+    best = max(candidates, key=backwards)
+    others = [str(c) for c in candidates if c is not best]
+    return (
+        f"algebraic loop: {' -> '.join([*hops, hops[0]])}; Gauss-Seidel cannot resolve it: mark the connection {best} with delayed = true"
+        + (f" (or one of {', '.join(others)})" if others else "")
+        + ", or use algorithm = 'jacobi'"
+    )
+
+
+def _backward_texts(backward: Sequence[_Pair]) -> list[str]:
+    return [
+        f"connection {c} goes backwards in the order of execution, though not in an algebraic loop: its input sees the last step "
+        "(mark it delayed = true to say so)"
+        for c in dict.fromkeys(p.connection for p in backward)
+    ]
+
+
+def _base(element: Element) -> str:
+    return f"{element[0]}.{base_name(element[1])}"
+
+
+def _name(element: Element) -> str:
+    return f"{element[0]}.{element[1]}"
