@@ -123,14 +123,16 @@ def orientation_features(quat: FloatArray) -> FloatArray:
     return np.stack(columns, axis=1)
 
 
-def fit_orientation_polynomial(quat: FloatArray, force: FloatArray, ridge: float = 0.0) -> FloatArray:
+def fit_orientation_polynomial(quat: FloatArray, force: FloatArray, ridge: float = 0.0, linear: bool = True) -> FloatArray:
     """Coefficients [15, 3] of Eq. (17) for the remaining force of the hose pack, N.
 
     The basis has rank 14, because the squares of a unit quaternion add up to 1: the smallest of all solutions is
     taken (pseudo-inverse), or with `ridge` > 0 the coefficients are damped by it (useful with few or clustered poses).
     Rigid gravity is itself a quadratic form in q, so subtract `Load.wrench` first.
+    Without the `linear` terms (a2..a5 = 0, rank 10) the polynomial is continuous over all orientations; with them it
+    jumps where the scalar part of the quaternion changes sign.
 
-    Parameters: `quat` [N, 4] orientation of S in B, `force` [N, 3] N in S. 27 poses are enough, 14 the least.
+    Parameters: `quat` [N, 4] orientation of S in B, `force` [N, 3] N in S. 27 poses are enough, the rank is the least.
     Errors: ValueError for fewer poses than that without `ridge`, and for shapes.
     """
     features = orientation_features(quat)
@@ -139,15 +141,21 @@ def fit_orientation_polynomial(quat: FloatArray, force: FloatArray, ridge: float
         raise ValueError(f"fit_orientation_polynomial: force has shape {force.shape}, expected {(len(features), 3)}")
     if ridge < 0.0:
         raise ValueError(f"fit_orientation_polynomial: ridge is {ridge}, expected 0 or more")
+    if not linear:
+        features[:, 1:5] = 0.0
     if ridge == 0.0:
-        rank = int(np.linalg.matrix_rank(features))
-        if rank < FEATURES - 1:
+        rank, needed = int(np.linalg.matrix_rank(features)), FEATURES - 1 if linear else FEATURES - 5
+        if rank < needed:
             raise ValueError(
-                f"fit_orientation_polynomial: {len(features)} orientations of rank {rank}, needed is {FEATURES - 1}; "
+                f"fit_orientation_polynomial: {len(features)} orientations of rank {rank}, needed is {needed}; "
                 "add orientations that differ in all three angles, or set ridge > 0"
             )
-        return np.asarray(np.linalg.pinv(features) @ force)
-    return np.asarray(np.linalg.solve(features.T @ features + ridge * np.eye(FEATURES), features.T @ force))
+        coefficients = np.asarray(np.linalg.pinv(features) @ force)
+    else:
+        coefficients = np.asarray(np.linalg.solve(features.T @ features + ridge * np.eye(FEATURES), features.T @ force))
+    if not linear:
+        coefficients[1:5] = 0.0
+    return coefficients
 
 
 def _wrenches(force: FloatArray, moment: FloatArray, least: int) -> tuple[FloatArray, FloatArray]:

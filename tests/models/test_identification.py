@@ -159,6 +159,19 @@ def test_rigid_gravity_is_a_quadratic_form_of_the_quaternion() -> None:
     assert np.abs(coefficients[1:5]).max() < 1e3 * ROUNDOFF * WEIGHT  # no linear terms
 
 
+def test_without_linear_terms_the_polynomial_is_continuous_everywhere() -> None:
+    """Across scalar part 0 the linear terms change sign; the quadratic ones do not."""
+    before, after = quaternion_from_abc(math.pi - 1e-9, 0.3, 0.0), quaternion_from_abc(math.pi + 1e-9, 0.3, 0.0)
+    assert before[3] * after[3] < 0.0  # the same orientation but for 2e-9 rad, and yet the other quaternion
+    truth = np.random.default_rng(11).normal(0.0, 20.0, (FEATURES, 3))
+    truth[1:5] = 0.0
+    q = quaternions(27)
+    found = fit_orientation_polynomial(q, orientation_features(q) @ truth, linear=False)
+    assert not np.any(found[1:5])
+    assert np.abs(orientation_features(quaternions(100, seed=8)) @ (found - truth)).max() < 1e3 * ROUNDOFF * 20.0
+    assert np.abs(np.diff(orientation_features(np.array([before, after])) @ found, axis=0)).max() < 1e-6
+
+
 def test_ridge_keeps_the_coefficients_small_where_the_poses_are_clustered() -> None:
     q = np.array([quaternion_from_abc(*np.deg2rad(abc)) for abc in np.random.default_rng(9).uniform(-4, 4, (27, 3))])
     force = np.random.default_rng(10).normal(0.0, 1.0, (27, 3))  # nothing but noise
@@ -194,6 +207,8 @@ def test_errors_name_what_is_wrong() -> None:
         identify_poses(poses(4), np.zeros((4, 3)), np.zeros((4, 3)))
     with pytest.raises(ValueError, match=r"rank 10, needed is 14; add orientations .* or set ridge"):
         fit_orientation_polynomial(quaternions(10), np.zeros((10, 3)))
+    with pytest.raises(ValueError, match="9 orientations of rank 9, needed is 10"):
+        fit_orientation_polynomial(quaternions(9), np.zeros((9, 3)), linear=False)
     with pytest.raises(ValueError, match="ridge is -1"):
         fit_orientation_polynomial(quaternions(30), np.zeros((30, 3)), ridge=-1)
     with pytest.raises(ValueError, match=r"expected \(30, 3\)"):
