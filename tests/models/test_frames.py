@@ -62,7 +62,7 @@ def test_quaternion_of_the_published_angles() -> None:
     """
     quat = np.zeros(4)
     frames.quat_from_abc(*np.deg2rad([30.0, 20.0, 10.0]), quat)
-    assert np.abs(quat - [0.951548525, 0.038134577, 0.189307857, 0.239298338]).max() < physics(0.0, absolute=5e-10)
+    assert np.abs(quat - [0.951548525, 0.038134577, 0.189307857, 0.239298338]).max() < physics(0.0, absolute=1e-9)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
