@@ -101,7 +101,7 @@ class Master:
 
         If `stop - start` is no multiple of the step, the last step goes beyond `stop`. `stop` may be
         inf when `until` is given. Raises RunError (component, time) or Interrupted; the observers
-        have ended by then, so that all results up to there are on disk. Slaves stay open: see `close`.
+        have ended by then, so that all results up to there are on disk. The slaves stay open: closing them is for who opened them.
         """
         self._start_ticks = round(start * TICK)
         total = self._steps(stop)
@@ -142,7 +142,7 @@ class Master:
                     slave.set_inputs(u)
                 slave.get_outputs(y)
         except Exception as error:
-            raise self._failure(error, "during initialisation") from error
+            raise self._failure(error, "during initialisation", None) from error
         if not self._guard.ok(self._fresh):
             raise self._violation(self.time)
         for o in self._observers:
@@ -156,7 +156,8 @@ class Master:
         try:
             self._advance(t, self._step_ticks / TICK)
         except Exception as error:
-            raise self._failure(error, f"in the step from t = {t:.9g} s") from error
+            cause = self._guard.problem(self._fresh)
+            raise self._failure(error, f"in the step from t = {t:.9g} s", cause) from error
         if not self._guard.ok(self._fresh):
             raise self._violation((self._start_ticks + (self._done + 1) * self._step_ticks) / TICK)
         self._done += 1
@@ -222,14 +223,6 @@ class Master:
         position = index - next(i for i, (c, _) in enumerate(self.wiring.inputs) if c == component)
         return component, position, 2 * self.wiring.n_outputs + index
 
-    def close(self) -> None:
-        """Close all slaves, whatever one of them says."""
-        for slave in self._slaves.values():
-            try:
-                slave.close()
-            except Exception:  # the others must be closed too, and the run is over
-                traceback.print_exc()
-
     def _steps(self, stop: float) -> float:
         if math.isinf(stop) and stop > 0:
             return math.inf
@@ -248,12 +241,11 @@ class Master:
             raise WiringError([f"stop_when: {unknown('output', until, names)}"])
         return names.index(until)
 
-    def _failure(self, error: Exception, when: str) -> RunError:
-        """The one error that a run ends with when a slave raised `error`."""
+    def _failure(self, error: Exception, when: str, cause: tuple[str, str] | None) -> RunError:
+        """The one error that a run ends with when a slave raised `error`; `cause` is the guard's finding in the same step."""
         text = f"component {self._current!r} failed {when}: {_text_of(error)}"
-        cause = self._guard.problem(self._fresh)
-        if cause is not None:  # garbage in: the slave that failed is not the one to look at
-            text += f"\nIt was given values from component {cause[0]!r} that are not all right: {cause[1]}"
+        if cause is not None:  # garbage in: the slave that failed may not be the one to look at
+            text += f"\nBefore that, in the same step, component {cause[0]!r}: {cause[1]}"
         return RunError(text, self._current, self.time, self.folder)
 
     def _violation(self, t: float) -> RunError:

@@ -1,0 +1,190 @@
+"""From a system to a run: open the components, set their parameters, wire them, step them, record them."""
+
+from __future__ import annotations
+
+import math
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from orchestration.errors import OrchestrationError, SlaveError, SystemFileError
+from orchestration.master import Manipulator, Master, Observer, Progress
+from orchestration.memory import Memory
+from orchestration.parameters import Convert, prepare, same_unit_only
+from orchestration.recorder import Recorder
+from orchestration.replay import ReplaySlave
+from orchestration.results import Run
+from orchestration.slave import Port, PortData, Scalar, Slave, arrays, outputs
+from orchestration.system import Component, System
+from orchestration.wiring import Wiring, wire
+
+Resolver = Callable[[str, str], Slave]
+"""(source, instance name) -> an in-process slave; LookupError with a text that lists the sources there are."""
+
+REPLAY = "replay:"
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """The opened and configured components of a system, wired. Close it (or use it in `with`)."""
+
+    system: System
+    slaves: Mapping[str, Slave]
+    wiring: Wiring
+    parameters: Mapping[str, Mapping[str, Scalar]]
+    """Values per element as they were set, in the unit of the port."""
+
+    def __enter__(self) -> Assembly:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close all components."""
+        _close(self.slaves.values())
+
+    def about(self) -> dict[str, Any]:
+        """What run.toml says about the system."""
+        s = self.system
+        return {
+            "system": s.name,
+            "description": s.description,
+            "algorithm": s.algorithm,
+            "warnings": list(self.wiring.warnings),
+            "sources": {c.name: c.source for c in s.components},
+            "parameters": {name: dict(values) for name, values in self.parameters.items()},
+        }
+
+
+def assemble(system: System, resolver: Resolver | None = None, convert: Convert = same_unit_only) -> Assembly:
+    """Open all components, check and set their parameters, check the wiring.
+
+    `convert` turns values with units into those of the ports. Raises SlaveError, SystemFileError or
+    WiringError, with file and line where they are known; nothing stays open then.
+    """
+    slaves: dict[str, Slave] = {}
+    try:
+        for c in system.components:
+            with _attributed(system, c):
+                slaves[c.name] = _open(system, c, resolver)
+        for c in system.components:
+            old = slaves[c.name]
+            if isinstance(old, ReplaySlave):  # its inputs are whatever is connected to it
+                slaves[c.name] = old.with_inputs(_connected_inputs(system, c.name, {n: s.ports for n, s in slaves.items()}))
+        parameters: dict[str, dict[str, Scalar]] = {}
+        for c in system.components:
+            with _attributed(system, c):
+                parameters[c.name] = _configure(system, c, slaves[c.name], convert)
+        return Assembly(system, slaves, wire(system, {name: s.ports for name, s in slaves.items()}), parameters)
+    except BaseException:
+        _close(slaves.values())
+        raise
+
+
+def run(
+    system: System,
+    folder: str | Path | None = None,
+    *,
+    stop: float | None = None,
+    start: float = 0.0,
+    resolver: Resolver | None = None,
+    convert: Convert = same_unit_only,
+    progress: Progress | None = None,
+    labels: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
+    observers: Sequence[Observer] = (),
+    manipulators: Sequence[Manipulator] = (),
+) -> Run:
+    """Run `system` from `start` to `stop` [s] (default: the system's own) and return what was recorded.
+
+    With a `folder` the results stream to disk (refused if it holds a run, unless `overwrite`), without
+    one they stay in memory. `labels` are added to those of the system. Raises what `assemble` raises,
+    and RunError or Interrupted from the run itself; the folder is complete and readable by then.
+    """
+    end = system.stop if stop is None else stop
+    if end is None:
+        if system.stop_when is None:
+            raise OrchestrationError(f"system {system.name!r} has no end: give stop, or set stop or stop_when in the system file")
+        end = math.inf
+    with assemble(system, resolver, convert) as assembly:
+        keeper: Recorder | Memory
+        if folder is None:
+            keeper = Memory(assembly.about())
+        else:
+            r = system.recording
+            all_labels = {**system.labels, **(labels or {})}
+            keeper = Recorder(Path(folder), r.columns, r.every, r.chunk, r.csv, assembly.about(), all_labels, overwrite)
+        master = Master(
+            assembly.slaves,
+            assembly.wiring,
+            system.step,
+            system.algorithm,
+            (keeper, *observers),
+            manipulators,
+            system.check_ranges,
+            Path(folder) if folder is not None else None,
+        )
+        master.run(end, start, progress, system.stop_when)
+    return keeper.run() if isinstance(keeper, Memory) else Run.load(keeper.folder)
+
+
+def _open(system: System, c: Component, resolver: Resolver | None) -> Slave:
+    if c.source.startswith(REPLAY):
+        folder, _, component = c.source[len(REPLAY) :].partition("#")
+        return ReplaySlave(c.name, Run.load(system.folder / folder), component or None)
+    if c.source.endswith(".fmu"):
+        from orchestration.fmu import FmuSlave  # only systems with FMUs need FMPy
+
+        return FmuSlave(system.folder / c.source, c.name)
+    if resolver is None:
+        raise SlaveError(f"source {c.source!r} is neither an .fmu file nor {REPLAY}FOLDER, and no in-process components were given")
+    try:
+        return resolver(c.source, c.name)
+    except LookupError as error:
+        raise SlaveError(f"source {c.source!r}: {error.args[0] if error.args else error}") from None
+
+
+def _configure(system: System, c: Component, slave: Slave, convert: Convert) -> dict[str, Scalar]:
+    if isinstance(slave, ReplaySlave):
+        return {}
+    values = prepare(c.name, slave.ports, c.parameters, convert, system.folder)
+    slave.configure(values)
+    return values
+
+
+@contextmanager
+def _attributed(system: System, c: Component) -> Iterator[None]:
+    """What is raised inside gets the file, the line and the component's name."""
+    try:
+        yield
+    except (OrchestrationError, ValueError, OSError) as error:
+        text = str(error)
+        named = text if f"component {c.name!r}" in text else f"component {c.name!r}: {text}"
+        raise SystemFileError(system.where(c.line) + named) from error
+
+
+def _connected_inputs(system: System, name: str, ports: Mapping[str, Sequence[Port]]) -> list[Port]:
+    """Inputs for a replayed component: as many elements as what is connected to them has."""
+    found: dict[str, Port] = {}
+    for c in system.connections:
+        target, _, port = c.target.partition(".")
+        source, _, output = c.source.partition(".")
+        if target == name:
+            members = arrays(outputs(ports.get(source, ()))).get(output, ())
+            suffixes = [p.name[len(output) :] for p in members] or [""]
+            kind = members[0].type if members else "real"
+            for suffix in suffixes:
+                found.setdefault(port + suffix, PortData(port + suffix, "input", kind, start=0.0))
+    return list(found.values())
+
+
+def _close(slaves: Iterable[Slave]) -> None:
+    for slave in slaves:
+        try:
+            slave.close()
+        except Exception:  # the others must be closed too, and what matters has been said by then
+            traceback.print_exc()

@@ -1,0 +1,49 @@
+"""A run kept in memory instead of on disk: for studies of many short runs, and for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orchestration.results import Run
+from orchestration.slave import FloatArray, PortData
+from orchestration.wiring import Wiring
+
+
+@dataclass
+class Memory:
+    """Observer that keeps every row; `run()` gives them as a `Run` at any time."""
+
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    def begin(self, wiring: Wiring, step: float) -> None:
+        """Forget what was there before."""
+        self._wiring = wiring
+        self._t: list[float] = []
+        self._rows: list[FloatArray] = []
+        self._outcome, self._message = "running", ""
+
+    def observe(self, t: float, outputs: FloatArray) -> None:
+        """Keep a copy of the outputs."""
+        self._t.append(t)
+        self._rows.append(outputs.copy())
+
+    def end(self, outcome: str, message: str) -> None:
+        """Remember how it ended."""
+        self._outcome, self._message = outcome, message
+
+    def run(self) -> Run:
+        """What has been observed so far."""
+        data = np.array(self._rows).reshape(len(self._rows), self._wiring.n_outputs)
+        columns = {f"{c}.{p.name}": np.ascontiguousarray(data[:, i]) for i, (c, p) in enumerate(self._wiring.outputs)}
+        ports = {f"{c}.{p.name}": _plain(p) for c, p in self._wiring.outputs}
+        info = {**self.about, "outcome": self._outcome, "message": self._message}
+        return Run(Path(), np.array(self._t), columns, ports, info)
+
+
+def _plain(p: Any) -> PortData:
+    return PortData(p.name, p.causality, p.type, p.unit, p.start, p.minimum, p.maximum, p.description, p.dependencies)

@@ -1,0 +1,181 @@
+"""Writes a run while it runs: what is on disk is readable at any moment, also after a crash.
+
+Rows go in chunks to `signals.arrow` (an Arrow stream: its complete chunks can be read while it grows
+and after the process was killed). At the end, however the run ended, that becomes `signals.parquet`.
+`run.toml` beside it says what the columns are; it is there from the beginning.
+"""
+
+from __future__ import annotations
+
+import datetime
+import re
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from orchestration.errors import ResultsError, unknown
+from orchestration.results import LIVE, RUN, SIGNALS, finalise, write_csv
+from orchestration.slave import FloatArray, Port, base_name
+from orchestration.toml_text import dump
+from orchestration.wiring import Wiring
+
+SCHEMA = "robomill-run/1"
+_TYPES = {"real": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
+_FRAME = re.compile(r"_([A-Z])(?![a-z0-9A-Z])|_([A-Z])([A-Z])(?![a-z0-9A-Z])")
+_PROMOTED = ("program", "robot", "tool", "workpiece")
+_MAX_AGE = 2.0  # s of wall clock that rows may wait in memory
+
+
+@dataclass
+class Recorder:
+    """Observer that writes the chosen outputs of a run into `folder`.
+
+    `columns` are patterns on `component.port` (see `system.Recording`); every `every`-th step is
+    written, in chunks of `chunk` rows. `about` goes into run.toml as it is: name of the system,
+    algorithm, parameters, sources; `labels` too, with program, robot, tool and workpiece at the top.
+    ResultsError if the folder already holds a run and `overwrite` is not set.
+    """
+
+    folder: Path
+    columns: Sequence[str] = ("*",)
+    every: int = 1
+    chunk: int = 250
+    csv: bool = False
+    about: Mapping[str, Any] = field(default_factory=dict)
+    labels: Mapping[str, Any] = field(default_factory=dict)
+    overwrite: bool = False
+
+    def begin(self, wiring: Wiring, step: float) -> None:
+        """Choose the columns, write run.toml, open the stream."""
+        chosen = select(self.columns, wiring.column_names())
+        ports = [wiring.outputs[i] for i in chosen]
+        self.folder = Path(self.folder)
+        present = [n for n in (RUN, SIGNALS, LIVE) if (self.folder / n).exists()]
+        if present and not self.overwrite:
+            raise ResultsError(f"{self.folder} already holds a run ({', '.join(present)}); choose another folder, or allow overwriting")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        for name in present:
+            (self.folder / name).unlink()
+        self._info = self._run_info(ports, step)
+        self._write_info("running", "")
+        fields = [pa.field("t", pa.float64(), metadata={"unit": "s", "description": "time"})]
+        fields += [pa.field(f"{c}.{p.name}", _TYPES[p.type], metadata=_metadata(c, p)) for c, p in ports]
+        self._schema = pa.schema(fields, metadata={"robomill": dump(self._info)})
+        self._stream = (self.folder / LIVE).open("wb")
+        self._writer = pa.ipc.new_stream(self._stream, self._schema)
+        self._writer.write_batch(pa.record_batch([[]] * len(fields), schema=self._schema))  # without a batch there is no schema in the file
+        self._stream.flush()
+        self._chosen = None if chosen == list(range(wiring.n_outputs)) else np.array(chosen, dtype=np.intp)
+        self._buffer = np.empty((self.chunk, 1 + len(chosen)))
+        self._rows = [row[1:] for row in self._buffer]
+        self._count = self._seen = 0
+        self._flushed = time.monotonic()
+
+    def observe(self, t: float, outputs: FloatArray) -> None:
+        """Keep a row; write the chunk when it is full or old."""
+        self._seen += 1
+        if (self._seen - 1) % self.every:
+            return
+        count = self._count
+        self._buffer[count, 0] = t
+        if self._chosen is None:
+            self._rows[count][:] = outputs
+        else:
+            outputs.take(self._chosen, out=self._rows[count], mode="clip")
+        self._count = count + 1
+        if self._count == self.chunk or time.monotonic() - self._flushed > _MAX_AGE:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the rows kept so far to disk."""
+        if self._count:
+            data = np.ascontiguousarray(self._buffer[: self._count].T)
+            arrays = [pa.array(_cast(column, f.type)) for column, f in zip(data, self._schema, strict=True)]
+            self._writer.write_batch(pa.record_batch(arrays, schema=self._schema))
+            self._stream.flush()
+            self._count = 0
+        self._flushed = time.monotonic()
+
+    def end(self, outcome: str, message: str) -> None:
+        """Write what is left, turn the stream into signals.parquet, complete run.toml."""
+        try:
+            self.flush()
+        finally:
+            self._writer.close()
+            self._stream.close()
+            finalise(self.folder)
+        self._write_info(outcome, message)
+        if self.csv:
+            write_csv(self.folder)
+
+    def _run_info(self, ports: Sequence[tuple[str, Port]], step: float) -> dict[str, Any]:
+        return {
+            "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "kind": "simulated",
+            **{k: self.labels.get(k, "") for k in _PROMOTED},
+            **self.about,
+            "clock": {"column": "t", "unit": "s", "step": step, "every": self.every},
+            "labels": {k: v for k, v in self.labels.items() if k not in _PROMOTED},
+            "columns": {
+                f"{c}.{p.name}": {"port": f"{c}.{p.name}", "unit": p.unit or "", "frame": frame_of(p.name), "type": p.type}
+                for c, p in ports
+            },
+        }
+
+    def _write_info(self, outcome: str, message: str) -> None:
+        info = {"schema": SCHEMA, "outcome": outcome, "message": message, **self._info}
+        part = self.folder / (RUN + ".part")
+        part.write_text(dump(info), encoding="utf-8")
+        part.replace(self.folder / RUN)
+
+
+def _cast(column: FloatArray, kind: pa.DataType) -> Any:
+    if kind == pa.float64():
+        return column
+    return column != 0.0 if kind == pa.bool_() else np.rint(column).astype(np.int64)
+
+
+def _metadata(component: str, p: Port) -> dict[str, str]:
+    """What a column says about its port: enough to make the same port again (see `replay`)."""
+    found: dict[str, Any] = {
+        "component": component,
+        "port": p.name,
+        "type": p.type,
+        "unit": p.unit,
+        "minimum": None if p.minimum is None else repr(float(p.minimum)),
+        "maximum": None if p.maximum is None else repr(float(p.maximum)),
+        "description": p.description,
+        "frame": frame_of(p.name),
+        "dependencies": None if p.dependencies is None else " ".join(p.dependencies),
+    }
+    return {k: v for k, v in found.items() if v is not None}
+
+
+def frame_of(port: str) -> str:
+    """Frame that a port is expressed in, read from its name: `f_T_B[1]` -> B, `quat_BT` -> B, `q_link` -> "".
+
+    The monogram notation: the last single capital between underscores; of two capitals the first.
+    """
+    matches = list(_FRAME.finditer(base_name(port)))
+    return (matches[-1][1] or matches[-1][2]) if matches else ""
+
+
+def select(patterns: Sequence[str], names: Sequence[str]) -> list[int]:
+    """Indices of the names that a pattern chooses, in the order of the names. ResultsError for a pattern that chooses none.
+
+    A pattern is an element, an array, a component, or any of them with `*`.
+    """
+    chosen: set[int] = set()
+    for pattern in patterns:
+        expression = re.compile(re.escape(pattern).replace(r"\*", ".*"))
+        found = [i for i, name in enumerate(names) if any(expression.fullmatch(n) for n in (name, base_name(name), name.partition(".")[0]))]
+        if not found:
+            known = list(dict.fromkeys(base_name(n) for n in names))
+            raise ResultsError(f"recording: {unknown('column', pattern, known)}")
+        chosen.update(found)
+    return sorted(chosen)

@@ -1,0 +1,196 @@
+"""Runs on disk, simulated or measured: a folder with `run.toml` and `signals.parquet` (or .csv).
+
+The one place that reads them. A run that is still being written, or whose process was killed, is
+read from its stream as far as that goes.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+
+from orchestration.errors import ResultsError, unknown
+from orchestration.slave import FloatArray, PortData, base_name
+
+_ROWS_PER_GROUP = 50_000
+RUN, SIGNALS, LIVE, CSV = "run.toml", "signals.parquet", "signals.arrow", "signals.csv"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run in memory: time, one float64 array per column, and what is known about them."""
+
+    folder: Path
+    t: FloatArray
+    """Time [s], increasing."""
+    columns: Mapping[str, FloatArray] = field(repr=False)
+    """Values by `component.port` element; booleans are 0.0 and 1.0."""
+    ports: Mapping[str, PortData] = field(repr=False)
+    """The port of each column; `PortData.name` is without the component."""
+    info: Mapping[str, Any] = field(repr=False)
+    """run.toml as it is."""
+
+    @property
+    def outcome(self) -> str:
+        """`finished`, `interrupted`, `failed`, or `running` (still being written, or its process was killed)."""
+        return str(self.info.get("outcome", "finished"))
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the components that have columns."""
+        return tuple(dict.fromkeys(name.partition(".")[0] for name in self.columns))
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and bool(self._members(name))
+
+    def __getitem__(self, name: str) -> FloatArray:
+        """A column, float64[n], or a whole array, float64[n, elements] or [n, rows, columns].
+
+        KeyError says which names come close and what there is.
+        """
+        members = self._members(name)
+        if not members:
+            raise KeyError(unknown("column", name, dict.fromkeys(base_name(n) for n in self.columns)))
+        if members == [name]:
+            return self.columns[name]
+        shape = [int(i) for i in members[-1][len(name) + 1 : -1].split(",")]
+        stacked = np.stack([self.columns[m] for m in members], axis=1)
+        # an array of which only some elements were recorded has no shape: its elements stay in one row
+        return stacked.reshape(-1, *shape) if int(np.prod(shape)) == len(members) else stacked
+
+    def unit(self, name: str) -> str:
+        """Unit of a column or array; "" where it is not known."""
+        members = self._members(name)
+        if not members:
+            raise KeyError(unknown("column", name, dict.fromkeys(base_name(n) for n in self.columns)))
+        return self.ports[members[0]].unit or ""
+
+    def _members(self, name: str) -> list[str]:
+        return [name] if name in self.columns else [n for n in self.columns if base_name(n) == name]
+
+    @staticmethod
+    def load(folder: str | Path) -> Run:
+        """Read a run folder. ResultsError says what is missing or wrong."""
+        return load(Path(folder))
+
+
+def load(folder: Path) -> Run:
+    """See `Run.load`."""
+    if not folder.is_dir():
+        raise ResultsError(f"no run folder {folder}")
+    info = _read_info(folder)
+    table = _read_table(folder)
+    if table.num_columns == 0 or "t" not in table.column_names:
+        raise ResultsError(f"{folder}: the signals have no column 't' (time in s); they have {', '.join(table.column_names[:20])}")
+    described = info.get("columns", {})
+    columns: dict[str, FloatArray] = {}
+    ports: dict[str, PortData] = {}
+    for f in table.schema:
+        if f.name == "t":
+            continue
+        said = {**{k.decode(): v.decode() for k, v in (f.metadata or {}).items()}, **described.get(f.name, {})}
+        name = described.get(f.name, {}).get("port", f.name)
+        columns[name] = _values(table, f.name, folder)
+        ports[name] = _port(name, said)
+    t = _values(table, "t", folder)
+    if not np.all(np.diff(t) > 0.0):
+        raise ResultsError(f"{folder}: time does not increase after t = {t[:-1][np.diff(t) <= 0.0][0]:.9g} s")
+    return Run(folder, t, columns, ports, info)
+
+
+def _read_info(folder: Path) -> dict[str, Any]:
+    file = folder / RUN
+    if not file.is_file():
+        held = ", ".join(sorted(f.name for f in folder.iterdir())[:20])
+        raise ResultsError(f"{folder} is not a run: there is no {RUN} in it; it holds {held or 'nothing'}")
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise ResultsError(f"{file}: not valid TOML: {error}") from None
+
+
+def _read_table(folder: Path) -> pa.Table:
+    try:
+        if (folder / SIGNALS).is_file():
+            return pyarrow.parquet.read_table(folder / SIGNALS)
+        if (folder / LIVE).is_file():
+            with pa.OSFile(str(folder / LIVE)) as source:
+                return pa.Table.from_batches(list(_batches(source)), _schema(folder / LIVE))
+        if (folder / CSV).is_file():
+            return pyarrow.csv.read_csv(folder / CSV)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise ResultsError(f"{folder}: the signals cannot be read: {error}") from None
+    raise ResultsError(f"{folder}: there is no {SIGNALS}, {LIVE} or {CSV} in it")
+
+
+def _schema(file: Path) -> pa.Schema:
+    with pa.OSFile(str(file)) as source:
+        return pa.ipc.open_stream(source).schema
+
+
+def _batches(source: Any) -> Iterator[pa.RecordBatch]:
+    """The complete chunks of a stream; what comes after them was not finished."""
+    reader = pa.ipc.open_stream(source)
+    while True:
+        try:
+            yield reader.read_next_batch()
+        except (StopIteration, pa.ArrowInvalid, OSError):
+            return
+
+
+def _values(table: pa.Table, name: str, folder: Path) -> FloatArray:
+    column = table.column(name)
+    if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type) or pa.types.is_boolean(column.type)):
+        raise ResultsError(f"{folder}: column {name!r} holds no numbers but {column.type}")
+    values = column.to_numpy(zero_copy_only=False)
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _port(name: str, said: Mapping[str, Any]) -> PortData:
+    dependencies = said.get("dependencies")
+    return PortData(
+        name=name.partition(".")[2],
+        causality="output",
+        type=str(said.get("type", "real")),
+        unit=said.get("unit") or None,
+        minimum=float(said["minimum"]) if "minimum" in said else None,
+        maximum=float(said["maximum"]) if "maximum" in said else None,
+        description=str(said.get("description", "")),
+        dependencies=() if dependencies is None else tuple(re.findall(r"\S+", dependencies)),
+    )
+
+
+def finalise(folder: Path) -> None:
+    """Turn the stream of a run that is over (or was killed) into `signals.parquet`. The stream goes only when that is complete."""
+    live, part = folder / LIVE, folder / (SIGNALS + ".part")
+    if not live.is_file():
+        return
+    schema = _schema(live)
+    with pa.OSFile(str(live)) as source, pyarrow.parquet.ParquetWriter(part, schema, compression="zstd") as writer:
+        rows: list[pa.RecordBatch] = []
+        for batch in _batches(source):
+            rows.append(batch)
+            if sum(len(r) for r in rows) >= _ROWS_PER_GROUP:
+                writer.write_table(pa.Table.from_batches(rows, schema))
+                rows.clear()
+        writer.write_table(pa.Table.from_batches(rows, schema))
+    part.replace(folder / SIGNALS)
+    live.unlink()
+
+
+def write_csv(folder: Path) -> Path:
+    """Write `signals.csv` (all digits) beside the signals of a run, and return its path."""
+    pyarrow.csv.write_csv(_read_table(folder), folder / CSV)
+    return folder / CSV
