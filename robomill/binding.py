@@ -1,0 +1,42 @@
+"""What the master is given from outside: components by name, and unit conversion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fmus.components import COMPONENTS
+from fmus.in_process import InProcessSlave
+from models.units import UNITS, compatible, from_si, to_si
+from orchestration.slave import Slave
+from orchestration.system import System
+
+
+def resolve(source: str, name: str) -> Slave:
+    """The in-process component `source` as a slave called `name`; LookupError lists what there is."""
+    if source not in COMPONENTS:
+        raise LookupError(f"there is no component {source!r}; components: {', '.join(COMPONENTS)}; or name an .fmu file, or replay:FOLDER")
+    return InProcessSlave(COMPONENTS[source], name)
+
+
+def convert(value: float, unit: str, wanted: str) -> float:
+    """`value` in `unit`, expressed in `wanted`; ValueError says why it cannot be."""
+    for u in (unit, wanted):
+        if u not in UNITS:
+            raise ValueError(f"unknown unit {u!r}; known units: {', '.join(sorted(UNITS))}")
+    if not compatible(unit, wanted):
+        raise ValueError(f"{value} {unit} cannot be expressed in {wanted}: these units measure different things")
+    return from_si(to_si(value, unit), wanted)
+
+
+def with_fmus(system: System, folder: Path) -> System:
+    """The same system with every component of this project taken from its FMU in `folder`.
+
+    FileNotFoundError names the FMU that is missing and the command that builds it.
+    """
+    for c in system.components:
+        if c.source in COMPONENTS:
+            fmu = (folder / f"{c.source}.fmu").resolve()
+            if not fmu.is_file():
+                raise FileNotFoundError(f"component {c.name!r}: no FMU {fmu}; build it with `robomill build --out {folder}`")
+            system = system.with_source(c.name, str(fmu))
+    return system
