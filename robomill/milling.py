@@ -1,0 +1,137 @@
+"""A milling scenario: plan the program, estimate the force offline, mill every variant, measure the result.
+
+Results of a scenario are a folder: `plan/` (tables that the path component reads), `offline/` (the run that the
+pilot force comes from), one run per variant, pictures, and `summary.json`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from models import gcode, point_path
+from models.declaration import FloatArray
+from models.trajectory import Placement, Plan, pilot_table, plan
+from orchestration.assembly import run
+from orchestration.results import Run
+from orchestration.system import Connection, System
+from robomill.binding import convert, resolve, with_fmus
+from robomill.scenario import ComponentParameters, Scenario, ScenarioError, Variant, Workpiece
+
+PARTS = ("path", "drive", "compliance", "milling", "sensor", "controller")
+"""Names that the components of a milling cell go by in its system file, whatever their sources are."""
+
+Progress = Callable[[str, int, int], object]
+"""Called with (what is being done, steps done, steps in all)."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A milling scenario made ready: its plan and the system that every variant is a version of."""
+
+    scenario: Scenario
+    workpiece: Workpiece
+    plan: Plan
+    system: System
+    folder: Path
+
+    @property
+    def steps(self) -> int:
+        """Communication steps of one run."""
+        return int(np.ceil(self.plan.duration / self.system.step)) + 1
+
+
+def prepare(scenario: Scenario, folder: Path, fmus: Path | None = None, progress: Progress | None = None) -> Job:
+    """Plan the program and estimate the cutting force along it.
+
+    `fmus`: folder of FMUs to run instead of the in-process components. Raises what the reader of the program, the
+    planner and the master raise; nothing is left half done in `folder` that a second call would trip over.
+    """
+    assert scenario.program is not None
+    assert scenario.workpiece is not None  # load_scenario checks both for this kind
+    workpiece = scenario.workpiece
+    placement = Placement(workpiece.position, workpiece.abc)
+    if scenario.program.suffix == ".toml":
+        planned = plan(point_path.read_points(scenario.program), placement)
+    else:
+        planned = plan(gcode.read(scenario.program), placement)
+    (folder / "plan").mkdir(parents=True, exist_ok=True)
+    segments, pilot = folder / "plan" / "segments.npy", folder / "plan" / "pilot.npy"
+    np.save(segments, planned.table)
+
+    system = System.load(scenario.system, convert)
+    _require(system)
+    system = system.with_parameters("path", {"segments": str(segments)})
+    quaternion = np.roll(Rotation.from_matrix(placement.R_BP).as_quat(canonical=True), 1)
+    system = system.with_parameters(
+        "milling", {"p_BP_B": list(workpiece.position), "quat_BP": quaternion.tolist(), "block_size": list(workpiece.size)}
+    )
+    system = _with(system, scenario.parameters)
+    if fmus is not None:
+        system = with_fmus(system, fmus)
+    job = Job(scenario, workpiece, planned, system, folder)
+    np.save(pilot, _pilot(job, progress))
+    return replace(job, system=system.with_parameters("path", {"pilot": str(pilot)}))
+
+
+def mill(job: Job, variant: Variant, progress: Progress | None = None) -> tuple[Run, float]:
+    """Run one variant into its folder; returns the run and how many times faster than real time it was."""
+    system = replace(_with(job.system, variant.parameters), name=f"{job.scenario.name}/{variant.name}")
+    labels = {"program": job.plan.name, "robot": "KUKA KR 300 R2500 ultra", "condition": variant.name}
+    started = time.perf_counter()
+    result = run(
+        system,
+        job.folder / variant.name,
+        stop=job.steps * system.step,
+        resolver=resolve,
+        convert=convert,
+        progress=_reporting(progress, variant.title, job.steps),
+        labels=labels,
+        overwrite=True,
+    )
+    return result, float(result.t[-1]) / (time.perf_counter() - started)
+
+
+def _pilot(job: Job, progress: Progress | None) -> FloatArray:
+    """The pilot force: the cutting force of a rigid robot along the path, reduced to few points (sec. 2.3 of the paper)."""
+    rigid = tuple(Connection(f"path.{port}", f"milling.{port}") for port in ("p_BT_B", "quat_BT", "v_BT_B", "spindle_speed"))
+    components = tuple(c for c in job.system.components if c.name in ("path", "milling"))
+    offline = replace(job.system, name=f"{job.scenario.name}/offline", components=components, connections=rigid)
+    result = run(
+        offline,
+        job.folder / "offline",
+        stop=job.steps * offline.step,
+        resolver=resolve,
+        convert=convert,
+        progress=_reporting(progress, "offline force", job.steps),
+        overwrite=True,
+    )
+    # the force is a mean over the step that ends at t: it belongs to the middle of that step
+    tau = result["path.path_time"] - 0.5 * offline.step
+    return pilot_table(tau[1:], result["milling.f_T_B"][1:])
+
+
+def _require(system: System) -> None:
+    """Refuse a system whose components do not play the parts of a milling cell."""
+    names = [c.name for c in system.components]
+    missing = [part for part in PARTS if part not in names]
+    if missing:
+        raise ScenarioError(f"{system.file}: a milling scenario needs components named {', '.join(PARTS)}; missing: {', '.join(missing)}")
+
+
+def _with(system: System, parameters: ComponentParameters) -> System:
+    for component, values in parameters.items():
+        system = system.with_parameters(component, values)
+    return system
+
+
+def _reporting(progress: Progress | None, what: str, steps: int) -> Callable[[int, int], object] | None:
+    if progress is None:
+        return None
+    report = progress
+    return lambda done, _: report(what, done, steps) if done % 25 == 0 else None
