@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from orchestration.errors import OrchestrationError, SlaveError, SystemFileError
+from orchestration.errors import OrchestrationError, SlaveError, SystemFileError, describe
 from orchestration.master import Manipulator, Master, Observer, Progress
 from orchestration.memory import Memory
 from orchestration.parameters import Convert, prepare, same_unit_only
@@ -161,8 +161,8 @@ def _attributed(system: System, c: Component) -> Iterator[None]:
     """What is raised inside gets the file, the line and the component's name."""
     try:
         yield
-    except (OrchestrationError, ValueError, OSError) as error:
-        text = str(error)
+    except Exception as error:
+        text = describe(error)
         named = text if f"component {c.name!r}" in text else f"component {c.name!r}: {text}"
         raise SystemFileError(system.where(c.line) + named) from error
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import traceback
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -65,3 +66,10 @@ def unknown(what: str, name: str, names: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, listed, n=3, cutoff=0.6)
     hint = f" did you mean {' or '.join(repr(c) for c in close)}?" if close else ""
     return f"unknown {what} {name!r};{hint} available: {available(listed)}"
+
+
+def describe(error: BaseException) -> str:
+    """The text of an error; for one of Python's own types, which nobody worded for users, also where it was raised."""
+    if type(error).__module__ != "builtins":
+        return str(error)
+    return "\n" + "".join(traceback.format_exception(error)).rstrip()

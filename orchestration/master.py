@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import signal
 import threading
-import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from orchestration.errors import Interrupted, OrchestrationError, RunError, WiringError, unknown
+from orchestration.errors import Interrupted, OrchestrationError, RunError, WiringError, describe, unknown
 from orchestration.guard import Guard
 from orchestration.slave import FloatArray, Slave
 from orchestration.system import ALGORITHMS, TICK, ticks
@@ -243,7 +242,7 @@ class Master:
 
     def _failure(self, error: Exception, when: str, cause: tuple[str, str] | None) -> RunError:
         """The one error that a run ends with when a slave raised `error`; `cause` is the guard's finding in the same step."""
-        text = f"component {self._current!r} failed {when}: {_text_of(error)}"
+        text = f"component {self._current!r} failed {when}: {describe(error)}"
         if cause is not None:  # garbage in: the slave that failed may not be the one to look at
             text += f"\nBefore that, in the same step, component {cause[0]!r}: {cause[1]}"
         return RunError(text, self._current, self.time, self.folder)
@@ -275,10 +274,3 @@ class Master:
             yield
         finally:
             signal.signal(signal.SIGINT, previous)
-
-
-def _text_of(error: BaseException) -> str:
-    """The text of one of our errors; for any other exception also where it was raised."""
-    if isinstance(error, OrchestrationError):
-        return str(error)
-    return f"{type(error).__name__}: {error}\n" + "".join(traceback.format_exception(error)).rstrip()

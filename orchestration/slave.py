@@ -99,7 +99,11 @@ class PortData:
 
 @runtime_checkable
 class Slave(Protocol):
-    """A component that can be stepped. Whatever it raises ends the run with its text, component and time."""
+    """A component that can be stepped.
+
+    Whatever it raises ends the run, with component and time. An exception class of its own is taken to
+    speak to users: its text is shown; one of Python's built-in exceptions is shown with its traceback.
+    """
 
     @property
     def name(self) -> str:
