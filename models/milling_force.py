@@ -158,8 +158,9 @@ VARIABLES = (
 
 ERRORS = (
     "",
-    "a parameter is out of bounds: diameter {diameter} m, spacing {spacing} m, block_size {block_size} m, "
-    "contact_zone {contact_zone} m and size_reference {size_reference} m must be positive, substeps {substeps} at least 1, teeth {teeth} from 1 to 12; correct the parameter",
+    "a parameter is out of bounds: diameter {diameter} m, spacing {spacing} m, block_size {block_size} m, contact_zone {contact_zone} m "
+    "and size_reference {size_reference} m must be positive, substeps {substeps} at least 1, teeth {teeth} from 1 to 12; "
+    "correct the parameter",
     "quat_BP {quat_BP} is not of unit length; give w, x, y, z of a rotation, for instance 1, 0, 0, 0",
     "the block of {block_size} m needs more cells than the 262144 available at a spacing of {spacing} m; "
     "use a spacing of {finest_spacing:.6f} m or more, or a smaller block",
