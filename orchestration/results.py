@@ -68,7 +68,8 @@ class Run:
         shape = [int(i) for i in members[-1][len(name) + 1 : -1].split(",")]
         stacked = np.stack([self.columns[m] for m in members], axis=1)
         # an array of which only some elements were recorded has no shape: its elements stay in one row
-        return stacked.reshape(-1, *shape) if int(np.prod(shape)) == len(members) else stacked
+        complete = [f"{name}[{','.join(str(i + 1) for i in index)}]" for index in np.ndindex(*shape)]
+        return stacked.reshape(-1, *shape) if complete == members else stacked
 
     def unit(self, name: str) -> str:
         """Unit of a column or array; "" where it is not known."""

@@ -151,6 +151,9 @@ def _expand(c: Connection, components: Mapping[str, Sequence[Port]]) -> tuple[li
         members = arrays(ports).get(port) or tuple(p for p in ports if p.name == port)
         if not members:
             others = arrays([p for p in ports if p.causality == wanted])
+            if base_name(port) in others:
+                whole = others[base_name(port)]
+                return [], [f"connection {c}: there is no {text}: {name}.{base_name(port)} has {_size(whole, base_name(port))}"]
             return [], [f"connection {c}: {unknown(f'{wanted} of {name!r}:', port, others)}"]
         if members[0].causality != wanted:
             return [], [f"connection {c}: {_direction(text, members[0].causality, word, wanted, name)}"]
@@ -170,9 +173,8 @@ def _direction(text: str, causality: str, word: str, wanted: str, name: str) -> 
     article = "an" if causality[0] in "aeiou" else "a"
     if causality == "parameter":
         return f"{text} is a parameter; set it under [components.{name}.parameters]"
-    return f"{text} is {article} {causality}; {word!r} takes an {wanted}" + (
-        "" if wanted == "output" else " (an output is never a destination)"
-    )
+    never = " (an output is never a destination)" if causality == "output" else ""
+    return f"{text} is {article} {causality}; {word!r} takes an {wanted}{never}"
 
 
 def _size(members: Sequence[Port], port: str) -> str:

@@ -1,0 +1,1 @@
+"""Tests of the orchestration: system files, wiring, master, FMUs, results."""

@@ -58,18 +58,18 @@ class Mock:
 
 
 def source(name: str, function: Callable[[float], float], unit: str = "1") -> Mock:
-    """y = function(t)."""
+    """A source: y = function(t)."""
     return Mock(name, [PortData("y", "output", unit=unit, dependencies=())], lambda u, t: [function(t)])
 
 
 def gain(name: str, factor: float = 1.0, offset: float = 0.0, **output: Any) -> Mock:
-    """y = factor u + offset, direct feedthrough."""
+    """An amplifier: y = factor u + offset, direct feedthrough."""
     ports = [PortData("u", "input", unit="1", start=0.0), PortData("y", "output", **{"unit": "1", "dependencies": ("u",), **output})]
     return Mock(name, ports, lambda u, t: [factor * u[0] + offset])
 
 
 class Integrator(Mock):
-    """y' = factor u, exact for an input held over the step; no feedthrough of the instantaneous kind."""
+    """The state y' = factor u, exact for an input held over the step; no feedthrough of the instantaneous kind."""
 
     def __init__(self, name: str, factor: float, start: float) -> None:
         ports = [PortData("u", "input", unit="1", start=0.0), PortData("y", "output", unit="1", dependencies=())]

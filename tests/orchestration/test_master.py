@@ -31,6 +31,8 @@ CHAIN = ("s.y -> a.u", "a.y -> b.u", "b.y -> c.u")
 
 
 class TestDelays:
+    """What each algorithm delays, step for step."""
+
     def test_mocks_are_slaves(self):
         assert isinstance(gain("a"), Slave)
 
@@ -82,6 +84,8 @@ class TestDelays:
 
 
 class TestTime:
+    """Integer time, the end of a run, progress."""
+
     def test_time_is_counted_in_whole_nanoseconds(self):
         r = simulate([source("s", lambda t: t)], step=0.1, stop=100.0)
         assert list(r.t) == [k / 10 for k in range(1001)]  # no drift: each is the double nearest to k/10
@@ -125,7 +129,7 @@ OMEGA, T_END = 2.0, 2.0
 
 
 def oscillator(algorithm: str, h: float) -> Run:
-    """x' = v, v' = -w^2 x, each half integrated exactly with the other held: x = cos(w t), v = -w sin(w t)."""
+    """The oscillator x' = v, v' = -w^2 x, each half integrated exactly with the other held: x = cos(w t), v = -w sin(w t)."""
     slaves = [Integrator("x", 1.0, 1.0), Integrator("v", -(OMEGA**2), 0.0)]
     return simulate(slaves, "x.y -> v.u", "v.y -> x.u", algorithm=algorithm, step=h, stop=T_END)
 
@@ -175,6 +179,8 @@ class TestConvergence:
 
 
 class TestGuards:
+    """Outputs that are not numbers or out of range."""
+
     @pytest.mark.parametrize(
         ("bad", "words"),
         [
@@ -223,16 +229,18 @@ class TestGuards:
         assert "Before that, in the same step, component 'a': output y is not a number (NaN)" in str(caught.value)
 
 
-def failing(name="bad", at=0.01, error=ZeroDivisionError("by zero")):
+def failing(name="bad", at=0.01, error=None):
     def function(u, t):
         if t > at:
-            raise error
+            raise error or ZeroDivisionError("by zero")
         return [t]
 
     return Mock(name, [PortData("y", "output")], function)
 
 
 class TestFailures:
+    """A slave raises."""
+
     def test_raising_slave_shows_component_time_and_traceback(self, tmp_path):
         with pytest.raises(RunError) as caught:
             simulate([failing()], folder=tmp_path / "run")
@@ -263,6 +271,8 @@ class TestFailures:
 
 
 class TestInterruption:
+    """Ctrl-C."""
+
     def test_keyboard_interrupt_from_inside(self, tmp_path):
         with pytest.raises(Interrupted, match=r"interrupted at t = 0.008 s; results up to there are in") as caught:
             simulate([failing(error=KeyboardInterrupt())], folder=tmp_path / "run")
@@ -284,6 +294,8 @@ class TestInterruption:
 
 
 class TestManipulation:
+    """Inputs overridden from outside while it runs."""
+
     def test_override_and_release(self):
         def manipulate(master, t):
             if t == 0.008:

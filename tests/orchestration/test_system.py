@@ -1,0 +1,174 @@
+"""System files: what is read, and the one clear error for each thing that is not allowed."""
+
+from __future__ import annotations
+
+import tomllib
+
+import pytest
+
+from orchestration.errors import SystemFileError
+from orchestration.system import Connection, Recording, System
+from orchestration.toml_text import dump, find_line
+from tests.tolerances import EXACT
+
+GOOD = """\
+name = "groove"
+step = "4 ms"
+stop = 2
+algorithm = "jacobi"
+
+[labels]
+robot = "KR 300"
+repeat = 1
+
+[components.drive]
+source = "robot_drive"
+parameters = {backlash = "20 urad", "stiffness[2]" = 0.9}
+
+[components.compliance]
+source = "dist/compliance.fmu"
+[components.compliance.parameters]
+scale = [1, 2, 3]
+
+[[connections]]
+from = "drive.q"
+to = "compliance.q"
+
+[[connections]]
+from = "compliance.d"
+to = "drive.d"
+delayed = true
+
+[recording]
+columns = ["drive", "compliance.d[1]"]
+every = 2
+"""
+
+
+def convert(value, unit, wanted):
+    factors = {("ms", "s"): 1e-3, ("urad", "rad"): 1e-6, ("mm", "m"): 1e-3}
+    if (unit, wanted) not in factors:
+        raise ValueError(f"unit {unit!r} does not measure {wanted!r}")
+    return value * factors[unit, wanted]
+
+
+def load(tmp_path, text):
+    file = tmp_path / "system.toml"
+    file.write_text(text)
+    return System.load(file, convert)
+
+
+def test_a_system_file(tmp_path):
+    s = load(tmp_path, GOOD)
+    assert (s.name, s.algorithm, s.stop, s.require_connected, s.check_ranges) == ("groove", "jacobi", 2.0, False, True)
+    assert abs(s.step - 0.004) <= EXACT
+    assert [c.name for c in s.components] == ["drive", "compliance"]
+    assert dict(s.component("drive").parameters) == {"backlash": "20 urad", "stiffness[2]": 0.9}
+    assert dict(s.component("compliance").parameters) == {"scale": [1, 2, 3]}
+    assert s.connections == (Connection("drive.q", "compliance.q", False, 19), Connection("compliance.d", "drive.d", True, 23))
+    assert s.recording == Recording(("drive", "compliance.d[1]"), every=2)
+    assert dict(s.labels) == {"robot": "KR 300", "repeat": 1}
+    assert s.folder == tmp_path
+
+
+def test_a_component_is_exchanged_by_one_line(tmp_path):
+    s = load(tmp_path, GOOD)
+    other = load(tmp_path, GOOD.replace('source = "robot_drive"', 'source = "replay:runs/1"'))
+    assert s.with_source("drive", "replay:runs/1") == other
+
+
+def test_parameters_are_exchanged(tmp_path):
+    s = load(tmp_path, GOOD).with_parameters("drive", {"backlash": 0.0})
+    assert dict(s.component("drive").parameters) == {"backlash": 0.0, "stiffness[2]": 0.9}
+
+
+ERRORS = [
+    ("name =", "nam =", "system.toml:1: system: unknown key 'nam'; did you mean 'name'? available: name, description, step,"),
+    ('name = "groove"\n', "", "system.toml: system: name is missing"),
+    ('"4 ms"', '"4 mm"', "system.toml:2: step: unit 'mm' does not measure 's'"),
+    ('"4 ms"', '"soon"', "system.toml:2: step: 'soon' is not a number with a unit, such as '4 s'"),
+    ('"4 ms"', "true", "system.toml:2: system: step is a whole number or a number or a text; found True"),
+    ('"4 ms"', "-1", "system.toml: step = -1.0 s is not a positive whole number of nanoseconds"),
+    ('"jacobi"', '"jakobi"', "system.toml: algorithm 'jakobi' is unknown; available: jacobi, gauss-seidel"),
+    (
+        'source = "robot_drive"',
+        "sauce = 1",
+        "system.toml:11: component 'drive': unknown key 'sauce'; did you mean 'source'? available: source, parameters",
+    ),
+    ('source = "robot_drive"\n', "", "system.toml:10: component 'drive': source is missing"),
+    (
+        "[components.drive]",
+        "[components.1drive]",
+        "system.toml:10: component name '1drive': letters, digits and underscores only, no digit first",
+    ),
+    ("delayed = true", 'delayed = "yes"', "system.toml:26: connection 2: delayed is true or false; found 'yes'"),
+    (
+        "delayed = true",
+        "delay = true",
+        "system.toml:26: connection 2: unknown key 'delay'; did you mean 'delayed'? available: from, to, delayed",
+    ),
+    ('to = "drive.d"', 'to = "drive"', "system.toml:25: connection 2: to = 'drive' is not of the form component.port"),
+    ('to = "drive.d"\n', "", "system.toml:23: connection 2: to is missing"),
+    ("every = 2", "every = 0", "system.toml: recording: every and chunk are at least 1; found 0 and 250"),
+    ("every = 2", "rows = 2", "system.toml:30: recording: unknown key 'rows'; available: columns, every, csv, chunk"),
+    ('["drive", "compliance.d[1]"]', "[1]", "system.toml:29: recording: columns is a list of texts; found [1]"),
+    ("[labels]", "[labels", "system.toml: not valid TOML: "),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "text"), ERRORS)
+def test_errors(tmp_path, old, new, text):
+    assert old in GOOD
+    with pytest.raises(SystemFileError) as caught:
+        load(tmp_path, GOOD.replace(old, new, 1))
+    assert str(caught.value).startswith(text)
+
+
+def test_no_such_file(tmp_path):
+    (tmp_path / "other.toml").write_text("")
+    with pytest.raises(SystemFileError, match=r"no system file .*x.toml; TOML files in that folder: other.toml"):
+        System.load(tmp_path / "x.toml")
+
+
+def test_no_components(tmp_path):
+    with pytest.raises(SystemFileError, match="the system has no components"):
+        load(tmp_path, 'name = "x"\nstep = 1\n[components]\n')
+
+
+def test_unknown_component(tmp_path):
+    with pytest.raises(SystemFileError, match="unknown component 'drove'; did you mean 'drive'"):
+        load(tmp_path, GOOD).with_source("drove", "x")
+
+
+class TestTomlText:
+    """Reading line numbers, writing."""
+
+    @pytest.mark.parametrize(
+        ("path", "line"),
+        [
+            (("step",), 2),
+            (("components", "drive", "source"), 11),
+            (("components", "drive", "parameters", "backlash"), 12),
+            (("components", "compliance", "parameters", "scale"), 17),
+            (("connections", 1, "to"), 25),
+            (("connections", 1, "nothing"), 23),
+            (("nothing",), None),
+        ],
+    )
+    def test_find_line(self, path, line):
+        assert find_line(GOOD, *path) == line
+
+    def test_what_is_written_is_read_back(self):
+        table = {
+            "text": 'quo"te \\ \n tab\t \x7f é',
+            "numbers": [1, -2.5, 1e-300, 0.1 + 0.2],
+            "yes": True,
+            "nested": {"a b": {"deep": 1}, "x[1,2]": {"v": 2.0}, "empty": {}},
+            "tables": [{"a": 1}, {"b": "c"}],
+        }
+        assert tomllib.loads(dump(table)) == table
+
+    def test_none_is_left_out_and_other_things_are_refused(self):
+        assert dump({"a": None, "b": 1}) == "b = 1\n"
+        with pytest.raises(TypeError, match="object cannot be written as TOML"):
+            dump({"a": object()})
