@@ -71,7 +71,7 @@ def prepare(scenario: Scenario, folder: Path, fmus: Path | None = None, progress
     system = system.with_parameters(
         "milling", {"p_BP_B": list(workpiece.position), "quat_BP": quaternion.tolist(), "block_size": list(workpiece.size)}
     )
-    system = _with(system, scenario.parameters)
+    system = with_parameters(system, scenario.parameters)
     if fmus is not None:
         system = with_fmus(system, fmus)
     job = Job(scenario, workpiece, planned, system, folder)
@@ -81,7 +81,7 @@ def prepare(scenario: Scenario, folder: Path, fmus: Path | None = None, progress
 
 def mill(job: Job, variant: Variant, progress: Progress | None = None) -> tuple[Run, float]:
     """Run one variant into its folder; returns the run and how many times faster than real time it was."""
-    system = replace(_with(job.system, variant.parameters), name=f"{job.scenario.name}/{variant.name}")
+    system = replace(with_parameters(job.system, variant.parameters), name=f"{job.scenario.name}/{variant.name}")
     labels = {"program": job.plan.name, "robot": "KUKA KR 300 R2500 ultra", "condition": variant.name}
     started = time.perf_counter()
     result = run(
@@ -124,7 +124,8 @@ def _require(system: System) -> None:
         raise ScenarioError(f"{system.file}: a milling scenario needs components named {', '.join(PARTS)}; missing: {', '.join(missing)}")
 
 
-def _with(system: System, parameters: ComponentParameters) -> System:
+def with_parameters(system: System, parameters: ComponentParameters) -> System:
+    """The system with parameters set: component -> parameter -> value as written."""
     for component, values in parameters.items():
         system = system.with_parameters(component, values)
     return system
