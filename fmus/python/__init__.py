@@ -1,0 +1,1 @@
+"""FMUs that run in the Python of the receiving machine (pythonfmu); see `builder`."""

@@ -1,0 +1,227 @@
+"""One instance of a model: its record, checked access to it, initialisation, steps, state. Every Python face is built on it."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fmus.interface import WORD, Interface, Port
+from models.declaration import FloatArray, Model, record
+
+
+class ComponentError(RuntimeError):
+    """What a component refuses or cannot do; the text names component, variable or time, value and what is expected."""
+
+
+class State(NamedTuple):
+    """A copy of everything an instance knows. The tables are shared between copies: they only change when loaded."""
+
+    words: bytes
+    stale: bool
+    running: bool
+    tables: bytes
+    paths: tuple[tuple[str, str], ...]
+
+
+class Instance:
+    """A record with its functions. Compiled by default; plain Python on request or without Numba (`compiled` tells)."""
+
+    def __init__(self, interface: Interface, name: str | None = None, plain: bool = False) -> None:
+        self.interface = interface
+        self.model: Model = interface.model
+        self.name = name or self.model.name
+        self.plain = plain
+        self.data = self.model.new()
+        self.floats: FloatArray = self.data.view(np.float64)
+        self.integers: npt.NDArray[np.int64] = self.data.view(np.int64)
+        self.paths = {p.name: "" for p in interface.parameters if p.type == "string"}
+        self.running = False
+        """Whether the first step has been taken."""
+        self.stale = True
+        """Whether `init` has to run before outputs are read."""
+        self._tables = self._table_bytes()
+        self._functions: tuple[Any, Any, Any] | None = None
+        reals = [p.reference for p in interface.outputs if p.type == "real"]
+        self._real_outputs = self.floats[min(reals, default=0) : max(reals, default=-1) + 1]
+        self._zeros = np.zeros(len(self._real_outputs))
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the compiled functions run; compiles or loads them if that has not happened."""
+        return self._load()[2] is self.data
+
+    def _load(self) -> tuple[Any, Any, Any]:
+        """`init`, `step` and what they take: the array (compiled) or the record (plain)."""
+        if self._functions is None:
+            if not self.plain:
+                try:
+                    self._functions = (*self._compiled(), self.data)
+                except ImportError:
+                    self.plain = True
+            if self.plain:
+                self._functions = (*self.model.plain(), record(self.data))
+        assert self._functions is not None
+        return self._functions
+
+    def _compiled(self) -> tuple[Any, Any]:
+        """Both functions compiled for this record, or loaded from the disk cache, here rather than in the first step."""
+        import numba
+
+        init, step = self.model.compiled_for_data()
+        typeof: Any = numba.typeof
+        dispatchers: tuple[Any, Any] = (init, step)
+        dispatchers[0].compile((typeof(self.data),))
+        dispatchers[1].compile((typeof(self.data), numba.float64, numba.float64))
+        return dispatchers
+
+    # Values
+
+    def get(self, port: Port) -> float | int | bool | str:
+        """Value of a port [unit]."""
+        if port.type == "real":
+            return float(self.floats[port.reference])
+        if port.type == "string":
+            return self.paths[port.name]
+        value = int(self.integers[port.reference])
+        return bool(value) if port.type == "boolean" else value
+
+    def set(self, port: Port, value: Any) -> None:
+        """Set an input or a parameter. ComponentError says what is wrong: type, not finite, out of bounds, fixed while running."""
+        if port.causality == "output":
+            raise ComponentError(f"{self.name}: {port.name} is an output and cannot be set")
+        if port.causality == "parameter" and self.running and port.variability == "fixed":
+            raise ComponentError(f"{self.name}: parameter {port.name} is fixed: it can be set before the first step only")
+        if port.type == "string":
+            self.load_table(port.name, value)
+            return
+        number = self._number(port, value)
+        if port.type == "real":
+            self.floats[port.reference] = number
+        else:
+            self.integers[port.reference] = number
+        self.stale = True
+
+    def _number(self, port: Port, value: Any) -> float | int:
+        """The value as it is stored, after all checks."""
+        shown = f"{self.name}: {port.causality} {port.name} = {value!r}" + (f" {port.unit}" if port.unit not in (None, "1") else "")
+        number: float | int
+        try:
+            number = float(value) if port.type == "real" else operator.index(int(value) if value == int(value) else value)
+        except (TypeError, ValueError, OverflowError):
+            raise ComponentError(f"{shown}: expected a {'number' if port.type == 'real' else 'whole number'}") from None
+        if not math.isfinite(number):
+            raise ComponentError(f"{shown} is not a finite number")
+        low, high = (0, 1) if port.type == "boolean" else (port.minimum, port.maximum)
+        if port.type == "boolean" or port.causality == "parameter":  # bounds of real inputs are for information: loops may overshoot
+            if low is not None and number < low:
+                raise ComponentError(f"{shown} is below its minimum {low:.9g}" + _unit(port))
+            if high is not None and number > high:
+                raise ComponentError(f"{shown} is above its maximum {high:.9g}" + _unit(port))
+        return number
+
+    def load_table(self, name: str, source: str | Path | Sequence[Any] | FloatArray | None) -> None:
+        """Fill the table `name` from a .npy file or rows; "" or None puts the built-in rows back. ComponentError says what does not fit."""
+        if self.running:
+            raise ComponentError(f"{self.name}: table {name} is fixed: it can be set before the first step only")
+        path = ""
+        try:
+            if source is None or (isinstance(source, str) and not source):
+                rows = self.model.default_tables.get(name, np.zeros((0, self.model.variable(name).shape[1])))
+            elif isinstance(source, str | Path):
+                path = str(source)
+                rows = np.load(path, allow_pickle=False)
+            else:
+                rows = np.asarray(source)
+            self.model.load_table(self.data, name, np.asarray(rows, dtype=np.float64))
+        except (OSError, ValueError, TypeError, EOFError) as error:
+            raise ComponentError(f"{self.name}: table {name}{f' from {path!r}' if path else ''}: {error}") from None
+        self.paths[name] = path
+        self._tables = self._table_bytes()
+        self.stale = True
+
+    # Running
+
+    def init(self) -> None:
+        """States and outputs at t = 0 from parameters and inputs. ComponentError with the model's message."""
+        function, _, argument = self._load()
+        try:
+            status = function(argument)
+        except Exception as error:
+            raise ComponentError(f"{self.name}: {type(error).__name__} during initialisation: {error}") from error
+        if status != 0:
+            raise ComponentError(self._message(status, 0.0) + " (during initialisation)")
+        self._check_outputs("after initialisation")
+        self.stale = False
+
+    def step(self, t: float, h: float) -> None:
+        """From t to t + h [s]. ComponentError with the model's message; the instance then needs a state or a reset."""
+        t, h = float(t), float(h)  # integers would be compiled for once more
+        if not 0.0 < h < math.inf or not math.isfinite(t):
+            raise ComponentError(f"{self.name}: step from t = {t} s of h = {h} s: expected a finite time and a positive step")
+        if not self.running:
+            if self.stale:
+                self.init()
+            self.running = True
+        _, function, argument = self._load()
+        try:
+            status = function(argument, t, h)
+        except Exception as error:
+            raise ComponentError(f"{self.name}: {type(error).__name__} in the step from t = {t:.9g} s: {error}") from error
+        if status != 0:
+            raise ComponentError(self._message(status, t) + f" (step from t = {t:.9g} s, h = {h:.9g} s)")
+        if self._real_outputs.dot(self._zeros) != 0.0:  # NaN, also from infinity times zero
+            self._check_outputs(f"at t = {t + h:.9g} s")
+
+    def _message(self, status: int, t: float) -> str:
+        text = self.model.message(status, record(self.data), t)
+        return text if self.name == self.model.name else f"{self.name} ({text.partition(':')[0]}):{text.partition(':')[2]}"
+
+    def _check_outputs(self, when: str) -> None:
+        """Refuse outputs that are not finite."""
+        for port in self.interface.outputs:
+            if port.type == "real" and not math.isfinite(self.floats[port.reference]):
+                raise ComponentError(f"{self.name}: output {port.name} is {self.floats[port.reference]} {when}")
+
+    # State
+
+    def state(self) -> State:
+        """A copy of everything."""
+        words = self.data.view(np.uint8)[: self.interface.tables_at].tobytes()
+        return State(words, self.stale, self.running, self._tables, tuple(self.paths.items()))
+
+    def restore(self, state: State) -> None:
+        """Back to a copy, bit by bit. ComponentError if it is not one of this model."""
+        image = self.data.view(np.uint8)
+        split = self.interface.tables_at
+        if len(state.words) != split or len(state.tables) != len(image) - split:
+            raise ComponentError(
+                f"{self.name}: a state of {len(state.words) + len(state.tables)} bytes; one of {self.model.name} has {len(image)}"
+            )
+        image[:split] = np.frombuffer(state.words, np.uint8)
+        if state.tables is not self._tables:
+            image[split:] = np.frombuffer(state.tables, np.uint8)
+            self._tables = state.tables
+        self.stale, self.running, self.paths = state.stale, state.running, dict(state.paths)
+
+    def reset(self) -> None:
+        """As after construction: every variable at its start, built-in tables."""
+        self.data[:] = self.model.new()
+        self.paths = dict.fromkeys(self.paths, "")
+        self._tables = self._table_bytes()
+        self.running, self.stale = False, True
+
+    def _table_bytes(self) -> bytes:
+        return self.data.view(np.uint8)[self.interface.tables_at :].tobytes()
+
+
+def _unit(port: Port) -> str:
+    return f" {port.unit}" if port.unit not in (None, "1") else ""
+
+
+assert np.dtype(np.float64).itemsize == np.dtype(np.int64).itemsize == WORD

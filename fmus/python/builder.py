@@ -1,0 +1,209 @@
+"""Builds the Python FMU of a model: pythonfmu's library, our own slave, model description and packaging.
+
+The archive holds modelDescription.xml, binaries/, documentation/, model.png and in resources/
+
+    slavemodule.txt                     names the entry point for the library
+    slave_<hash>.py                     entry point: loads the package below
+    python/robomill_<hash>/             the model's sources, data and tables, under a name that no other FMU has
+    tables/<name>.npy                   built-in rows of the tables, to look at and to start from
+
+The hash is that of the content. FMUs in one process share `sys.modules`; two versions of a
+component, or this project's own `models`, would otherwise run each other's code.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import io
+import json
+import sys
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, distribution, version
+from pathlib import Path
+from uuid import UUID
+
+import numpy as np
+
+from fmus import archive, probe
+from fmus.documentation import index_html, licences
+from fmus.interface import Interface
+from fmus.model_description import Options, model_description
+from models.cache import source_files
+from models.declaration import FloatArray, Model
+from models.parameters import DATA
+from models.replay import ReplayModel
+
+PLATFORMS = {"linux64": "libpythonfmu-export.so", "win64": "pythonfmu-export.dll"}
+ICON = Path(__file__).parents[1] / "icon.png"
+RUNTIME = "fmus.python.slave"
+_INSTALLER = "fmus.python.install"
+
+SCRIPT = '''"""Entry point of this FMU for the pythonfmu library, which runs it once per instance. Loads the package beside it."""
+
+import importlib.util
+import os
+import sys
+
+PACKAGE = "{package}"
+
+
+def load():
+    """The slave class.
+
+    The folder that the library put on sys.path is taken off again: nothing is to be found through it.
+    With every instance the library gives up a reference to the globals of this module that it does not have.
+    """
+    sys.path[:] = [p for p in sys.path if not os.path.isfile(os.path.join(p, "slave_" + PACKAGE + ".py"))]
+    if PACKAGE not in sys.modules:
+        bundle = os.path.join(os.path.dirname(__file__), "python", PACKAGE)
+        spec = importlib.util.spec_from_file_location(PACKAGE + "_install", os.path.join(bundle, "fmus", "python", "install.py"))
+        installer = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(installer)
+        installer.install(PACKAGE, bundle)
+    sys.modules[PACKAGE].KEPT.append(globals())
+    return sys.modules[PACKAGE].ComponentSlave
+
+
+ComponentSlave = load()
+'''
+
+PACKAGE_INIT = '''"""{description}."""
+
+{imports}
+from fmus.python.slave import slave_class
+
+ComponentSlave = slave_class(MODEL, "{package}")
+KEPT = []
+'''
+
+REPLAY_IMPORTS = """import json
+from pathlib import Path
+
+import numpy as np
+
+from models.replay import from_specification
+
+_FOLDER = Path(__file__).parent
+MODEL = from_specification(json.loads((_FOLDER / "replay.json").read_text()), np.load(_FOLDER / "recording.npy"))
+"""
+
+NOTES = (
+    "Needs Python 3.11 or newer with NumPy in the importing process, and the packages that the component's own sources import; "
+    "Numba makes it some 100 times faster.",
+    "linux64 and win64. An importer that is not itself Python must find libpython (LD_PRELOAD on Linux).",
+    "The path it is unpacked to may hold ASCII letters and blanks; the library does not decode other escapes of the resource URI.",
+    "An error ends in fmi2Fatal with its text in the log and on stderr; the instance can be reset or freed afterwards.",
+    "Names of table files are absolute or relative to the working directory.",
+)
+
+
+def build(model: Model, destination: str | Path, *, page: str | None = None, reference: Mapping[str, bytes] | None = None) -> Path:
+    """Write the FMU of `model` and return its path.
+
+    `destination` is a file (`.fmu`) or a folder, where it is named after the model. `page` is the
+    Markdown for its documentation (docs/components/<name>.md if not given), `reference` files for
+    documentation/reference (in.csv, out.csv). Equal sources give equal bytes.
+    ValueError if the model's sources cannot be bundled, FileNotFoundError if pythonfmu is incomplete.
+    """
+    target = Path(destination)
+    if target.suffix != ".fmu":
+        target /= f"{model.name}.fmu"
+    interface = Interface(model)
+    sources, init = _sources(model)
+    binaries = _binaries()
+    content: dict[str, bytes] = {"model.png": ICON.read_bytes(), **licences(), **_pythonfmu_licence()}
+    content["documentation/index.html"] = index_html(interface, "Python backend", NOTES, page).encode()
+    content |= {f"documentation/reference/{name}": data for name, data in (reference or {}).items()}
+    content |= {f"resources/tables/{name}.npy": _npy(rows) for name, rows in model.default_tables.items()}
+    options = Options(
+        identifier=model.name,
+        guid="",
+        tool=f"robomill {_version()} (pythonfmu {version('pythonfmu')})",
+        version=_version(),
+        variable_step=probe.accepts_other_steps(interface),
+        initial_dependencies=probe.initial_dependencies(interface),
+    )
+    digest = hashlib.sha256(model_description(interface, options))
+    for name, data in sorted({**content, **sources, **binaries, "__init__": init.encode(), "script": SCRIPT.encode()}.items()):
+        digest.update(f"{name}\0{len(data)}\0".encode() + data)
+    package = f"robomill_{digest.hexdigest()[:16]}"
+
+    guid = f"{{{UUID(digest.hexdigest()[:32])}}}"
+    content["modelDescription.xml"] = model_description(interface, Options(**{**options.__dict__, "guid": guid}))
+    content |= {f"binaries/{folder}/{model.name}{Path(library).suffix}": binaries[folder] for folder, library in PLATFORMS.items()}
+    content["resources/slavemodule.txt"] = f"slave_{package}\n".encode()
+    content[f"resources/slave_{package}.py"] = SCRIPT.replace("{package}", package).encode()
+    home = f"resources/python/{package}"
+    bundled = {name.partition("/")[0] for name in sources if "/" in name}
+    for name, data in {**sources, "__init__.py": init.replace("{package}", package).encode()}.items():
+        content[f"{home}/{name}"] = _renamed(name, data, package, bundled) if name.endswith(".py") else data
+    archive.write(target, content)
+    return target
+
+
+def _sources(model: Model) -> tuple[dict[str, bytes], str]:
+    """Files of the package below its folder, imports not yet renamed, and its `__init__.py` with the package's name left open."""
+    if isinstance(model, ReplayModel):
+        module, imports = "models.replay", REPLAY_IMPORTS
+    else:
+        module = model.step.__module__
+        if getattr(sys.modules.get(module), "MODEL", None) is not model:
+            raise ValueError(f"model {model.name!r}: not bundled: its step stands in module {module!r}, which does not hold it as MODEL")
+        imports = f"from {module} import MODEL"
+    try:
+        modules = source_files(module) | source_files(RUNTIME) | source_files(_INSTALLER) | source_files("models.cache")
+    except ModuleNotFoundError as error:
+        raise ValueError(f"model {model.name!r}: not bundled: {error}") from None
+    files: dict[str, bytes] = {}
+    for name, file in modules.items():
+        is_package = file.name == "__init__.py"
+        inside = "/".join(name.split(".")) + ("/__init__.py" if is_package else ".py")
+        files[inside] = b"" if is_package else file.read_bytes().replace(b"\r\n", b"\n")
+    files |= {f"models/data/{f.relative_to(DATA).as_posix()}": f.read_bytes().replace(b"\r\n", b"\n") for f in sorted(DATA.rglob("*.toml"))}
+    if isinstance(model, ReplayModel):
+        files["replay.json"] = json.dumps(model.specification, indent=1, sort_keys=True).encode()
+        files["recording.npy"] = _npy(model.default_tables["recording"])
+    return files, PACKAGE_INIT.replace("{description}", model.description).replace("{imports}", imports)
+
+
+def _renamed(name: str, source: bytes, package: str, bundled: set[str]) -> bytes:
+    """The source with the imports of bundled packages put below `package`. ValueError for an import that cannot be."""
+    lines = source.decode().split("\n")
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and not node.level and (node.module or "").partition(".")[0] in bundled:
+            line = lines[node.lineno - 1]
+            start = line[: node.col_offset] + "from "
+            lines[node.lineno - 1] = start + f"{package}." + line[len(start) :]
+        elif isinstance(node, ast.Import) and any(a.name.partition(".")[0] in bundled for a in node.names):
+            raise ValueError(
+                f"{name}, line {node.lineno}: not bundled: write `from package import module` instead of `import package.module`"
+            )
+    return "\n".join(lines).encode()
+
+
+def _binaries() -> dict[str, bytes]:
+    import pythonfmu
+
+    folder = Path(pythonfmu.__file__).parent / "resources" / "binaries"
+    return {platform_name: (folder / platform_name / library).read_bytes() for platform_name, library in PLATFORMS.items()}
+
+
+def _pythonfmu_licence() -> dict[str, bytes]:
+    for file in distribution("pythonfmu").files or ():
+        if file.name.upper().startswith("LICENSE"):
+            return {"documentation/licenses/pythonfmu.txt": file.read_binary()}
+    return {}
+
+
+def _npy(rows: FloatArray) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, np.ascontiguousarray(rows, dtype="<f8"))
+    return stream.getvalue()
+
+
+def _version() -> str:
+    try:
+        return version("robomill")
+    except PackageNotFoundError:
+        return "unreleased"
