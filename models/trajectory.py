@@ -9,6 +9,7 @@ a curve is too tight for the feed (`Plan.reduced` lists those). Everything in SI
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -168,6 +169,8 @@ class _Stretch:
     """Blend distance [m] at its end; 0 = none."""
     in_place: bool = False
     rapid: bool = False
+    corner: int = 0
+    """Number of the corner that a blend piece belongs to; 0 for other shapes."""
 
 
 @dataclass(frozen=True)
@@ -373,7 +376,7 @@ def _runs(items: list[_Stretch | Dwell], limits: PathLimits) -> list[list[_Stret
             runs.append(move)
             continue
         following = items[i + 1] if i + 1 < len(items) else None
-        joint = _joint(move, following) if isinstance(following, _Stretch) else None
+        joint = _joint(move, following, i + 1) if isinstance(following, _Stretch) else None
         cut = joint[0] if joint else 0.0
         if move.shape.length - cut > used + 1e-12:
             run.append(replace(move, shape=move.shape.part(used, move.shape.length - cut), turn=move.turn.part(used)))
@@ -393,7 +396,7 @@ def _runs(items: list[_Stretch | Dwell], limits: PathLimits) -> list[list[_Stret
     return [[replace(s, feed=limits.angular_speed) if s.in_place else s for s in r] if isinstance(r, list) else r for r in runs]
 
 
-def _joint(before: _Stretch, after: _Stretch) -> tuple[float, list[_Stretch]] | None:
+def _joint(before: _Stretch, after: _Stretch, corner: int) -> tuple[float, list[_Stretch]] | None:
     """How two moves are joined: None = stop; else blend distance and blend pieces (0 and none: run straight through)."""
     if before.in_place or after.in_place or before.spindle != after.spindle:
         return None
@@ -414,16 +417,16 @@ def _joint(before: _Stretch, after: _Stretch) -> tuple[float, list[_Stretch]] | 
         found = blend(before.shape, after.shape, limit, None if before.distance > 0.0 else before.tolerance)
         if found is None:
             return None
-        return found[0], _blend_pieces(before, after, *found)
+        return found[0], _blend_pieces(before, after, corner, *found)
     return (0.0, []) if angle < _KINK and even else None
 
 
-def _blend_pieces(before: _Stretch, after: _Stretch, distance: float, pieces: list[Polynomial]) -> list[_Stretch]:
+def _blend_pieces(before: _Stretch, after: _Stretch, corner: int, distance: float, pieces: list[Polynomial]) -> list[_Stretch]:
     """Pieces of a blend with feed, block and orientation: C2 over the path, as the position."""
     length = sum(p.length for p in pieces)
     rate_1, rate_2 = before.turn.f_1[1], after.turn.f_1[1]
-    corner = before.turn.at(before.shape.length)
-    vector = (corner.inv() * after.turn.R).as_rotvec()
+    meeting = before.turn.at(before.shape.length)
+    vector = (meeting.inv() * after.turn.R).as_rotvec()
     step = float(np.linalg.norm(vector))
     if step > _SAME_ORIENTATION:
         # the orientation changes in the corner: constant before and after, a smooth step from one to the other
@@ -432,13 +435,13 @@ def _blend_pieces(before: _Stretch, after: _Stretch, distance: float, pieces: li
         # the rate changes: what is left of the first rotation runs out while the second one sets in
         f_1 = hermite(length, (-rate_1 * distance, rate_1, 0.0, 0.0, 0.0, 0.0))
         f_2 = hermite(length, (0.0, 0.0, 0.0, rate_2 * distance, rate_2, 0.0))
-        turn = _Turn(corner, before.turn.axis_1, f_1, after.turn.axis_1, f_2)
+        turn = _Turn(meeting, before.turn.axis_1, f_1, after.turn.axis_1, f_2)
     feed = min(before.feed, after.feed)
     result: list[_Stretch] = []
     s = 0.0
     for piece in pieces:
         owner = before if s + 0.5 * piece.length < 0.5 * length else after
-        result.append(replace(owner, shape=piece, turn=turn.part(s), feed=feed))
+        result.append(replace(owner, shape=piece, turn=turn.part(s), feed=feed, corner=corner))
         s += piece.length
     return result
 
@@ -458,10 +461,15 @@ def _speeds(run: list[_Stretch], limits: PathLimits) -> tuple[list[float], list[
                 speed = min(speed, limits.angular_speed / rate)
             if bend > 0.0:
                 speed = min(speed, math.sqrt(limits.angular_acceleration / bend))
-        if speed < element.feed and not element.rapid:
-            key = (element.line, element.block)
-            lowest[key] = min(lowest.get(key, (speed, element.feed)), (speed, element.feed))
         speeds.append(speed)
+    for _, pieces in itertools.groupby(range(len(run)), key=lambda i: run[i].corner or -i):
+        blend_pieces = list(pieces)
+        speed = min(speeds[i] for i in blend_pieces)  # constant speed through a blend
+        for i in blend_pieces:
+            speeds[i] = speed
+            if speed < run[i].feed and not run[i].rapid:
+                key = (run[i].line, run[i].block)
+                lowest[key] = min(lowest.get(key, (speed, run[i].feed)), (speed, run[i].feed))
     texts = [
         f"line {number} (block {block}): {feed * 1e3:.4g} mm/s reduced to {speed * 1e3:.4g} mm/s where the path curves or turns too tightly"
         for (number, block), (speed, feed) in lowest.items()
