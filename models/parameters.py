@@ -63,6 +63,8 @@ def _value(where: str, entry: Any, expected: dict[str, Any]) -> Any:
         raise ValueError(f"{where}: the source is missing; every parameter is cited")
     value, unit = entry["value"], entry["unit"]
     if isinstance(value, str):
+        if "unit" in expected:
+            raise ValueError(f"{where}: {value!r} is text, expected a number in {expected['unit']!r} or a compatible unit")
         return value
     want = expected.get("unit", "1")
     if not compatible(unit, want):
