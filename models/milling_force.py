@@ -32,13 +32,13 @@ _MILL = load(EndMill, "tools/endmill_d16_z3")
 
 
 def _parameter(
-    name: str, description: str, unit: str, start: float, minimum: float | None = None, maximum: float | None = None
+    name: str, description: str, unit: str, start: float, minimum: float | None = None, maximum: float | None = None, tunable: bool = False
 ) -> Variable:
-    return Variable(name, "parameter", description, unit, start=start, minimum=minimum, maximum=maximum)
+    return Variable(name, "parameter", description, unit, start=start, minimum=minimum, maximum=maximum, tunable=tunable)
 
 
-def _effect(name: str, description: str, unit: str, minimum: float, maximum: float) -> Variable:
-    return Variable(name, "parameter", description, unit, minimum=minimum, maximum=maximum, effect=True)
+def _effect(name: str, description: str, unit: str, minimum: float, maximum: float, tunable: bool = False) -> Variable:
+    return Variable(name, "parameter", description, unit, minimum=minimum, maximum=maximum, effect=True, tunable=tunable)
 
 
 def _scratch(name: str, description: str, unit: str = "1", shape: tuple[int, ...] = (), start: float = 0.0) -> Variable:
@@ -90,12 +90,12 @@ VARIABLES = (
     Variable("teeth", "parameter", "number of teeth", kind="integer", start=_MILL.teeth, minimum=1, maximum=MAX_TEETH),
     _parameter("helix", "helix angle; right-hand, pulls the tool into the work", "rad", _MILL.helix, 0.0, 1.2),
     _parameter("cutting_length", "length of the cutting edges; a deeper engagement is an error", "m", _MILL.cutting_length, 0.0),
-    _parameter("Ktc", "tangential cutting coefficient", "Pa", _K.Ktc, 0.0),
-    _parameter("Krc", "radial cutting coefficient", "Pa", _K.Krc, 0.0),
-    _parameter("Kac", "axial cutting coefficient", "Pa", _K.Kac, 0.0),
-    _parameter("Kte", "tangential edge coefficient", "N/m", _K.Kte, 0.0),
-    _parameter("Kre", "radial edge coefficient", "N/m", _K.Kre, 0.0),
-    _parameter("Kae", "axial edge coefficient", "N/m", _K.Kae, 0.0),
+    _parameter("Ktc", "tangential cutting coefficient", "Pa", _K.Ktc, 0.0, tunable=True),
+    _parameter("Krc", "radial cutting coefficient", "Pa", _K.Krc, 0.0, tunable=True),
+    _parameter("Kac", "axial cutting coefficient", "Pa", _K.Kac, 0.0, tunable=True),
+    _parameter("Kte", "tangential edge coefficient", "N/m", _K.Kte, 0.0, tunable=True),
+    _parameter("Kre", "radial edge coefficient", "N/m", _K.Kre, 0.0, tunable=True),
+    _parameter("Kae", "axial edge coefficient", "N/m", _K.Kae, 0.0, tunable=True),
     _parameter(
         "edge_onset", "feed per tooth at which the edge forces are fully there; they grow linearly from a standstill", "m", 5e-6, 0.0
     ),
@@ -113,9 +113,16 @@ VARIABLES = (
     ),
     _parameter("size_reference", "chip thickness at which the size effect changes nothing", "m", 2.5e-5, 1e-7),
     _parameter("runout_angle", "direction of the runout, clockwise from tooth 1", "rad", 0.0),
-    _effect("cutting_coefficient_error", "relative error of Ktc, Krc, Kac", "1", -0.9, 2.0),
-    _effect("tool_wear", "relative growth of the edge coefficients Kte, Kre, Kae by wear", "1", -0.9, 10.0),
-    _effect("size_effect_exponent", "exponent m of the size effect: cutting coefficients times (h/size_reference)^-m", "1", 0.0, 0.6),
+    _effect("cutting_coefficient_error", "relative error of Ktc, Krc, Kac", "1", -0.9, 2.0, tunable=True),
+    _effect("tool_wear", "relative growth of the edge coefficients Kte, Kre, Kae by wear", "1", -0.9, 10.0, tunable=True),
+    _effect(
+        "size_effect_exponent",
+        "exponent m of the size effect: cutting coefficients times (h/size_reference)^-m",
+        "1",
+        0.0,
+        0.6,
+        tunable=True,
+    ),
     _effect("runout", "offset of the cutter's axis from the spindle's axis", "m", 0.0, 2e-4),
     _effect("stock_error", "extra height of the stock above the nominal top surface", "m", -2e-3, 5e-3),
     _effect("engagement_error", "extra stock on each of the four side faces of the block", "m", -5e-3, 5e-3),
@@ -125,6 +132,7 @@ VARIABLES = (
         "m/N",
         0.0,
         1e-6,
+        tunable=True,
     ),
     _scratch("R_BP", "rotation of P in B", shape=(3, 3)),
     _scratch("p_PT_P", "tool tip relative to the (yielding) workpiece, in P, at the end of the step", "m", (3,)),
@@ -184,12 +192,8 @@ def init(s: Record) -> int:
     status = _prepare(s)
     if status != 0:
         return status
-    workpiece.fill(s.height, s.nx, s.ny, s.stock_top)
-    s.spindle_angle = 0.0
-    s.chip = 0.0
-    for i in range(3):
-        s.f_P[i] = 0.0
-        s.m_P[i] = 0.0
+    workpiece.fill(s.height, s.nx * s.ny, s.stock_top)
+    _forget(s)
     _clear(s)
     if not _finite(s):
         return _NOT_FINITE
@@ -350,13 +354,35 @@ def _prepare(s: Record) -> int:
     s.ny = workpiece.cells(ly, s.spacing)
     s.dx = lx / s.nx
     s.dy = ly / s.ny
+    for j in range(MAX_TEETH):
+        s.radii[j] = 0.0
     for b in range(BINS + 1):
         s.bounds[b] = PI * b / BINS
         s.bound_sine[b], s.bound_cosine[b] = sincos(s.bounds[b])
     for b in range(BINS):
         s.bin_sine[b], s.bin_cosine[b] = sincos(PI * (b + 0.5) / BINS)
     tooth_radii(s.teeth, s.runout, s.runout_angle, s.radii)
+    s.finest_spacing = 0.0
     return 0
+
+
+@kernel
+def _forget(s: Record) -> None:
+    """Set every state that `_prepare` and `_place` leave alone to its start, scratch included: no trace of an earlier run."""
+    s.spindle_angle = 0.0
+    s.contact_share = 0.0
+    s.chip = 0.0
+    for i in range(3):
+        s.f_P[i] = 0.0
+        s.m_P[i] = 0.0
+        s.v_P[i] = 0.0
+    for i in range(8):
+        s.total[i] = 0.0
+    for b in range(BINS):
+        s.bin_depth[b] = 0.0
+        for j in range(MAX_TEETH):
+            for i in range(6):
+                s.density[j, b, i] = 0.0
 
 
 @kernel

@@ -386,7 +386,10 @@ def _compiled(function: Callable[..., None]) -> Callable[..., None]:
         from numba import njit
     except ImportError:
         return function
-    fast: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
+    from models.cache import compiled_code
+
+    with compiled_code(function):
+        fast: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
     result: Callable[..., None] = fast
     return result
 

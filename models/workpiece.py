@@ -44,10 +44,10 @@ def finest_spacing(length: float, width: float, capacity: int) -> float:
 
 
 @kernel
-def fill(height: FloatArray, nx: int, ny: int, top: float) -> None:
-    """Set all cells to the height `top` of the stock."""
-    for k in range(nx * ny):
-        height[k] = top
+def fill(height: FloatArray, count: int, top: float) -> None:
+    """Set the first `count` cells to the height `top` of the stock and the unused rest to zero."""
+    for k in range(len(height)):
+        height[k] = top if k < count else 0.0
 
 
 @kernel
