@@ -79,9 +79,10 @@ def prepare(scenario: Scenario, folder: Path, fmus: Path | None = None, progress
     return replace(job, system=system.with_parameters("path", {"pilot": str(pilot)}))
 
 
-def mill(job: Job, variant: Variant, progress: Progress | None = None) -> tuple[Run, float]:
-    """Run one variant into its folder; returns the run and how many times faster than real time it was."""
+def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool = False) -> tuple[Run, float]:
+    """Run one variant into its folder; returns the run and how many times faster than real time it was (recording included)."""
     system = replace(with_parameters(job.system, variant.parameters), name=f"{job.scenario.name}/{variant.name}")
+    system = replace(system, recording=replace(system.recording, csv=csv))
     labels = {"program": job.plan.name, "robot": "KUKA KR 300 R2500 ultra", "condition": variant.name}
     started = time.perf_counter()
     result = run(

@@ -1,0 +1,78 @@
+"""The command line. Every command is a thin face of a function of the package; exit status 0 done, 1 the answer is bad, 2 could not run."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from orchestration.errors import Interrupted, OrchestrationError
+
+DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exchangeable FMUs."
+
+
+def parser() -> argparse.ArgumentParser:
+    """All commands and their options."""
+    main_parser = argparse.ArgumentParser("robomill", description=DESCRIPTION, epilog="Start with: robomill run scenarios/groove.toml")
+    commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    run = _command(commands, "run", "run a scenario in all its variants, or a system file once", "robomill run scenarios/groove.toml")
+    run.add_argument("file", type=Path, help="scenario or system file (TOML)")
+    run.add_argument("--out", type=Path, help="folder for the results (default: results/NAME)")
+    run.add_argument("--variant", action="append", metavar="NAME", help="only this variant; may be repeated")
+    run.add_argument(
+        "--fmus", type=Path, nargs="?", const=Path("dist"), metavar="FOLDER", help="run the FMUs in FOLDER (dist) instead of the models in process"
+    )
+    run.add_argument("--stop", type=float, metavar="S", help="stop time in s (system files)")
+    run.add_argument("--csv", action="store_true", help="also write signals.csv")
+    run.add_argument("--no-pictures", action="store_true", help="skip the pictures")
+
+    build = _command(commands, "build", "write every FMU", "robomill build --out dist")
+    build.add_argument("--out", type=Path, default=Path("dist"), help="folder for the FMUs (default: dist)")
+    build.add_argument("--component", action="append", metavar="NAME", help="only this component; may be repeated")
+    build.add_argument("--replay", type=Path, metavar="RUN", help="a replay FMU of --component from this recorded run")
+    build.add_argument("--as", dest="recorded_as", metavar="NAME", help="name of the component in the recorded run, where it differs (path, drive, ...)")
+
+    check = _command(commands, "check", "check FMUs, ours or not: validity, conformance, repeatability", "robomill check dist/*.fmu")
+    check.add_argument("fmus", type=Path, nargs="+", metavar="FMU", help="FMI 2.0 co-simulation FMUs")
+
+    plan = _command(commands, "plan", "plan a program and say what it does", "robomill plan scenarios/groove.ngc")
+    plan.add_argument("program", type=Path, help="G-code, or a path of points (TOML)")
+    plan.add_argument(
+        "--at", nargs=3, type=float, metavar=("X", "Y", "Z"), default=(1300.0, 0.0, 1200.0), help="workpiece zero in the base, mm (default: 1300 0 1200)"
+    )
+    plan.add_argument("--turn", type=float, default=0.0, metavar="DEG", help="workpiece turned about z, degrees")
+    plan.add_argument("--out", type=Path, metavar="FILE.npy", help="write the segment table for the path component")
+    return main_parser
+
+
+def _command(commands: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:
+    command: argparse.ArgumentParser = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=f"Example: {example}")
+    command.add_argument("--json", action="store_true", help="print the result as JSON and nothing else")
+    return command
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; errors that a user can mend become one message on stderr and exit status 2."""
+    options = parser().parse_args(arguments)
+    from robomill import commands
+
+    action = {"run": commands.run, "build": commands.build, "check": commands.check, "plan": commands.plan}[options.command]
+    try:
+        return action(options)
+    except (Interrupted, KeyboardInterrupt) as error:
+        print(f"robomill {options.command}: {error or 'interrupted'}", file=sys.stderr)
+        return 130
+    except (OrchestrationError, ValueError, LookupError, OSError, RuntimeError) as error:
+        text = error.args[0] if isinstance(error, KeyError) and error.args else error
+        if options.json:
+            print(json.dumps({"error": str(text)}))
+        print(f"robomill {options.command}: {text}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,269 @@
+"""What the commands do: call the package, show the result, write the files. `robomill/cli.py` has their options."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from fmus.components import COMPONENTS, component
+from fmus.python.builder import build as build_fmu
+from models import gcode, point_path
+from models.declaration import Model
+
+from models.replay import replay_model
+from models.reachability import check_reachable
+from models.trajectory import Placement
+from models.trajectory import plan as plan_path
+from orchestration.assembly import run as run_once
+from orchestration.results import Run
+from orchestration.system import System
+from robomill import milling, static_loads
+from robomill.binding import convert, resolve, with_fmus
+from robomill.evaluation import Result, evaluate
+from robomill.scenario import Scenario, ScenarioError, load_scenario
+
+RESULTS = Path("results")
+_SHOWN = (
+    ("max_deviation_m", "max deviation", 1e3, "mm", "{:.2f}"),
+    ("rms_deviation_m", "rms", 1e3, "mm", "{:.2f}"),
+    ("p95_deviation_m", "95 %", 1e3, "mm", "{:.2f}"),
+    ("peak_force_n", "peak force", 1.0, "N", "{:.0f}"),
+    ("reaction_t50_s", "reaction", 1e3, "ms", "{:.0f}"),
+    ("real_time_factor", "speed", 1.0, "x real time", "{:.0f}"),
+)
+
+
+def run(options: Namespace) -> int:
+    """`robomill run`: a scenario of any kind, or a plain system file."""
+    if not options.file.is_file():
+        load_scenario(options.file)  # says what there is
+    try:
+        is_scenario = "scenario" in tomllib.loads(options.file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
+        is_scenario = False  # the system loader names the line
+    if not is_scenario:
+        return _run_system(options)
+    scenario = _chosen(load_scenario(options.file), options.variant)
+    folder = options.out or RESULTS / scenario.name
+    folder.mkdir(parents=True, exist_ok=True)
+    return _run_milling(scenario, folder, options) if scenario.kind == "milling" else _run_static(scenario, folder, options)
+
+
+def _chosen(scenario: Scenario, names: Sequence[str] | None) -> Scenario:
+    if not names:
+        return scenario
+    known = {v.name: v for v in scenario.variants}
+    unknown = [n for n in names if n not in known]
+    if unknown:
+        raise ScenarioError(f"{scenario.file}: no variant {', '.join(unknown)}; variants: {', '.join(known)}")
+    return replace(scenario, variants=tuple(known[n] for n in names))
+
+
+def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
+    assert scenario.workpiece is not None  # load_scenario checks it for this kind
+    results: list[Result] = []
+    with _progress(options.json) as report:
+        job = milling.prepare(scenario, folder, options.fmus, report)
+        for variant in scenario.variants:
+            recorded, factor = milling.mill(job, variant, report, csv=options.csv)
+            results.append(evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor))
+    summary = {"scenario": scenario.name, "variants": {r.name: r.figures for r in results}}
+    _write(folder / "summary.json", summary)
+    files: list[Path] = []
+    if not options.no_pictures:
+        from robomill import pictures  # matplotlib takes a second to load
+
+        files = pictures.draw_all(scenario, results, folder)
+    if options.json:
+        print(json.dumps(summary, indent=1))
+        return 0
+    console = Console()
+    console.print(_table(scenario, results))
+    for result in results:
+        console.print(f"{result.title}: largest deviation at the {result.figures['max_deviation_location']}", highlight=False)
+    for text in job.plan.reduced:
+        console.print(f"note: {text}", highlight=False)
+    console.print(f"Recordings, summary.json and {len(files)} pictures are in {folder}/ (start with {folder / 'surfaces.png'})", highlight=False)
+    return 0
+
+
+def _table(scenario: Scenario, results: Sequence[Result]) -> Table:
+    """Our figures, and beside them those of the paper where it has them."""
+    table = Table(title=f"{scenario.title}\nin brackets: published", title_justify="left")
+    table.add_column("variant")
+    for _, title, _, unit, _ in _SHOWN:
+        table.add_column(f"{title}\n{unit}", justify="right")
+    for r in results:
+        cells = []
+        for key, _, factor, _, form in _SHOWN:
+            ours, published = r.figures[key], scenario.paper.get(r.name, {}).get(key)
+            text = "-" if ours is None else form.format(factor * ours)
+            cells.append(text if published is None else f"{text} ({form.format(factor * published)})")
+        table.add_row(r.title, *cells)
+    return table
+
+
+def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
+    summary, magnitudes = static_loads.run_static_loads(scenario, options.fmus)
+    _write(folder / "summary.json", summary)
+    published = {name: figures["mean_displacement_m"] for name, figures in scenario.paper.items() if "mean_displacement_m" in figures}
+    titles = {v.name: v.title for v in scenario.variants}
+    if not options.no_pictures:
+        from robomill import pictures
+
+        pictures.load_cases(magnitudes, titles, published).savefig(folder / "load_cases.png", dpi=130)
+    if options.json:
+        print(json.dumps(summary, indent=1))
+        return 0
+    table = Table(title=f"{scenario.title}\nin brackets: published", title_justify="left")
+    for heading in ("variant", "mean displacement\nmm", "largest\nmm", "smallest\nmm"):
+        table.add_column(heading, justify="left" if heading == "variant" else "right")
+    for name, size in magnitudes.items():
+        mean = f"{1e3 * size.mean():.2f}" + (f" ({1e3 * published[name]:.2f})" if name in published else "")
+        table.add_row(titles[name], mean, f"{1e3 * size.max():.2f}", f"{1e3 * size.min():.2f}")
+    console = Console()
+    console.print(table)
+    console.print(f"summary.json and the picture are in {folder}/", highlight=False)
+    return 0
+
+
+def _run_system(options: Namespace) -> int:
+    system = System.load(options.file, convert)
+    if options.fmus is not None:
+        system = with_fmus(system, options.fmus)
+    if options.csv:
+        system = replace(system, recording=replace(system.recording, csv=True))
+    folder = options.out or RESULTS / system.name
+    with _progress(options.json) as report:
+        result = run_once(
+            system,
+            folder,
+            stop=options.stop,
+            resolver=resolve,
+            convert=convert,
+            progress=lambda done, total: report(system.name, done, total),
+            overwrite=True,
+        )
+    figures = {"system": system.name, "folder": str(folder), "rows": len(result), "end_s": float(result.t[-1]), "columns": list(result.columns)}
+    if options.json:
+        print(json.dumps(figures))
+    else:
+        print(f"{system.name}: {figures['rows']} rows up to t = {figures['end_s']:.6g} s, {len(figures['columns'])} signals, in {folder}/")
+    return 0
+
+
+def build(options: Namespace) -> int:
+    """`robomill build`: FMUs of all or some components, or a replay FMU of one of them."""
+    names = options.component or list(COMPONENTS)
+    models = [component(name) for name in names]
+    if options.replay is not None:
+        if len(names) != 1 or not options.component:
+            raise ValueError("--replay needs exactly one --component: the one that the recording stands in for")
+        models = [_replay_model(Run.load(options.replay), names[0], options.recorded_as or names[0])]
+    options.out.mkdir(parents=True, exist_ok=True)
+    files: list[Path] = []
+    with _progress(options.json) as report:
+        for i, model in enumerate(models):
+            report(f"build {model.name}", i, len(models))
+            files.append(build_fmu(model, options.out))
+        report("build", len(models), len(models))
+    if options.json:
+        print(json.dumps({"fmus": [str(f) for f in files]}))
+    else:
+        for f in files:
+            print(f"{f}  {f.stat().st_size / 1024:.0f} kB")
+    return 0
+
+
+def _replay_model(recorded: Run, component_name: str, recorded_as: str) -> Model:
+    """The model that plays back what `recorded_as` did in a run, in place of the component `component_name`."""
+    model = component(component_name)
+    outputs = [v.name for v in model.variables if v.causality == "output"]
+    columns = {name: recorded[f"{recorded_as}.{name}"] for name in outputs}
+    return replay_model(model, recorded.t - recorded.t[0], columns)
+
+
+def check(options: Namespace) -> int:
+    """`robomill check`: the conformance battery on each FMU; status 1 if a check failed."""
+    from robomill.conformance import check_fmu
+
+    reports = {}
+    with _progress(options.json) as report:
+        for i, fmu in enumerate(options.fmus):
+            report(f"check {fmu.name}", i, len(options.fmus))
+            reports[str(fmu)] = check_fmu(fmu)
+        report("check", len(options.fmus), len(options.fmus))
+    failed = sum(c.passed is False for checks in reports.values() for c in checks)
+    if options.json:
+        print(json.dumps({name: [{"check": c.name, "passed": c.passed, "detail": c.detail} for c in checks] for name, checks in reports.items()}, indent=1))
+        return 1 if failed else 0
+    console = Console()
+    for name, checks in reports.items():
+        table = Table(title=name, title_justify="left", show_header=False)
+        for c in checks:
+            mark = {True: "[green]ok[/]", False: "[red]FAILED[/]", None: "[yellow]skipped[/]"}[c.passed]
+            table.add_row(c.name, mark, c.detail)
+        console.print(table)
+    console.print(f"{failed} checks failed" if failed else "every check passed", highlight=False)
+    return 1 if failed else 0
+
+
+def plan(options: Namespace) -> int:
+    """`robomill plan`: duration, length, extent, reachability; optionally the segment table."""
+    x, y, z = (1e-3 * v for v in options.at)
+    program = point_path.read_points(options.program) if options.program.suffix == ".toml" else gcode.read(options.program)
+    planned = plan_path(program, Placement((x, y, z), (math.radians(options.turn), 0.0, 0.0)))
+
+    check_reachable(planned)
+    extent = planned.position(np.linspace(0.0, planned.duration, 2001))
+    figures = {
+        "program": planned.name,
+        "duration_s": planned.duration,
+        "length_m": planned.length,
+        "segments": len(planned.table),
+        "lowest_m": extent.min(axis=0).tolist(),
+        "highest_m": extent.max(axis=0).tolist(),
+        "notes": list(planned.reduced),
+    }
+    if options.out is not None:
+        np.save(options.out, planned.table)
+    if options.json:
+        print(json.dumps(figures, indent=1))
+        return 0
+    print(f"{planned.name}: {planned.duration:.2f} s, {planned.length:.3f} m, {len(planned.table)} segments, every pose can be reached")
+    print("tool tip in the base, mm: " + ", ".join(f"{a} {1e3 * lo:.1f} .. {1e3 * hi:.1f}" for a, lo, hi in zip("xyz", extent.min(axis=0), extent.max(axis=0), strict=True)))
+    for note in planned.reduced:
+        print(f"note: {note}")
+    return 0
+
+
+def _write(file: Path, content: Any) -> None:
+    file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[milling.Progress]:
+    """A progress bar on stderr; nothing with --json or where stderr is no terminal."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description:40}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
+        tasks: dict[str, Any] = {}
+
+        def report(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bar.add_task(what, total=total or None)
+            bar.update(tasks[what], completed=done)
+
+        yield report
