@@ -17,13 +17,12 @@ four steps, for models that change one of them.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from models.declaration import FloatArray, Record, Variable, kernel
-from models.elementary import cos, sincos
+from models.elementary import sincos
 from models.frames import quat_to_rotation_vector
 from models.parameters import load, quantity
 from models.robots import SPINDLE_ACROSS, Tool, forward
@@ -54,22 +53,8 @@ class Compliance:
             )
 
 
-@dataclass(frozen=True)
-class Counterbalance:
-    """Gas-spring counterbalance of axis 2, from a file in models/data/compliance."""
-
-    pivot_distance: float = field(metadata=quantity("m", 0.0))
-    crank: float = field(metadata=quantity("m", 0.0))
-    crank_offset: float = field(metadata=quantity("rad"))
-    piston_diameter: float = field(metadata=quantity("m", 0.0))
-    rod_diameter: float = field(metadata=quantity("m", 0.0))
-    gas_energy: float = field(metadata=quantity("N.m", 0.0))
-    gas_volume: float = field(metadata=quantity("m3", 0.0))
-
-
 TABLE_1 = load(Compliance, "compliance/kr300_r2500_ultra")
 """Table 1 of Haehn & Weigold 2020."""
-KR300_COUNTERBALANCE = load(Counterbalance, "compliance/kr300_counterbalance")
 
 
 def compliance_variables(compliance: Compliance, tool: Tool) -> tuple[Variable, ...]:
@@ -280,37 +265,3 @@ def compliance_matrix(s: Record, q: FloatArray, C: FloatArray) -> None:
             for a in range(6):
                 for b in range(6):
                     C[a, b] += g[a] * g[b] * softness
-
-
-def counterbalance_variables(c: Counterbalance) -> tuple[Variable, ...]:
-    """Parameters that `counterbalance_torque` needs."""
-    prefix = "Counterbalance of axis 2: "
-    return (
-        Variable("cb_pivot_distance", "parameter", prefix + "axis 2 to the fixed pivot", "m", (), c.pivot_distance, 0.0),
-        Variable("cb_crank", "parameter", prefix + "axis 2 to the moving pivot", "m", (), c.crank, 0.0),
-        Variable("cb_crank_offset", "parameter", prefix + "crank angle at A2 = 0", "rad", (), c.crank_offset, display_unit="deg"),
-        Variable("cb_piston_diameter", "parameter", prefix + "piston diameter", "m", (), c.piston_diameter, 0.0, display_unit="mm"),
-        Variable("cb_rod_diameter", "parameter", prefix + "rod diameter", "m", (), c.rod_diameter, 0.0, display_unit="mm"),
-        Variable("cb_gas_energy", "parameter", prefix + "pressure times volume of the gas (isothermal)", "N.m", (), c.gas_energy, 0.0),
-        Variable("cb_gas_volume", "parameter", prefix + "gas volume at the shortest spring", "m3", (), c.gas_volume, 0.0),
-    )
-
-
-COUNTERBALANCE_VARIABLES = counterbalance_variables(KR300_COUNTERBALANCE)
-
-
-@kernel
-def counterbalance_torque(s: Record, q2: float) -> float:
-    """Torque [N.m] of the counterbalance that the drive of axis 2 is spared, positive as a drive torque in -A2, at A2 = q2 [rad].
-
-    Gas spring between pivots: p = E/(V - (l - l_min) A), torque = D k sin(delta)/l p A
-    (JonasWeigand/Robot_Identification). The arm feels it as the external torque -(this) about +A2.
-    """
-    sine = sincos(q2 + s.cb_crank_offset)[0]
-    distance = s.cb_pivot_distance
-    crank = s.cb_crank
-    length = math.sqrt(distance * distance + crank * crank - 2.0 * distance * crank * cos(q2 + s.cb_crank_offset))
-    area = 0.7853981633974483 * (s.cb_piston_diameter * s.cb_piston_diameter - s.cb_rod_diameter * s.cb_rod_diameter)
-    pressure = s.cb_gas_energy / (s.cb_gas_volume - (length - (distance - crank)) * area)
-    torque: float = distance * crank * sine / length * pressure * area
-    return torque

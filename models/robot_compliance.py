@@ -10,10 +10,8 @@ import math
 
 from models.compliance import (
     COMPLIANCE_VARIABLES,
-    COUNTERBALANCE_VARIABLES,
     JOINTS,
     SENSOR,
-    counterbalance_torque,
     deflect,
     joint_angles,
     joint_frame,
@@ -22,6 +20,7 @@ from models.compliance import (
     virtual_joints,
 )
 from models.declaration import Model, Record, Variable, kernel
+from models.dynamics import DYNAMICS_VARIABLES, counterbalance_fits, counterbalance_torque
 from models.elementary import TWO_PI, exp, sincos
 from models.frames import matrix_to_quat, quat_multiply
 from models.robots import ROBOT_VARIABLES, SPINDLE_ACROSS
@@ -51,7 +50,7 @@ VARIABLES = (
     Variable("quat_BT", "output", "Actual orientation of T, unit quaternion (w, x, y, z), w >= 0", "1", (4,), depends_on=_INPUTS),
     *ROBOT_VARIABLES,
     *COMPLIANCE_VARIABLES,
-    *COUNTERBALANCE_VARIABLES,
+    *(v for v in DYNAMICS_VARIABLES if v.name.startswith("counterbalance_")),
     Variable(
         "stiffness_error",
         "parameter",
@@ -195,11 +194,13 @@ ERRORS = (
     "[0, 1), a positive frequency and a direction that is not zero",
     "reference_torque {reference_torque} N.m, hysteresis_torque {hysteresis_torque} N.m and thermal_time_constant "
     "{thermal_time_constant} s must all be positive",
+    "the counterbalance cannot move: lever {counterbalance_lever} m, frame {counterbalance_frame_distance} m, area {counterbalance_area} m2, "
+    "gas volume {counterbalance_volume} m3; expected a lever shorter than the frame and a volume above twice lever times area",
     "the step size is {fault_value} s, expected a positive one",
     "the virtual joint in frame {fault_frame} turns elastically by {fault_value} rad at t = {t} s, the model holds up to 0.05 rad; "
     "the load on the tool is f_T_B = {f_T_B} N, m_T_B = {m_T_B} N.m: check its size and whether the loop of force and deflection is stable",
 )
-_INPUT, _STIFFNESS, _EFFECTS, _QUATERNION, _MODE, _POSITIVE, _STEP, _ANGLE = range(1, 9)
+_INPUT, _STIFFNESS, _EFFECTS, _QUATERNION, _MODE, _POSITIVE, _COUNTERBALANCE, _STEP, _ANGLE = range(1, 10)
 
 
 @kernel
@@ -249,6 +250,8 @@ def _check_parameters(s: Record) -> int:
             return _POSITIVE
     if not s.thermal_time_constant > 0.0:
         return _POSITIVE
+    if not counterbalance_fits(s):
+        return _COUNTERBALANCE
     length = 0.0
     for i in range(4):
         length += s.quat_FT[i] * s.quat_FT[i]

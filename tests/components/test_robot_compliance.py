@@ -13,8 +13,9 @@ import pytest
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from models.compliance import DRIVES, counterbalance_torque
+from models.compliance import DRIVES
 from models.declaration import Record, record
+from models.dynamics import counterbalance_torque
 from models.robot_compliance import ERRORS, MODEL, VARIABLES
 from models.robots import KR300
 from models.validation_loads import validation_loads
@@ -392,7 +393,7 @@ class TestEffectsInGeneral:
             "mode_frequency": 50.0,
             "mode_damping": 0.5,
             "mode_direction": (1.0, 2.0, 3.0),
-            "cb_crank": 0.3,
+            "counterbalance_lever": 0.1,
         }
         nominal, other = started(), started(**companions)
         rng = np.random.default_rng(4)
@@ -457,6 +458,7 @@ class TestErrors:
             ({"mode_damping": 1.0}, "mode_damping is 1.0 and mode_frequency 9.0 Hz"),
             ({"mode_direction": 0.0}, "a direction that is not zero"),
             ({"hysteresis_torque": 0.0}, "must all be positive"),
+            ({"counterbalance_lever": 0.9}, "the counterbalance cannot move: lever 0.9 m, frame 0.8 m"),
             ({"thermal_time_constant": -5.0}, "thermal_time_constant -5.0 s must all be positive"),
         ],
     )
@@ -493,4 +495,4 @@ class TestErrors:
         assert f"the step size is {h} s, expected a positive one" in self.text(step(s, 0.0, h), s)
 
     def test_every_message_is_reached(self) -> None:
-        assert len(ERRORS) == 9, "the cases above cover all eight"
+        assert len(ERRORS) == 10, "the cases above cover all nine"
