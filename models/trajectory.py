@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from models.declaration import FloatArray
@@ -117,7 +117,7 @@ class Placement:
         turned: FloatArray = upright @ Rotation.from_rotvec([self.tool_angle, 0.0, 0.0]).as_matrix()
         return turned
 
-    def to_base(self, p: Sequence[float]) -> FloatArray:
+    def to_base(self, p: npt.ArrayLike) -> FloatArray:
         """Point p [m] of P, expressed in B."""
         result: FloatArray = np.asarray(self.p_BP_B) + self.R_BP @ np.asarray(p)
         return result
