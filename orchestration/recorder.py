@@ -151,7 +151,7 @@ def _metadata(component: str, p: Port) -> dict[str, str]:
         "maximum": None if p.maximum is None else repr(float(p.maximum)),
         "description": p.description,
         "frame": frame_of(p.name),
-        "dependencies": None if p.dependencies is None else " ".join(p.dependencies),
+        "dependencies": "*" if p.dependencies is None else " ".join(p.dependencies),
     }
     return {k: v for k, v in found.items() if v is not None}
 

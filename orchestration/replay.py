@@ -29,17 +29,16 @@ class ReplaySlave:
         columns = [c for c in run.columns if c.partition(".")[0] == self._component]
         if not columns:
             raise SlaveError(f"component {name!r}: run {run.folder}: {unknown('component', self._component, run.components)}")
+        if not len(run.t):
+            raise SlaveError(f"component {name!r}: run {run.folder} holds no samples (outcome: {run.outcome})")
         self._t = run.t
         self._data = np.stack([run.columns[c] for c in columns], axis=1)
         self._held = np.array([run.ports[c].type != "real" for c in columns])
-        known = {p.name for p in ignored}
+        recorded = [run.ports[c] for c in columns]
         self._ports: tuple[Port, ...] = (
             *(PortData(p.name, "input", p.type, None, p.start, description="ignored: the outputs are recorded") for p in ignored),
-            *(
-                # the recorded dependencies keep the order of execution as it was
-                replace(p, start=float(v), dependencies=tuple(d for d in p.dependencies or () if d in known))
-                for p, v in zip((run.ports[c] for c in columns), self._data[0], strict=True)
-            ),
+            # with the dependencies that it had, the order of execution stays as it was
+            *(replace(p, start=float(v)) for p, v in zip(recorded, self._data[0], strict=True)),
         )
         self._index = 0
         self._row = self._data[0]

@@ -6,7 +6,6 @@ read from its stream as far as that goes.
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -160,7 +159,7 @@ def _values(table: pa.Table, name: str, folder: Path) -> FloatArray:
 
 
 def _port(name: str, said: Mapping[str, Any]) -> PortData:
-    dependencies = said.get("dependencies")
+    dependencies = str(said.get("dependencies", ""))  # "*" = unknown; a measured signal has none
     return PortData(
         name=name.partition(".")[2],
         causality="output",
@@ -169,7 +168,7 @@ def _port(name: str, said: Mapping[str, Any]) -> PortData:
         minimum=float(said["minimum"]) if "minimum" in said else None,
         maximum=float(said["maximum"]) if "maximum" in said else None,
         description=str(said.get("description", "")),
-        dependencies=() if dependencies is None else tuple(re.findall(r"\S+", dependencies)),
+        dependencies=None if dependencies == "*" else tuple(dependencies.split()),
     )
 
 

@@ -60,16 +60,21 @@ def test_everything_replayed_at_once(tmp_path):
     assert all(np.array_equal(again[c], v) for c, v in original.columns.items())
 
 
-def test_same_ports_and_order(tmp_path):
+@pytest.mark.parametrize("component", ["drive", "cut", "s"])
+def test_same_ports_and_order(tmp_path, component):
     s, _ = record(tmp_path / "r")
-    with assemble(s, resolver(slaves())) as original, assemble(s.with_source("drive", f"replay:{tmp_path / 'r'}"), resolver(slaves())) as a:
-        replayed = a.slaves["drive"]
-        assert [(p.name, p.type, p.unit, p.minimum, p.dependencies) for p in replayed.ports if p.causality == "output"] == [
-            (p.name, p.type, p.unit, p.minimum, p.dependencies) for p in original.slaves["drive"].ports if p.causality == "output"
-        ]
-        assert [p.name for p in inputs(replayed.ports)] == ["u[1]", "u[2]"]
+    with (
+        assemble(s, resolver(slaves())) as original,
+        assemble(s.with_source(component, f"replay:{tmp_path / 'r'}"), resolver(slaves())) as a,
+    ):
+
+        def facts(slave):
+            return [(p.name, p.type, p.unit, p.minimum, p.dependencies) for p in slave.ports if p.causality == "output"]
+
+        assert facts(a.slaves[component]) == facts(original.slaves[component])
+        assert [p.name for p in inputs(a.slaves[component].ports)] == [p.name for p in inputs(original.slaves[component].ports)]
         assert a.wiring.order == original.wiring.order
-        assert a.parameters["drive"] == {}
+        assert a.parameters[component] == {}
 
 
 def test_another_component_of_the_run_by_name(tmp_path):
@@ -117,6 +122,13 @@ class TestErrors:
         run(system(made), tmp_path / "r", start=1.0, stop=2.0, resolver=resolver(made))
         with pytest.raises(RunError, match=r"begins at t = 1 s; t = 0 s is needed"):
             run(system(made).with_source("i", f"replay:{tmp_path / 'r'}"), stop=2.0)
+
+    def test_no_samples(self, tmp_path):
+        made = [Mock("m", [PortData("y", "output")], lambda u, t: [1 / 0])]
+        with pytest.raises(RunError):
+            run(system(made), tmp_path / "r", stop=1.0, resolver=resolver(made))
+        with pytest.raises(SystemFileError, match=r"component 'm': run .* holds no samples \(outcome: failed\)"):
+            run(system(made).with_source("m", f"replay:{tmp_path / 'r'}"), stop=1.0)
 
     def test_no_such_component(self, tmp_path):
         s, _ = record(tmp_path / "r")
