@@ -16,8 +16,10 @@ from orchestration.results import Run
 from robomill.reaction import reaction_time
 from robomill.scenario import Workpiece
 
-WALL_LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+WALL_LEVELS = tuple((i + 0.5) / 16 for i in range(16))
 """Heights at which walls are scanned, as shares of the wall."""
+FLOOR_OFFSETS = tuple((i - 6) / 8.0 for i in range(13))
+"""Where floors are scanned beside the path, as shares of the radius of the cutter; nearer to a wall the deflected tool may not have been."""
 PAUSE = 0.1
 """Engagements closer together than this [s] are one cut."""
 
@@ -54,7 +56,7 @@ def evaluate(name: str, title: str, run: Run, workpiece: Workpiece, real_time_fa
     nominal, actual = (
         ToolPath.from_poses(run.t, run[f"{part}.p_BT_B"], run[f"{part}.quat_BT"], workpiece.position, quaternion) for part in ("path", "compliance")
     )
-    surface = measure(nominal, actual, radius, workpiece.size, levels=WALL_LEVELS)
+    surface = measure(nominal, actual, radius, workpiece.size, levels=WALL_LEVELS, floor_offsets=FLOOR_OFFSETS)
     cuts = engagements(run)
     worst = surface.worst
     reaction = reaction_time(run)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from models import gcode, point_path
@@ -25,6 +26,9 @@ from robomill.scenario import ComponentParameters, Scenario, ScenarioError, Vari
 
 PARTS = ("path", "drive", "compliance", "milling", "sensor", "controller")
 """Names that the components of a milling cell go by in its system file, whatever their sources are."""
+
+PILOT_WINDOW = 5
+"""Steps over which the offline force is averaged, centred: the estimate is that of the quasi-static force, as the filtered measurement is."""
 
 Progress = Callable[[str, int, int], object]
 """Called with (what is being done, steps done, steps in all)."""
@@ -113,8 +117,9 @@ def _pilot(job: Job, progress: Progress | None) -> FloatArray:
         overwrite=True,
     )
     # the force is a mean over the step that ends at t: it belongs to the middle of that step
-    tau = result["path.path_time"] - 0.5 * offline.step
-    return pilot_table(tau[1:], result["milling.f_T_B"][1:])
+    tau = result["path.path_time"][1:] - 0.5 * offline.step
+    smooth = uniform_filter1d(result["milling.f_T_B"][1:], PILOT_WINDOW, axis=0, mode="nearest")
+    return pilot_table(tau, smooth)
 
 
 def _require(system: System) -> None:

@@ -22,6 +22,8 @@ from robomill.scenario import Scenario, Workpiece
 MAP = "RdBu_r"
 RELIEF = 4e-4
 """Cell size [m] of the height maps in the pictures."""
+DOT = 1.1e-3
+"""Size [m] at which a scanned point is drawn."""
 COLOURS = {"uncompensated": "tab:gray", "cartesian": "tab:blue", "axis": "tab:orange", "cartesian_pilot": "tab:green"}
 
 
@@ -51,12 +53,12 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
     rows = -(-len(results) // columns)
     size = np.array(workpiece.size[:2]) * 1e3
     width = 6.4 if columns == 2 else 8.0
-    figure = Figure(figsize=(width * columns, (width * size[1] / size[0] + 1.1) * rows), layout="constrained")
+    figure = Figure(figsize=(width * columns + 1.2, (0.85 * width * size[1] / size[0] + 1.2) * rows), layout="constrained")
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     limit = 1e3 * max(r.surface.max for r in results)
     norm = TwoSlopeNorm(0.0, -limit, limit)
     for ax, result in zip(axes, results, strict=False):
-        _surface(ax, result, workpiece, norm)
+        _surface(ax, result, workpiece, norm, columns)
     for ax in axes[len(results) :]:
         ax.remove()
     bar = figure.colorbar(ScalarMappable(norm, MAP), ax=list(axes[: len(results)]), shrink=0.8)
@@ -64,13 +66,14 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
     return figure
 
 
-def _surface(ax: Axes, result: Result, workpiece: Workpiece, norm: TwoSlopeNorm) -> None:
+def _surface(ax: Axes, result: Result, workpiece: Workpiece, norm: TwoSlopeNorm, columns: int) -> None:
     nominal = cut_height_map(result.nominal, result.radius, workpiece.size, RELIEF)
     ax.pcolormesh(1e3 * nominal.x, 1e3 * nominal.y, nominal.height, cmap="Greys_r", alpha=0.35, shading="nearest", rasterized=True)
     s = result.surface
     folded = s.points[:, :2] - np.where(s.wall[:, None], s.normal[:, :2] * (-s.points[:, 2:3]), 0.0)
     order = np.argsort(np.abs(s.deviation))
-    ax.scatter(*(1e3 * folded[order].T), c=1e3 * s.deviation[order], cmap=MAP, norm=norm, s=5, marker="s", linewidths=0, rasterized=True)
+    dot = (DOT * ax.figure.get_figwidth() / columns / (1.3 * workpiece.size[0]) * 72.0) ** 2
+    ax.scatter(*(1e3 * folded[order].T), c=1e3 * s.deviation[order], cmap=MAP, norm=norm, s=dot, marker="s", linewidths=0, rasterized=True)
     worst = folded[s.worst] * 1e3
     ax.annotate(
         f"{1e3 * s.deviation[s.worst]:+.2f} mm",
