@@ -54,33 +54,15 @@ class _Group:
     """The variables of one type and direction: value references, a buffer, and where they stand in the flat image."""
 
     def __init__(self, kind: str, ports: Sequence[Port], references: Mapping[str, int], function: Any) -> None:
-        chosen = [(i, p) for i, p in enumerate(ports) if p.type == kind]
-        self.kind = kind
-        self.count = len(chosen)
-        self.complete = self.count == len(ports)
-        self.positions = np.array([i for i, _ in chosen], dtype=np.intp)
-        self.references = np.array([references[p.name] for _, p in chosen], dtype=np.uint32)
+        positions = [i for i, p in enumerate(ports) if p.type == kind]
+        self.kind, self.count = kind, len(positions)
+        together = positions == list(range(positions[0], positions[0] + self.count)) if positions else False
+        self.place: Any = slice(positions[0], positions[0] + self.count) if together else np.array(positions, dtype=np.intp)
+        """Index of these variables in the flat image."""
+        self.references = np.array([references[ports[i].name] for i in positions], dtype=np.uint32)
         self.buffer: npt.NDArray[Any] = np.zeros(self.count, dtype=_BUFFER[kind])
         self.function = function
         self.arguments = (self.references.ctypes.data, self.count, self.buffer.ctypes.data)
-
-    def put(self, values: FloatArray) -> None:
-        """Take the values of this group out of the flat image."""
-        if self.complete and self.kind == "real":
-            self.buffer[:] = values
-        elif self.kind == "real":
-            np.take(values, self.positions, out=self.buffer, mode="clip")
-        elif self.kind == "integer":
-            self.buffer[:] = np.rint(values[self.positions])
-        else:
-            self.buffer[:] = values[self.positions] != 0.0
-
-    def get(self, out: FloatArray) -> None:
-        """Write the values of this group into the flat image."""
-        if self.complete:
-            out[:] = self.buffer
-        else:
-            out[self.positions] = self.buffer if self.kind != "boolean" else self.buffer != 0
 
 
 class FmuSlave:
@@ -186,7 +168,7 @@ class FmuSlave:
         if self._dead:
             self._refuse()
         for group in self._inputs:
-            group.put(values)
+            group.buffer[:] = values[group.place]
             status = group.function(self._component, *group.arguments)
             if status > _WARNING:
                 self._failed(f"fmi2Set{group.kind.capitalize()}", status)
@@ -210,7 +192,7 @@ class FmuSlave:
             status = group.function(self._component, *group.arguments)
             if status > _WARNING:
                 self._failed(f"fmi2Get{group.kind.capitalize()}", status)
-            group.get(out)
+            out[group.place] = group.buffer
 
     def get_state(self) -> Any:
         """The state as (phase, bytes), or (phase, pointer) where the FMU cannot serialise it."""
