@@ -26,12 +26,13 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 _SAMPLES = np.linspace(0.0, 1.0, 33)
 
 
-def _bernstein(degree: int, u: float) -> FloatArray:
-    """Bernstein polynomials of a degree at u (Englert 2011, Eq. 4.8)."""
-    return np.array([math.comb(degree, j) * u**j * (1.0 - u) ** (degree - j) for j in range(degree + 1)])
+def _bernstein(degree: int, u: npt.ArrayLike) -> FloatArray:
+    """Bernstein polynomials of a degree at u (Englert 2011, Eq. 4.8), shape of u + (degree + 1,)."""
+    x = np.asarray(u, dtype=np.float64)
+    return np.stack([math.comb(degree, j) * x**j * (1.0 - x) ** (degree - j) for j in range(degree + 1)], axis=-1)
 
 
-_CURVE_SAMPLES = np.array([_bernstein(5, u) for u in np.linspace(0.0, 1.0, 65)])
+_CURVE_SAMPLES = _bernstein(5, np.linspace(0.0, 1.0, 65))
 
 
 class Shape(Protocol):
@@ -87,7 +88,13 @@ class Polynomial:
         """As `Shape.curvature`."""
         if not np.any(self.coefficients[:, 2:]):
             return 0.0
-        return max(float(np.linalg.norm(self.at(x * self.length)[2])) for x in _SAMPLES)
+        return float(np.max(self.norms(2)))
+
+    def norms(self, order: int) -> FloatArray:
+        """Lengths of the first or second derivative over the arc length, at 33 even steps."""
+        derivative = np.polynomial.polynomial.polyder(self.coefficients.T, order)
+        values: FloatArray = np.linalg.norm(np.polynomial.polynomial.polyval(_SAMPLES * self.length, derivative), axis=0)
+        return values
 
 
 @dataclass(frozen=True)
@@ -209,7 +216,8 @@ def bezier_derivatives(control: FloatArray, u: float) -> tuple[FloatArray, Float
 def arc_length(control: FloatArray, u0: float, u1: float) -> float:
     """Length [m] of the Bezier curve between two parameters (Gauss-Legendre, 24 nodes)."""
     nodes = 0.5 * (u0 + u1) + 0.5 * (u1 - u0) * _NODES
-    return float(0.5 * (u1 - u0) * sum(w * np.linalg.norm(bezier_derivatives(control, u)[1]) for u, w in zip(nodes, _WEIGHTS, strict=True)))
+    speeds = np.linalg.norm(_bernstein(4, nodes) @ (5.0 * np.diff(control, axis=0)), axis=1)
+    return float(0.5 * (u1 - u0) * (_WEIGHTS @ speeds))
 
 
 def arc_length_pieces(control: FloatArray) -> list[Polynomial]:
@@ -224,7 +232,7 @@ def arc_length_pieces(control: FloatArray) -> list[Polynomial]:
     def pieces(u0: float, u1: float, depth: int) -> list[Polynomial]:
         length = arc_length(control, u0, u1)
         piece = Polynomial(hermite(length, (*state(u0), *state(u1))), length)
-        error = max(abs(float(np.linalg.norm(piece.at(x * length)[1])) - 1.0) for x in _SAMPLES)
+        error = float(np.max(np.abs(piece.norms(1) - 1.0)))
         if error <= _SPEED_ERROR or depth == 0:
             return [piece]
         middle = 0.5 * (u0 + u1)

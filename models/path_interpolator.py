@@ -44,6 +44,8 @@ PILOT_CAPACITY = 4096
 _DEG = math.pi / 180.0
 _ANY_ANGLE = 1e3
 """Limit [rad] that stands for none."""
+_LARGE_MOVE = 0.5
+"""Axis move [rad] in one step from which on the branch is checked; another shoulder, elbow or wrist is farther away."""
 
 
 @kernel
@@ -145,30 +147,66 @@ def pilot_force(s: Record) -> None:
 
 
 @kernel
-def explain_limit(s: Record) -> None:
-    """After an inverse kinematics outside the limits: note the axis that exceeds its limits most on the nearest branch, in degrees."""
+def unlimited(s: Record) -> None:
+    """Set q_free: the solution nearest to q_ref if axes had no limits."""
     for i in range(6):
         s.limits_kept[0, i] = s.q_min[i]
         s.limits_kept[1, i] = s.q_max[i]
         s.q_min[i] = -_ANY_ANGLE
         s.q_max[i] = _ANY_ANGLE
-    inverse(s, s.p_BT_B, s.R_BT, s.q_ref, s.q_next)
-    worst = -math.inf
+    inverse(s, s.p_BT_B, s.R_BT, s.q_ref, s.q_free)
     for i in range(6):
         s.q_min[i] = s.limits_kept[0, i]
         s.q_max[i] = s.limits_kept[1, i]
-        excess = max(s.q_min[i] - s.q_next[i], s.q_next[i] - s.q_max[i])
+
+
+@kernel
+def note_axis(s: Record) -> None:
+    """Note for the message the axis of q_free that exceeds its limits most, in degrees."""
+    worst = -math.inf
+    for i in range(6):
+        excess = max(s.q_min[i] - s.q_free[i], s.q_free[i] - s.q_max[i])
         if excess > worst:
             worst = excess
             s.fault_axis = i + 1
-            s.fault_deg[0] = s.q_next[i] / _DEG
+            s.fault_deg[0] = s.q_free[i] / _DEG
             s.fault_deg[1] = s.q_min[i] / _DEG
             s.fault_deg[2] = s.q_max[i] / _DEG
 
 
 @kernel
-def evaluate(s: Record) -> int:
-    """All outputs at the path time; status as in `MODEL.errors`."""
+def follow(s: Record, anywhere: bool) -> int:
+    """Set q_ref to the axis angles of p_BT_B and quat_BT; 0, or 2, 3 as in `MODEL.errors`.
+
+    `anywhere`: any branch inside the limits will do, the nearest to q_ref is taken. Else the axes must get there on the branch
+    they are on: where that one ends at a limit, another one would be a jump.
+    """
+    quat_to_matrix(s.quat_BT, s.R_BT)
+    status = inverse(s, s.p_BT_B, s.R_BT, s.q_ref, s.q_next)
+    if status == 1:
+        return 2
+    if status == 2:
+        unlimited(s)
+        note_axis(s)
+        return 3
+    far = False
+    for i in range(6):
+        if abs(s.q_next[i] - s.q_ref[i]) > _LARGE_MOVE:
+            far = True
+    if far and not anywhere:
+        unlimited(s)
+        for i in range(6):
+            if abs(s.q_next[i] - s.q_free[i]) > _LARGE_MOVE:
+                note_axis(s)
+                return 3
+    for i in range(6):
+        s.q_ref[i] = s.q_next[i]
+    return 0
+
+
+@kernel
+def evaluate(s: Record, anywhere: bool) -> int:
+    """All outputs at the path time; status as in `MODEL.errors`. `anywhere`: see `follow`."""
     row = locate(s)
     t = s.path_time - s.segments[row, TAU]
     v0 = s.segments[row, SPEED]
@@ -188,17 +226,8 @@ def evaluate(s: Record) -> int:
     s.block = int(s.segments[row, BLOCK])
     s.finished = 1 if row == int(s.segments_rows) - 1 else 0
     pilot_force(s)
-    quat_to_matrix(s.quat_BT, s.R_BT)
-    status = inverse(s, s.p_BT_B, s.R_BT, s.q_ref, s.q_next)
-    if status != 0:
-        s.fault_line = int(s.segments[row, LINE])
-        if status == 2:
-            explain_limit(s)
-            return 3
-        return 2
-    for i in range(6):
-        s.q_ref[i] = s.q_next[i]
-    return 0
+    s.fault_line = int(s.segments[row, LINE])
+    return follow(s, anywhere)
 
 
 def init(s: Record) -> int:
@@ -217,7 +246,7 @@ def init(s: Record) -> int:
         return 1
     if not 0.0 <= s.speed_ratio <= 1.5:
         return 4
-    return evaluate(s)
+    return evaluate(s, True)
 
 
 def step(s: Record, t: float, h: float) -> int:
@@ -227,7 +256,7 @@ def step(s: Record, t: float, h: float) -> int:
     if not 0.0 <= s.speed_ratio <= 1.5:
         return 4
     advance(s, h)
-    return evaluate(s)
+    return evaluate(s, False)
 
 
 def default_segments() -> FloatArray:
@@ -315,9 +344,10 @@ MODEL = Model(
         Variable("pilot_row", "state", "Row of the pilot table", kind="integer"),
         Variable("R_BT", "state", "Scratch: planned orientation of the tool", "1", (3, 3)),
         Variable("q_next", "state", "Scratch: new axis angles", "rad", (6,)),
-        Variable("limits_kept", "state", "Scratch: axis limits while an error is explained", "rad", (2, 6)),
+        Variable("q_free", "state", "Scratch: axis angles if there were no limits", "rad", (6,)),
+        Variable("limits_kept", "state", "Scratch: axis limits while they are taken away", "rad", (2, 6)),
         Variable("fault_axis", "state", "Axis beyond its limits, for the message", kind="integer"),
-        Variable("fault_line", "state", "Line of the program, for the message", kind="integer"),
+        Variable("fault_line", "state", "Line of the program now played, for the message", kind="integer"),
         Variable("fault_deg", "state", "Angle and limits of that axis in degrees, for the message", "1", (3,)),
         *ROBOT_VARIABLES,
     ),

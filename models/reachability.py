@@ -12,7 +12,7 @@ import numpy as np
 from models.declaration import FloatArray, record
 from models.path_interpolator import MODEL, Q_START, evaluate, init
 from models.robots import KR300, SPINDLE_ACROSS, Robot, Tool, jacobian, robot_variables
-from models.segment_table import TAU
+from models.segment_table import AXIS_1, TAU
 from models.trajectory import Plan, PlanError
 
 _MOST_PATH, _MOST_ANGLE = 10e-3, math.radians(5.0)
@@ -55,7 +55,7 @@ def check_reachable(plan: Plan, robot: Robot = KR300, tool: Tool = SPINDLE_ACROS
     for i, tau in enumerate(times):
         if i > 0:
             s.path_time = tau
-            status = evaluate(s)
+            status = evaluate(s, False)
         if status:
             raise PlanError(f"{plan.where(float(tau))}: {MODEL.message(status, s, float(tau)).split(': ', 1)[1]}")
         angles[i] = s.q_ref
@@ -87,11 +87,13 @@ def _samples(plan: Plan) -> FloatArray:
     steps = np.linspace(0.0, 1.0, 9)
     kept = [0.0]
     path = angle = 0.0
-    for start, end in itertools.pairwise(edges):
+    for i, (start, end) in enumerate(itertools.pairwise(edges)):
         tau = start + (np.nextafter(end, start) - start) * steps
         far = float(np.sum(np.linalg.norm(np.diff(plan.position(tau), axis=0), axis=1)))
-        turned = plan.rotation(tau)
-        wide = float(np.sum((turned[:-1].inv() * turned[1:]).magnitude()))
+        wide = 0.0
+        if np.any(plan.table[i, AXIS_1:]):
+            turned = plan.rotation(tau)
+            wide = float(np.sum((turned[:-1].inv() * turned[1:]).magnitude()))
         n = max(1, math.ceil(far / _MOST_PATH), math.ceil(wide / _MOST_ANGLE))
         path, angle = path + far, angle + wide
         if n > 1 or path >= _LEAST_PATH or angle >= _LEAST_ANGLE:
