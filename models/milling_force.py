@@ -9,7 +9,17 @@ from __future__ import annotations
 import math
 
 from models import workpiece
-from models.cutting import MAX_TEETH, CuttingCoefficients, EndMill, at_angle, chip_law, edge_density, mean_over_rotation, tooth_radii
+from models.cutting import (
+    LEAST_LAG,
+    MAX_TEETH,
+    CuttingCoefficients,
+    EndMill,
+    at_angle,
+    chip_law,
+    edge_density,
+    mean_over_rotation,
+    tooth_radii,
+)
 from models.declaration import Model, Record, Variable, kernel
 from models.elementary import atan2, power, sincos, tan
 from models.frames import mat_t_vec, mat_vec, quat_to_matrix
@@ -20,8 +30,8 @@ BINS = 90
 
 PI = math.pi
 TWO_PI = 2.0 * math.pi
-LEAST_DEPTH = 1e-9
-"""Material standing less than this above the tip [m] is the roundoff of a floor already cut."""
+LEAST_TURN = 1e-9
+"""A spindle that turns less than this in a step [rad] stands."""
 LEAST_CHIP = 1e-6
 """Chip thickness [m] below which the size effect grows no further."""
 LEAST_TILT_COSINE = 0.984807753012208
@@ -161,6 +171,7 @@ VARIABLES = (
     _scratch("radii", "deviation of the radius of each tooth", "m", (MAX_TEETH,)),
     _scratch("density", "force per length of edge, per tooth and bin", "N/m", (MAX_TEETH, BINS, 6)),
     _scratch("total", "integrals over the engaged edges", shape=(8,)),
+    _scratch("now", "force at a sub-step", "N", (3,)),
     _scratch("height", "the workpiece: height of each cell in P", "m", (workpiece.CAPACITY,)),
 )
 
@@ -221,100 +232,20 @@ def step(s: Record, t: float, h: float) -> int:
     x, y, z = s.p_PT_P[0], s.p_PT_P[1], s.p_PT_P[2]
     turn = s.spindle_speed * h
     near = _near(s, xa, ya, za, x, y, z)
-    fx, fy, fz = 0.0, 0.0, 0.0
-    mx, my, mz = 0.0, 0.0, 0.0
-    if near and turn > 0.0:
+    for i in range(3):
+        s.f_P[i] = 0.0
+        s.m_P[i] = 0.0
+    if near and turn > LEAST_TURN:
         if s.tilt_cosine < LEAST_TILT_COSINE:
             return _TILTED
-        mat_t_vec(s.R_BP, s.v_BT_B, s.v_P)
-        vx, vy, vz = s.v_P[0], s.v_P[1], s.v_P[2]
-        feed = math.sqrt(vx * vx + vy * vy)
-        ux, uy = 1.0, 0.0
-        if feed > 0.0:
-            ux, uy = vx / feed, vy / feed
-        per_tooth = TWO_PI / (s.teeth * s.spindle_speed)
-        s.chip = feed * per_tooth
-        radius = 0.5 * s.diameter
-        low = 0.0
-        if s.stock_bottom > z:
-            low = s.stock_bottom - z
-
-        # end face: only on the way down, and it bites gradually
-        plunge = 0.0
-        target = 0.0
-        if vz < 0.0:
-            plunge = -vz * per_tooth
-            target = workpiece.contact(s.height, s.nx, s.ny, s.dx, s.dy, x, y, z, radius, s.stock_bottom, s.contact_zone)
-        s.contact_share += (target - s.contact_share) * h / (s.contact_time + h)
-        if target == 0.0 and s.contact_share < 1e-3:
-            s.contact_share = 0.0
-        thrust = 0.0
-        torque = 0.0
-        if plunge > 0.0 and s.contact_share > 0.0:
-            onset = 1.0
-            if plunge < s.edge_onset:
-                onset = plunge / s.edge_onset
-            c_gain = 1.0 + s.cutting_coefficient_error
-            e_gain = (1.0 + s.tool_wear) * onset
-            share = s.teeth * s.contact_share * s.bottom_edge
-            thrust = share * radius * (s.Krc * c_gain * plunge + s.Kre * e_gain)
-            torque = share * (1.0 - 0.5 * s.bottom_edge) * radius * radius * (s.Ktc * c_gain * plunge + s.Kte * e_gain)
-
-        # edges of the circumference
-        largest = 0.0
-        if s.chip > 0.0:
-            largest = workpiece.engagement(
-                s.height, s.nx, s.ny, s.dx, s.dy, x, y, z, radius, ux, uy, BINS, s.bin_sine, s.bin_cosine, s.bin_depth
-            )
-        for i in range(8):
-            s.total[i] = 0.0
-        peak2 = thrust * thrust
-        if largest > low + LEAST_DEPTH:
-            s.depth = largest - low
-            if s.chip > radius:
-                return _CHIP_TOO_THICK
-            if largest > s.cutting_length:
-                s.depth = largest
-                return _TOO_DEEP
-            for b in range(BINS):
-                if s.bin_depth[b] <= low + LEAST_DEPTH:
-                    s.bin_depth[b] = 0.0
-            tables = s.teeth if s.runout > 0.0 else 1
-            _densities(s, tables)
-            lag = 2.0 * tan(s.helix) / s.diameter
-            lag = max(lag, 1e-6)
-            theta = s.spindle_angle + atan2(uy, ux)
-            mean_over_rotation(theta, theta + turn, s.teeth, tables, s.bounds, BINS, lag, low, largest, s.bin_depth, s.density, s.total)
-            peak2 = 0.0
-            now = s.m_P  # scratch until the moments are known
-            for k in range(s.substeps):
-                angle = theta + turn * (k + 0.5) / s.substeps
-                at_angle(angle, s.teeth, tables, s.bounds, BINS, lag, low, largest, s.bin_depth, s.density, now)
-                f2 = now[0] * now[0] + now[1] * now[1] + (thrust - now[2]) * (thrust - now[2])
-                peak2 = max(peak2, f2)
-        f_feed, f_left = s.total[0], s.total[1]
-        fx = f_feed * ux - f_left * uy
-        fy = f_feed * uy + f_left * ux
-        fz = thrust - s.total[3]
-        m_feed = -s.total[7] - radius * s.total[5]
-        m_left = s.total[6] + radius * s.total[4]
-        mx = m_feed * ux - m_left * uy
-        my = m_feed * uy + m_left * ux
-        torque += radius * s.total[2]
-        mz = torque
-        s.f_peak = math.sqrt(peak2)
-        s.spindle_torque = torque
-        s.spindle_power = torque * s.spindle_speed
+        status = _force(s, turn, h)
+        if status != 0:
+            return status
         s.removal_rate = _cut(s, xa, ya, za, x, y, z, s.imprinted == 1) / h
-        s.imprinted = 1
-    elif near:
-        s.imprinted = 0
-        s.contact_share = 0.0
     else:
-        s.imprinted = 1
         s.contact_share = 0.0
-    s.f_P[0], s.f_P[1], s.f_P[2] = fx, fy, fz
-    s.m_P[0], s.m_P[1], s.m_P[2] = mx, my, mz
+    # with the spindle off nothing is cut, so the next cut cannot rely on what the tool has passed
+    s.imprinted = 1 if turn > LEAST_TURN or not near else 0
     mat_vec(s.R_BP, s.f_P, s.f_T_B)
     mat_vec(s.R_BP, s.m_P, s.m_T_B)
     angle = s.spindle_angle + turn
@@ -322,6 +253,117 @@ def step(s: Record, t: float, h: float) -> int:
     for i in range(3):
         s.p_last[i] = s.p_PT_P[i]
     return 0
+
+
+@kernel
+def _force(s: Record, turn: float, h: float) -> int:
+    """Mean force and moment in P, peak, torque and depth while the spindle turns by `turn` [rad] at the new position."""
+    mat_t_vec(s.R_BP, s.v_BT_B, s.v_P)
+    vx, vy, vz = s.v_P[0], s.v_P[1], s.v_P[2]
+    feed = math.sqrt(vx * vx + vy * vy)
+    ux, uy = 1.0, 0.0
+    if feed > 0.0:
+        ux, uy = vx / feed, vy / feed
+    per_tooth = TWO_PI * h / (s.teeth * turn)
+    s.chip = feed * per_tooth
+    thrust, torque = _end_face(s, -vz * per_tooth, h)
+    peak = abs(thrust)
+    radius = 0.5 * s.diameter
+    low = 0.0
+    if s.stock_bottom > s.p_PT_P[2]:
+        low = s.stock_bottom - s.p_PT_P[2]
+    for i in range(8):
+        s.total[i] = 0.0
+    largest = 0.0
+    if s.chip > 0.0:
+        largest = workpiece.engagement(
+            s.height,
+            s.nx,
+            s.ny,
+            s.dx,
+            s.dy,
+            s.p_PT_P[0],
+            s.p_PT_P[1],
+            s.p_PT_P[2],
+            radius,
+            ux,
+            uy,
+            low,
+            BINS,
+            s.bin_sine,
+            s.bin_cosine,
+            s.bin_depth,
+        )
+    if largest > low:
+        s.depth = largest - low
+        if s.chip > radius:
+            return _CHIP_TOO_THICK
+        if largest > s.cutting_length:
+            s.depth = largest
+            return _TOO_DEEP
+        peak = _edges(s, s.spindle_angle + atan2(uy, ux), turn, low, largest, thrust)
+    # from feed, left, up to the axes of P; the axial force acts off centre (s.total[4], [5])
+    f_feed, f_left = s.total[0], s.total[1]
+    m_feed = -s.total[7] - radius * s.total[5]
+    m_left = s.total[6] + radius * s.total[4]
+    torque += radius * s.total[2]
+    s.f_P[0] = f_feed * ux - f_left * uy
+    s.f_P[1] = f_feed * uy + f_left * ux
+    s.f_P[2] = thrust - s.total[3]
+    s.m_P[0] = m_feed * ux - m_left * uy
+    s.m_P[1] = m_feed * uy + m_left * ux
+    s.m_P[2] = torque
+    s.f_peak = peak
+    s.spindle_torque = torque
+    s.spindle_power = torque * turn / h
+    return 0
+
+
+@kernel
+def _end_face(s: Record, plunge: float, h: float) -> tuple[float, float]:
+    """Thrust [N] and torque [N.m] of the end face going down by `plunge` [m] per tooth; its contact builds up over contact_time."""
+    target = 0.0
+    if plunge > 0.0:
+        target = workpiece.contact(
+            s.height,
+            s.nx,
+            s.ny,
+            s.dx,
+            s.dy,
+            s.p_PT_P[0],
+            s.p_PT_P[1],
+            s.p_PT_P[2],
+            0.5 * s.diameter,
+            s.stock_bottom,
+            s.contact_zone,
+        )
+    s.contact_share += (target - s.contact_share) * h / (s.contact_time + h)
+    if target == 0.0 and s.contact_share < 1e-3:
+        s.contact_share = 0.0
+    if not (plunge > 0.0 and s.contact_share > 0.0):
+        return 0.0, 0.0
+    cutting = (1.0 + s.cutting_coefficient_error) * plunge
+    edge = (1.0 + s.tool_wear) * (plunge / s.edge_onset if plunge < s.edge_onset else 1.0)
+    length = s.teeth * s.contact_share * s.bottom_edge * 0.5 * s.diameter
+    arm = (1.0 - 0.5 * s.bottom_edge) * 0.5 * s.diameter
+    return length * (s.Krc * cutting + s.Kre * edge), length * arm * (s.Ktc * cutting + s.Kte * edge)
+
+
+@kernel
+def _edges(s: Record, theta: float, turn: float, low: float, highest: float, thrust: float) -> float:
+    """Integrals over the helical edges (s.total) while tooth 1 turns from `theta` on by `turn` [rad]; the peak force [N]."""
+    tables = s.teeth if s.runout > 0.0 else 1
+    _densities(s, tables)
+    lag = 2.0 * tan(s.helix) / s.diameter
+    lag = max(lag, LEAST_LAG)
+    mean_over_rotation(theta, theta + turn, s.teeth, tables, s.bounds, BINS, lag, low, highest, s.bin_depth, s.density, s.total)
+    peak2 = 0.0
+    for k in range(s.substeps):
+        angle = theta + turn * (k + 0.5) / s.substeps
+        at_angle(angle, s.teeth, tables, s.bounds, BINS, lag, low, highest, s.bin_depth, s.density, s.now)
+        up = thrust - s.now[2]
+        peak2 = max(peak2, s.now[0] * s.now[0] + s.now[1] * s.now[1] + up * up)
+    return math.sqrt(peak2)
 
 
 @kernel
@@ -376,6 +418,7 @@ def _forget(s: Record) -> None:
         s.f_P[i] = 0.0
         s.m_P[i] = 0.0
         s.v_P[i] = 0.0
+        s.now[i] = 0.0
     for i in range(8):
         s.total[i] = 0.0
     for b in range(BINS):

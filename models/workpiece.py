@@ -18,8 +18,12 @@ from models.declaration import FloatArray, kernel
 CAPACITY = 2**18
 """Cells that the height field holds (2 MB)."""
 
-RING = 1.5
-"""Engagement is read this many cells outside the cutter: half a cell of partial cover and one of interpolation."""
+RING = 2.0
+"""Engagement is read this many cells outside the cutter, clear of what it has cut: half a cell of partial cover and the
+diagonal (1.41) of the cells between which is interpolated."""
+
+LEAST_DEPTH = 1e-9
+"""Material standing less than this above the tip [m] is the roundoff of a floor already cut."""
 
 _PROBES = 9
 """Points across the diameter at which the floor under the cutter is probed (69 within the disc)."""
@@ -292,12 +296,15 @@ def engagement(
     radius: float,
     ux: float,
     uy: float,
+    low: float,
     bins: int,
     sines: FloatArray,
     cosines: FloatArray,
     depth: FloatArray,
 ) -> float:
     """Height of the material above the tip [m] that the edges meet in each of `bins` angular bins of 0..pi; returns the largest.
+
+    0 in bins where the material reaches no higher than `low` [m] above the tip (the bottom of a block that is cut through).
 
     (ux, uy) is the feed direction; `sines`, `cosines` belong to the middle of the bins, clockwise from the left of the feed.
     The material in front of the edge at phi is looked up ahead of it along the feed, at the same distance from the path,
@@ -315,7 +322,7 @@ def engagement(
         if inside > 0.0:
             ahead = math.sqrt(ring * ring - left * left)
             a = (height_at(height, nx, ny, dx, dy, x + ahead * ux - left * uy, y + ahead * uy + left * ux) - z) * inside
-            if a > 0.0:
+            if a > low + LEAST_DEPTH:
                 depth[b] = a
                 largest = max(largest, a)
     return largest

@@ -152,7 +152,7 @@ def test_corner_inside_and_outside() -> None:
     path = line((-0.06, 0, -0.01), (0, 0, -0.01), (0, -0.04, -0.01))
     shift = 1e-4 / math.sqrt(2)
     m = compare(path, moved(path, shift, shift, 0.0)).walls
-    round_part = m.select((m.points[:, 0] > 0) & (m.points[:, 1] > 0))
+    round_part = m.select((m.points[:, 0] > 1e-6) & (m.points[:, 1] > 1e-6))
     at = np.arctan2(round_part.points[:, 1], round_part.points[:, 0])
     assert round_part.deviation == pytest.approx(shifted_circle(at, shift, shift), abs=MICRO)
     assert not np.any(

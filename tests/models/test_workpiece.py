@@ -49,7 +49,9 @@ class Block:
     def engagement(self, position: Any, direction: Any) -> np.ndarray:
         """Height of material before the edges in every bin, m."""
         depth = np.zeros(BINS)
-        largest = _engagement(self.height, *self.grid, *map(float, position), RADIUS, *map(float, direction), BINS, SINES, COSINES, depth)
+        largest = _engagement(
+            self.height, *self.grid, *map(float, position), RADIUS, *map(float, direction), 0.0, BINS, SINES, COSINES, depth
+        )
         assert largest == depth.max()
         return depth
 
