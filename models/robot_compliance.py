@@ -194,8 +194,9 @@ ERRORS = (
     "[0, 1), a positive frequency and a direction that is not zero",
     "reference_torque {reference_torque} N.m, hysteresis_torque {hysteresis_torque} N.m and thermal_time_constant "
     "{thermal_time_constant} s must all be positive",
-    "the counterbalance cannot move: lever {counterbalance_lever} m, frame {counterbalance_frame_distance} m, area {counterbalance_area} m2, "
-    "gas volume {counterbalance_volume} m3; expected a lever shorter than the frame and a volume above twice lever times area",
+    "the counterbalance cannot move: lever {counterbalance_lever} m, frame {counterbalance_frame_distance} m, "
+    "area {counterbalance_area} m2, gas volume {counterbalance_volume} m3; "
+    "expected a lever shorter than the frame and a volume above twice lever times area",
     "the step size is {fault_value} s, expected a positive one",
     "the virtual joint in frame {fault_frame} turns elastically by {fault_value} rad at t = {t} s, the model holds up to 0.05 rad; "
     "the load on the tool is f_T_B = {f_T_B} N, m_T_B = {m_T_B} N.m: check its size and whether the loop of force and deflection is stable",

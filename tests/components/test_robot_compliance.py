@@ -17,7 +17,7 @@ from models.compliance import DRIVES
 from models.declaration import Record, record
 from models.dynamics import counterbalance_torque
 from models.robot_compliance import ERRORS, MODEL, VARIABLES
-from models.robots import KR300
+from models.robots import KR300, inverse
 from models.validation_loads import validation_loads
 from tests.tolerances import EXACT, ROUNDOFF, physics
 
@@ -124,6 +124,15 @@ class TestPhysics:
         assert np.abs(R - Rotation.from_rotvec(np.array(s.theta_T_B)).as_matrix() @ s.link_R[6]).max() < 10 * ROUNDOFF
         assert s.quat_BT[0] >= 0.0
         assert abs(np.linalg.norm(s.quat_BT) - 1.0) < ROUNDOFF
+
+    @pytest.mark.parametrize("moment", [-30.0, 30.0])
+    def test_scalar_part_of_the_orientation_stays_positive(self, moment: float) -> None:
+        """Orientation 0 turned about the tool by half a turn has w = 0: the deflection decides its sign, the output keeps w >= 0."""
+        q, R, p = np.zeros(6), Rotation.from_rotvec([0.0, np.pi, 0.0]).as_matrix(), np.array([1.4, 0.2, 1.5])
+        assert inverse(instance(), p, R, POSITION_1, q) == 0
+        s = started(q_link=q, m_T_B=[0.0, moment, 0.0])
+        assert 0.0 < s.quat_BT[0] < 1e-3
+        assert abs(s.theta_T_B[1]) > 1e-4
 
     def test_answers_without_delay(self) -> None:
         """Direct feedthrough, as `depends_on` declares: the loop with the cutting force is algebraic."""

@@ -152,7 +152,8 @@ class TestAgainstThePaper:
 
     @pytest.mark.parametrize("seed", SEEDS)
     def test_equals_the_equations_written_out(self, seed: int) -> None:
-        s, q, (f, m) = tilted_tool(), joint_angles(seed), load(seed)
+        """Loads of up to 7.5 kN, ten times the paper's: elastic angles of some 0.05 rad show the order of the rotations."""
+        s, q, (f, m) = tilted_tool(), joint_angles(seed), load(seed, 7500.0)
         rigid, displaced = literal_model(s, q, f, m)
         result = respond(s, q, f, m)
         assert np.abs(result[:3] - (displaced - rigid)[:3, 3]).max() < 10 * ROUNDOFF

@@ -295,10 +295,10 @@ class TestInverse:
         assert inverse(s, p, R, np.zeros(6), q) == 2
         assert q.tolist() == [7.0] * 6, "q is left alone"
 
-    def test_stretched_arm_is_reachable(self) -> None:
+    @pytest.mark.parametrize("seed", range(50))
+    def test_stretched_arm_is_reachable(self, seed: int) -> None:
         """Both elbow branches meet where the arm is straight; roundoff must not call it out of reach."""
-        s, q = robot(), np.zeros(6)
-        straight = np.array([15.0, -30.0, 0.0, 20.0, 30.0, 40.0]) * DEG
+        s, q, straight = robot(), np.zeros(6), joint_angles(seed)
         straight[2] = np.arctan2(-0.041, 1.0)
         p, R = pose(s, straight)
         assert inverse(s, p, R, straight, q) == 0
