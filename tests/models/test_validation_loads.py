@@ -36,7 +36,7 @@ def test_other_tools_of_the_family_meet_nearly_the_same_mean(x: float, z: float,
 def test_displacements_of_an_independent_calculation(
     x: float, z: float, mean: float, largest: float, smallest: float, by_direction: tuple[float, float, float]
 ) -> None:
-    """Figures in mm printed to 0.01 mm; they turn the arm spring with axis 4, this model does not (up to 0.06 mm in single loads, less here)."""
+    """Figures in mm printed to 0.01 mm; they turn the arm spring with axis 4, this model does not (0.06 mm at most, less here)."""
     loads = validation_loads(p_FT_F=np.array([x, 0.0, z]))
     magnitude = loads.magnitude * 1e3
     assert abs(magnitude.mean() - mean) < physics(0.0, absolute=0.01)
