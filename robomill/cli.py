@@ -24,7 +24,12 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--out", type=Path, help="folder for the results (default: results/NAME)")
     run.add_argument("--variant", action="append", metavar="NAME", help="only this variant; may be repeated")
     run.add_argument(
-        "--fmus", type=Path, nargs="?", const=Path("dist"), metavar="FOLDER", help="run the FMUs in FOLDER (dist) instead of the models in process"
+        "--fmus",
+        type=Path,
+        nargs="?",
+        const=Path("dist"),
+        metavar="FOLDER",
+        help="run the FMUs in FOLDER (dist) instead of the models in process",
     )
     run.add_argument("--stop", type=float, metavar="S", help="stop time in s (system files)")
     run.add_argument("--csv", action="store_true", help="also write signals.csv")
@@ -34,7 +39,9 @@ def parser() -> argparse.ArgumentParser:
     build.add_argument("--out", type=Path, default=Path("dist"), help="folder for the FMUs (default: dist)")
     build.add_argument("--component", action="append", metavar="NAME", help="only this component; may be repeated")
     build.add_argument("--replay", type=Path, metavar="RUN", help="a replay FMU of --component from this recorded run")
-    build.add_argument("--as", dest="recorded_as", metavar="NAME", help="name of the component in the recorded run, where it differs (path, drive, ...)")
+    build.add_argument(
+        "--as", dest="recorded_as", metavar="NAME", help="name of the component in the recorded run, where it differs (path, drive, ...)"
+    )
 
     check = _command(commands, "check", "check FMUs, ours or not: validity, conformance, repeatability", "robomill check dist/*.fmu")
     check.add_argument("fmus", type=Path, nargs="+", metavar="FMU", help="FMI 2.0 co-simulation FMUs")
@@ -42,7 +49,12 @@ def parser() -> argparse.ArgumentParser:
     plan = _command(commands, "plan", "plan a program and say what it does", "robomill plan scenarios/groove.ngc")
     plan.add_argument("program", type=Path, help="G-code, or a path of points (TOML)")
     plan.add_argument(
-        "--at", nargs=3, type=float, metavar=("X", "Y", "Z"), default=(1300.0, 0.0, 1200.0), help="workpiece zero in the base, mm (default: 1300 0 1200)"
+        "--at",
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "Z"),
+        default=(1300.0, 0.0, 1200.0),
+        help="workpiece zero in the base, mm (default: 1300 0 1200)",
     )
     plan.add_argument("--turn", type=float, default=0.0, metavar="DEG", help="workpiece turned about z, degrees")
     plan.add_argument("--out", type=Path, metavar="FILE.npy", help="write the segment table for the path component")
@@ -50,7 +62,9 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _command(commands: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:
-    command: argparse.ArgumentParser = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=f"Example: {example}")
+    command: argparse.ArgumentParser = commands.add_parser(
+        name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=f"Example: {example}"
+    )
     command.add_argument("--json", action="store_true", help="print the result as JSON and nothing else")
     return command
 

@@ -8,12 +8,13 @@ import tomllib
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -21,15 +22,14 @@ from fmus.components import COMPONENTS, component
 from fmus.python.builder import build as build_fmu
 from models import gcode, point_path
 from models.declaration import Model
-
-from models.replay import replay_model
 from models.reachability import check_reachable
+from models.replay import replay_model
 from models.trajectory import Placement
 from models.trajectory import plan as plan_path
 from orchestration.assembly import run as run_once
 from orchestration.results import Run
 from orchestration.system import System
-from robomill import milling, static_loads
+from robomill import conformance, milling, static_loads
 from robomill.binding import convert, resolve, with_fmus
 from robomill.evaluation import Result, evaluate
 from robomill.scenario import Scenario, ScenarioError, load_scenario
@@ -95,7 +95,9 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
         console.print(f"{result.title}: largest deviation at the {result.figures['max_deviation_location']}", highlight=False)
     for text in job.plan.reduced:
         console.print(f"note: {text}", highlight=False)
-    console.print(f"Recordings, summary.json and {len(files)} pictures are in {folder}/ (start with {folder / 'surfaces.png'})", highlight=False)
+    console.print(
+        f"Recordings, summary.json and {len(files)} pictures are in {folder}/ (start with {folder / 'surfaces.png'})", highlight=False
+    )
     return 0
 
 
@@ -156,7 +158,13 @@ def _run_system(options: Namespace) -> int:
             progress=lambda done, total: report(system.name, done, total),
             overwrite=True,
         )
-    figures = {"system": system.name, "folder": str(folder), "rows": len(result), "end_s": float(result.t[-1]), "columns": list(result.columns)}
+    figures = {
+        "system": system.name,
+        "folder": str(folder),
+        "rows": len(result),
+        "end_s": float(result.t[-1]),
+        "columns": list(result.columns),
+    }
     if options.json:
         print(json.dumps(figures))
     else:
@@ -197,26 +205,24 @@ def _replay_model(recorded: Run, component_name: str, recorded_as: str) -> Model
 
 def check(options: Namespace) -> int:
     """`robomill check`: the conformance battery on each FMU; status 1 if a check failed."""
-    from robomill.conformance import check_fmu
-
-    reports = {}
+    reports: dict[str, list[conformance.Result]] = {}
     with _progress(options.json) as report:
         for i, fmu in enumerate(options.fmus):
             report(f"check {fmu.name}", i, len(options.fmus))
-            reports[str(fmu)] = check_fmu(fmu)
+            reports[str(fmu)] = conformance.check_fmu(fmu)
         report("check", len(options.fmus), len(options.fmus))
-    failed = sum(c.passed is False for checks in reports.values() for c in checks)
+    failed = sum(not r.passed for results in reports.values() for r in results)
     if options.json:
-        print(json.dumps({name: [{"check": c.name, "passed": c.passed, "detail": c.detail} for c in checks] for name, checks in reports.items()}, indent=1))
+        print(json.dumps({name: [asdict(r) for r in results] for name, results in reports.items()}, indent=1))
         return 1 if failed else 0
+    colour = {"passed": "green", "failed": "red", "finding": "yellow", "skipped": "cyan"}
     console = Console()
-    for name, checks in reports.items():
+    for name, results in reports.items():
         table = Table(title=name, title_justify="left", show_header=False)
-        for c in checks:
-            mark = {True: "[green]ok[/]", False: "[red]FAILED[/]", None: "[yellow]skipped[/]"}[c.passed]
-            table.add_row(c.name, mark, c.detail)
+        for r in results:
+            table.add_row(r.check, f"[{colour[r.outcome]}]{r.outcome}[/]", escape(r.detail))
         console.print(table)
-    console.print(f"{failed} checks failed" if failed else "every check passed", highlight=False)
+    console.print(f"{failed} checks failed" if failed else "no check failed", highlight=False)
     return 1 if failed else 0
 
 
@@ -243,7 +249,12 @@ def plan(options: Namespace) -> int:
         print(json.dumps(figures, indent=1))
         return 0
     print(f"{planned.name}: {planned.duration:.2f} s, {planned.length:.3f} m, {len(planned.table)} segments, every pose can be reached")
-    print("tool tip in the base, mm: " + ", ".join(f"{a} {1e3 * lo:.1f} .. {1e3 * hi:.1f}" for a, lo, hi in zip("xyz", extent.min(axis=0), extent.max(axis=0), strict=True)))
+    print(
+        "tool tip in the base, mm: "
+        + ", ".join(
+            f"{a} {1e3 * lo:.1f} .. {1e3 * hi:.1f}" for a, lo, hi in zip("xyz", extent.min(axis=0), extent.max(axis=0), strict=True)
+        )
+    )
     for note in planned.reduced:
         print(f"note: {note}")
     return 0

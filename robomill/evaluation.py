@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fmus.components import component
-from models.declaration import FloatArray
 from models.surface import SurfaceDeviation, ToolPath, measure
 from orchestration.results import Run
 from robomill.reaction import reaction_time
@@ -19,7 +18,7 @@ from robomill.scenario import Workpiece
 WALL_LEVELS = tuple((i + 0.5) / 16 for i in range(16))
 """Heights at which walls are scanned, as shares of the wall."""
 FLOOR_OFFSETS = tuple((i - 6) / 8.0 for i in range(13))
-"""Where floors are scanned beside the path, as shares of the radius of the cutter; nearer to a wall the deflected tool may not have been."""
+"""Where floors are scanned beside the path, as shares of the radius; nearer to a wall the deflected tool may not have been."""
 PAUSE = 0.1
 """Engagements closer together than this [s] are one cut."""
 
@@ -54,7 +53,8 @@ def evaluate(name: str, title: str, run: Run, workpiece: Workpiece, real_time_fa
     radius = 0.5 * float(diameter)
     quaternion = np.roll(Rotation.from_euler("ZYX", workpiece.abc).as_quat(canonical=True), 1)
     nominal, actual = (
-        ToolPath.from_poses(run.t, run[f"{part}.p_BT_B"], run[f"{part}.quat_BT"], workpiece.position, quaternion) for part in ("path", "compliance")
+        ToolPath.from_poses(run.t, run[f"{part}.p_BT_B"], run[f"{part}.quat_BT"], workpiece.position, quaternion)
+        for part in ("path", "compliance")
     )
     surface = measure(nominal, actual, radius, workpiece.size, levels=WALL_LEVELS, floor_offsets=FLOOR_OFFSETS)
     cuts = engagements(run)
@@ -109,5 +109,3 @@ def describe(surface: SurfaceDeviation, index: int, cuts: tuple[Cut, ...], run: 
     x, y, z = 1e3 * surface.points[index]
     where = place(float(surface.path_time[index]), cuts, run, radius)
     return f"{where}: {surface.kind[index]} at x = {x:.1f} mm, y = {y:.1f} mm, z = {z:.1f} mm"
-
-

@@ -28,7 +28,7 @@ PARTS = ("path", "drive", "compliance", "milling", "sensor", "controller")
 """Names that the components of a milling cell go by in its system file, whatever their sources are."""
 
 PILOT_WINDOW = 5
-"""Steps over which the offline force is averaged, centred: the estimate is that of the quasi-static force, as the filtered measurement is."""
+"""Steps over which the offline force is averaged, centred: the pilot force is quasi-static, without the ripple of the teeth."""
 
 Progress = Callable[[str, int, int], object]
 """Called with (what is being done, steps done, steps in all)."""

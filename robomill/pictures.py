@@ -48,7 +48,10 @@ def _save(figure: Figure, file: Path) -> Path:
 
 
 def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
-    """Colour maps nominal minus actual workpiece (Figs. 10-13), from above; walls are folded outwards at true height."""
+    """Colour maps nominal minus actual workpiece (Figs. 10-13), from above.
+
+    Walls are folded outwards, top edge outermost: a wall 10 mm high is a band 10 mm wide beside its floor.
+    """
     columns = 1 if len(results) == 1 else 2
     rows = -(-len(results) // columns)
     size = np.array(workpiece.size[:2]) * 1e3
@@ -58,22 +61,22 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
     limit = 1e3 * max(r.surface.max for r in results)
     norm = TwoSlopeNorm(0.0, -limit, limit)
     for ax, result in zip(axes, results, strict=False):
-        _surface(ax, result, workpiece, norm, columns)
+        _surface(ax, result, workpiece, norm, DOT * 72.0 * 0.8 * width / workpiece.size[0])
     for ax in axes[len(results) :]:
         ax.remove()
     bar = figure.colorbar(ScalarMappable(norm, MAP), ax=list(axes[: len(results)]), shrink=0.8)
-    bar.set_label("deviation along the surface normal in mm\n(red: material left, blue: gouged)")
+    bar.set_label("deviation along the surface normal in mm\n(red: material left, blue: gouged; walls folded outwards)")
     return figure
 
 
-def _surface(ax: Axes, result: Result, workpiece: Workpiece, norm: TwoSlopeNorm, columns: int) -> None:
+def _surface(ax: Axes, result: Result, workpiece: Workpiece, norm: TwoSlopeNorm, dot: float) -> None:
     nominal = cut_height_map(result.nominal, result.radius, workpiece.size, RELIEF)
     ax.pcolormesh(1e3 * nominal.x, 1e3 * nominal.y, nominal.height, cmap="Greys_r", alpha=0.35, shading="nearest", rasterized=True)
     s = result.surface
     folded = s.points[:, :2] - np.where(s.wall[:, None], s.normal[:, :2] * (-s.points[:, 2:3]), 0.0)
     order = np.argsort(np.abs(s.deviation))
-    dot = (DOT * ax.figure.get_figwidth() / columns / (1.3 * workpiece.size[0]) * 72.0) ** 2
-    ax.scatter(*(1e3 * folded[order].T), c=1e3 * s.deviation[order], cmap=MAP, norm=norm, s=dot, marker="s", linewidths=0, rasterized=True)
+    x, y = 1e3 * folded[order].T
+    ax.scatter(x, y, c=1e3 * s.deviation[order], cmap=MAP, norm=norm, s=dot**2, marker="s", linewidths=0, rasterized=True)
     worst = folded[s.worst] * 1e3
     ax.annotate(
         f"{1e3 * s.deviation[s.worst]:+.2f} mm",
@@ -83,8 +86,8 @@ def _surface(ax: Axes, result: Result, workpiece: Workpiece, norm: TwoSlopeNorm,
         arrowprops={"arrowstyle": "->"},
         bbox={"boxstyle": "round", "fc": "white", "alpha": 0.8},
     )
-    x, y = 0.5e3 * np.array(workpiece.size[:2])
-    ax.set(aspect="equal", xlim=(-x, x), ylim=(-y, y), xlabel="x in mm", ylabel="y in mm")
+    half = 0.5e3 * np.array(workpiece.size[:2])
+    ax.set(aspect="equal", xlim=(-half[0], half[0]), ylim=(-half[1], half[1]), xlabel="x in mm", ylabel="y in mm")
     ax.set_title(f"{result.title}\nmax {1e3 * s.max:.2f} mm, rms {1e3 * s.rms:.2f} mm", fontsize=10)
 
 
@@ -182,7 +185,11 @@ def projection(result: Result) -> Figure:
     cutting = np.flatnonzero((run["milling.depth"] > 0.0) & (_speed(run) > 1e-3))
     chosen = cutting[:: max(1, len(cutting) // 60)]
     ax.plot(1e3 * p[cutting, 0], 1e3 * p[cutting, 1], ".", color="0.8", ms=1)
-    for vectors, colour, label, scale in ((v, "tab:blue", "feed", 0.25), (r, "tab:green", "correction x 10", 10), (r_v, "tab:red", "projected x 10", 10)):
+    for vectors, colour, label, scale in (
+        (v, "tab:blue", "feed", 0.25),
+        (r, "tab:green", "correction x 10", 10),
+        (r_v, "tab:red", "projected x 10", 10),
+    ):
         ax.quiver(
             *(1e3 * p[chosen, :2].T),
             *(1e3 * scale * vectors[chosen, :2].T),
@@ -208,7 +215,13 @@ def load_cases(magnitudes: dict[str, FloatArray], titles: dict[str, str], paper:
     colours = mpl.colormaps["tab10"].colors  # type: ignore[attr-defined]  # a listed colour map has colours
     for i, (name, size) in enumerate(magnitudes.items()):
         cases = np.arange(1, len(size) + 1)
-        ax.bar(cases + (i - 0.5 * (n - 1)) * width, 1e3 * size, width, color=colours[i], label=f"{titles[name]} (mean {1e3 * size.mean():.2f} mm)")
+        ax.bar(
+            cases + (i - 0.5 * (n - 1)) * width,
+            1e3 * size,
+            width,
+            color=colours[i],
+            label=f"{titles[name]} (mean {1e3 * size.mean():.2f} mm)",
+        )
         if name in paper:
             ax.axhline(1e3 * paper[name], color=colours[i], ls="--", lw=1.0, label=f"mean in the paper: {1e3 * paper[name]:.2f} mm")
     for start, text in ((1, "load in +x"), (21, "load in +y"), (41, "load in -z")):
