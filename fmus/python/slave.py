@@ -18,7 +18,6 @@ What that library (0.7) does with it, and what follows from that:
 
 from __future__ import annotations
 
-import base64
 import json
 import sys
 import traceback
@@ -41,7 +40,7 @@ class Failure(Exception):  # noqa: N818  # its repr is what people read
     """An error on its way to the importer: the library shows the `repr`, so that is the text."""
 
     def __repr__(self) -> str:
-        return str(self)
+        return str(self).replace("%", "%%")  # the importer's logger takes it as a printf format
 
 
 class Message(NamedTuple):
@@ -101,7 +100,7 @@ class Slave(Fmi2Slave):
 
     def log(self, text: str, status: int = _OK) -> None:
         """Queue a message: it is delivered after the callback, if the importer has switched logging on."""
-        self._log.append(Message(status, _CATEGORIES[status], text))
+        self._log.append(Message(status, _CATEGORIES[status], text.replace("%", "%%")))
 
     def failure(self, error: BaseException) -> Failure:
         """Make the exception for the library: text, traceback unless it is a plain refusal, messages not yet delivered."""
@@ -259,23 +258,25 @@ class Slave(Fmi2Slave):
 
     @classmethod
     def _fmu_state_to_bytes(cls, state: tuple[State, bool, str] | BadState) -> bytes:
+        """A line of JSON, then the record: first the words, then the tables."""
         if isinstance(state, BadState):
             return b""
-        fields = {k: base64.b64encode(v).decode() if isinstance(v, bytes) else v for k, v in state[0]._asdict().items()}
-        return json.dumps({"fmu": cls.identity, "state": fields, "initialised": state[1], "failed": state[2]}).encode()
+        words, stale, running, tables, paths = state[0]
+        header = {"fmu": cls.identity, "words": len(words), "stale": stale, "running": running, "paths": paths}
+        return b"\n".join((json.dumps({**header, "initialised": state[1], "failed": state[2]}).encode(), words + tables))
 
     @classmethod
     def _fmu_state_from_bytes(cls, serialised: bytes) -> tuple[State, bool, str] | BadState:
         try:
-            found = json.loads(serialised)
-            if found["fmu"] != cls.identity:
-                return BadState(f"the state is one of FMU {found['fmu']}; this is {cls.identity}")
-            fields = found["state"]
-            words, tables = base64.b64decode(fields["words"]), base64.b64decode(fields["tables"])
-            paths = tuple((name, path) for name, path in fields["paths"])
-            return State(words, fields["stale"], fields["running"], tables, paths), found["initialised"], found["failed"]
+            line, record = serialised.split(b"\n", 1)
+            header = json.loads(line)
+            if header["fmu"] != cls.identity:
+                return BadState(f"the state is one of FMU {header['fmu']}; this is {cls.identity}")
+            paths = tuple((name, path) for name, path in header["paths"])
+            words, tables = record[: header["words"]], record[header["words"] :]
+            return State(words, header["stale"], header["running"], tables, paths), header["initialised"], header["failed"]
         except Exception as error:
-            return BadState(f"not a state of this FMU: {type(error).__name__}: {error}")
+            return BadState(f"not a state of this FMU ({type(error).__name__}: {error})")
 
 
 def slave_class(model: Model, identity: str, notes: Sequence[str] = ()) -> type[Slave]:
