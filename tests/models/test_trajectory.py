@@ -195,11 +195,20 @@ class TestBlend:
             np.testing.assert_allclose(bezier_derivatives(control, u)[2], 0.0, atol=ROUNDOFF, rtol=0.0)
         assert np.linalg.norm(bezier_derivatives(control, 0.5)[1]) == pytest.approx(alpha, rel=10 * ROUNDOFF)
 
-    def test_meets_an_arc_with_its_curvature(self) -> None:
-        arc = helix(np.zeros(3), np.array([0.0, 0.014, 0.0]), np.array([0.0, 0.0, 1.0]), 1.0, 0.0)
-        before = line(np.array([-0.02, 0.0, 0.0]), np.zeros(3))
-        pieces = arc_length_pieces(bezier_control(before, arc, 0.002))
-        for x, y in zip(pieces[-1].at(pieces[-1].length), arc.at(0.002), strict=True):
+    def test_meets_arcs_with_their_curvature(self) -> None:
+        """S-bend of two arcs (R 10 and 14 mm) with a kink of 20 deg: equal speed at the ends and in the middle, position, tangent, curvature."""
+        up = np.array([0.0, 0.0, 1.0])
+        before = helix(np.array([-0.010, 0.010, 0.0]), np.array([0.0, 0.010, 0.0]), up, math.pi / 2, 0.0)
+        kink = math.radians(20.0)
+        after = helix(np.zeros(3), 0.014 * np.array([math.sin(kink), -math.cos(kink), 0.0]), up, -1.0, 0.001)
+        control = bezier_control(before, after, 0.002)
+        alpha = float(np.linalg.norm(bezier_derivatives(control, 0.0)[1]))
+        for u in (0.5, 1.0):
+            assert np.linalg.norm(bezier_derivatives(control, u)[1]) == pytest.approx(alpha, rel=10 * ROUNDOFF)
+        pieces = arc_length_pieces(control)
+        for x, y in zip(pieces[0].at(0.0), before.at(before.length - 0.002), strict=True):
+            np.testing.assert_allclose(x, y, rtol=100 * ROUNDOFF, atol=100 * ROUNDOFF)
+        for x, y in zip(pieces[-1].at(pieces[-1].length), after.at(0.002), strict=True):
             np.testing.assert_allclose(x, y, rtol=100 * ROUNDOFF, atol=100 * ROUNDOFF)
 
     @pytest.mark.parametrize("degrees", [5.0, 45.0, 90.0, 135.0, 170.0])
