@@ -196,7 +196,7 @@ class TestBlend:
         assert np.linalg.norm(bezier_derivatives(control, 0.5)[1]) == pytest.approx(alpha, rel=10 * ROUNDOFF)
 
     def test_meets_arcs_with_their_curvature(self) -> None:
-        """S-bend of two arcs (R 10 and 14 mm) with a kink of 20 deg: equal speed at the ends and in the middle, position, tangent, curvature."""
+        """S-bend of arcs of 10 and 14 mm with a kink of 20 deg: speed at ends and middle; position, tangent, curvature."""
         up = np.array([0.0, 0.0, 1.0])
         before = helix(np.array([-0.010, 0.010, 0.0]), np.array([0.0, 0.010, 0.0]), up, math.pi / 2, 0.0)
         kink = math.radians(20.0)
