@@ -9,6 +9,8 @@
     [components.drive]
     source = "robot_drive"              # in process, or "dist/robot_drive.fmu", or "replay:runs/42"
     parameters = {backlash = "20 urad", "stiffness_scale[2]" = 0.9}
+    isolate = false                     # true: an FMU in its own process (orchestration/isolation.py)
+    time_limit = "60 s"                 # of wall clock for one call, if isolated
 
     [[connections]]
     from = "drive.q_link"
@@ -17,10 +19,12 @@
 
     [recording]
     columns = ["drive", "compliance.p_BT_B", "sensor.f_T_T[1]"]
+    checkpoint_every = 1000             # steps; 0 = never (orchestration/checkpoint.py)
 """
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -51,9 +55,9 @@ _TOP = {
     "connections": list,
     "recording": dict,
 }
-_COMPONENT = {"source": str, "parameters": dict}
+_COMPONENT = {"source": str, "parameters": dict, "isolate": bool, "time_limit": (int, float, str)}
 _CONNECTION = {"from": str, "to": str, "delayed": bool}
-_RECORDING = {"columns": list, "every": int, "csv": bool, "chunk": int}
+_RECORDING = {"columns": list, "every": int, "csv": bool, "chunk": int, "checkpoint_every": int}
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
@@ -65,6 +69,10 @@ class Component:
     source: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
     line: int | None = None
+    isolate: bool = False
+    """Whether it (an FMU) runs in its own process."""
+    time_limit: float = 60.0
+    """Wall clock that one call may take if it is isolated [s]."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +101,8 @@ class Recording:
     csv: bool = False
     chunk: int = 250
     """Rows that are kept in memory before they go to disk."""
+    checkpoint_every: int = 0
+    """Each how many steps everything is saved from which the run can go on; 0 = never."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +136,11 @@ class System:
             raise SystemFileError(f"algorithm {self.algorithm!r} is unknown; available: {', '.join(ALGORITHMS)}")
         if self.recording.every < 1 or self.recording.chunk < 1:
             raise SystemFileError(f"recording: every and chunk are at least 1; found {self.recording.every} and {self.recording.chunk}")
+        if self.recording.checkpoint_every < 0:
+            raise SystemFileError(f"recording: checkpoint_every counts steps, 0 = never; found {self.recording.checkpoint_every}")
+        for c in self.components:
+            if not 0.0 < c.time_limit < math.inf:
+                raise SystemFileError(f"component {c.name!r}: time_limit is a positive time; found {c.time_limit!r} s")
         if not self.components:
             raise SystemFileError("the system has no components")
 
@@ -214,13 +229,13 @@ class _Loader:
                 raise self.fail(f"{what}: {key} is missing", *path)
         return table
 
-    def seconds(self, value: float | str, key: str) -> float:
+    def seconds(self, value: float | str, *path: str | int) -> float:
         if not isinstance(value, str):
             return float(value)
         try:
             return quantity(value, "s", self.convert)
         except ValueError as error:
-            raise self.fail(f"{key}: {error}", key) from None
+            raise self.fail(f"{path[-1]}: {error}", *path) from None
 
     def system(self, table: Mapping[str, Any]) -> System:
         self.check(table, _TOP, ("name", "step", "components"), "system")
@@ -250,14 +265,26 @@ class _Loader:
         columns = table.get("columns", ["*"])
         if not all(isinstance(c, str) for c in columns):
             raise self.fail(f"recording: columns is a list of texts; found {columns!r}", "recording", "columns")
-        return Recording(tuple(columns), table.get("every", 1), table.get("csv", False), table.get("chunk", 250))
+        known = {key: value for key, value in table.items() if key != "columns"}
+        return Recording(tuple(columns), **known)
 
     def component(self, name: str, table: Any) -> Component:
         path = ("components", name)
         if not _NAME.fullmatch(name):
             raise self.fail(f"component name {name!r}: letters, digits and underscores only, no digit first", *path)
         self.check(table, _COMPONENT, ("source",), f"component {name!r}", *path)
-        return Component(name, table["source"], MappingProxyType(table.get("parameters", {})), find_line(self.text, *path))
+        if "time_limit" in table and not table.get("isolate", False):
+            raise self.fail(
+                f"component {name!r}: time_limit needs isolate = true: only a process of its own can be ended", *path, "time_limit"
+            )
+        return Component(
+            name,
+            table["source"],
+            MappingProxyType(table.get("parameters", {})),
+            find_line(self.text, *path),
+            table.get("isolate", False),
+            self.seconds(table.get("time_limit", 60.0), *path, "time_limit"),
+        )
 
     def connection(self, index: int, table: Any) -> Connection:
         path = ("connections", index)
