@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestration.errors import OrchestrationError, SlaveError, SystemFileError, describe
+from orchestration.isolation import IsolatedSlave
 from orchestration.master import Manipulator, Master, Observer, Progress
 from orchestration.memory import Memory
 from orchestration.parameters import Convert, prepare, same_unit_only
@@ -127,16 +128,21 @@ def run(
             manipulators,
             system.check_ranges,
             Path(folder) if folder is not None else None,
+            system.iteration,
         )
         master.run(end, start, progress, system.stop_when)
     return keeper.run() if isinstance(keeper, Memory) else Run.load(keeper.folder)
 
 
 def _open(system: System, c: Component, resolver: Resolver | None) -> Slave:
+    if c.isolate and not c.source.endswith(".fmu"):
+        raise SlaveError(f"isolate = true is for FMUs; source {c.source!r} runs in this process")
     if c.source.startswith(REPLAY):
         folder, _, component = c.source[len(REPLAY) :].partition("#")
         return ReplaySlave(c.name, Run.load(system.folder / folder), component or None)
     if c.source.endswith(".fmu"):
+        if c.isolate:
+            return IsolatedSlave(system.folder / c.source, c.name, c.time_limit)
         from orchestration.fmu import FmuSlave  # only systems with FMUs need FMPy
 
         return FmuSlave(system.folder / c.source, c.name)

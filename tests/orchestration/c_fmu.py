@@ -11,6 +11,7 @@ from pathlib import Path
 import fmpy
 
 SOURCE = r"""
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include "fmi2Functions.h"
@@ -161,14 +162,14 @@ def compiler() -> str | None:
     return shutil.which("cc") or shutil.which("gcc")
 
 
-def build(folder: Path) -> Path:
+def build(folder: Path, source: str = SOURCE, description: str = DESCRIPTION) -> Path:
     """Compile and pack `euler.fmu` in `folder`."""
     headers = Path(fmpy.__file__).parent / "c-code"
-    (folder / "euler.c").write_text(SOURCE)
+    (folder / "euler.c").write_text(source)
     library = folder / f"euler{SUFFIX}"
     command = [str(compiler()), "-shared", "-fPIC", "-O1", "-w", f"-I{headers}", str(folder / "euler.c"), "-o", str(library)]
     subprocess.run(command, check=True)
-    return pack(folder / "euler.fmu", DESCRIPTION, {f"binaries/{fmpy.platform}/euler{SUFFIX}": library.read_bytes()})
+    return pack(folder / "euler.fmu", description, {f"binaries/{fmpy.platform}/euler{SUFFIX}": library.read_bytes()})
 
 
 def pack(file: Path, description: str | None, files: dict[str, bytes] | None = None) -> Path:
