@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fmus.instance import ComponentError, Instance, State
+from fmus.instance import ComponentError, Instance, State, all_finite
 from fmus.interface import Interface, Port
 from models.declaration import FloatArray, Model
 
@@ -127,11 +127,11 @@ class _Image:
         positions = [i for i, _ in reals]
         contiguous = positions == list(range(len(positions)))
         self._positions: Any = slice(0, len(positions)) if contiguous else np.array(positions, dtype=np.intp)
-        self._zeros = np.zeros(len(ports))
+        self._finite = np.zeros(len(ports), dtype=np.bool_)
 
     def write(self, values: FloatArray) -> None:
         """`values` -> record, refused with the name of the port if one is not finite."""
-        if values.dot(self._zeros) != 0.0:  # an infinity or NaN times zero is NaN
+        if not all_finite(values, self._finite):
             bad = int(np.flatnonzero(~np.isfinite(values))[0])
             raise ComponentError(f"{self._name}: input {self._ports[bad].name} = {values[bad]} is not a finite number")
         self._record[:] = values[self._positions]

@@ -41,7 +41,7 @@ class Port:
     maximum: float | None
     description: str
     dependencies: tuple[str, ...] | None
-    """Outputs only: names of the inputs that it depends on instantaneously in a step. None = all inputs."""
+    """Outputs only (else None): names of the inputs that it depends on instantaneously in a step."""
 
     @property
     def offset(self) -> int:
@@ -107,8 +107,9 @@ def _port(model: Model, v: Variable, name: str, word: int, start: float | str, d
         value = bool(start)
     parameter = v.causality == "parameter"
     dependencies = None
-    if v.causality == "output" and v.depends_on is not None:
-        dependencies = tuple(element for i in model.variables if i.name in v.depends_on for element in i.element_names)
+    if v.causality == "output":
+        followed = [i for i in model.variables if i.causality == "input" and (v.depends_on is None or i.name in v.depends_on)]
+        dependencies = tuple(element for i in followed for element in i.element_names)
     return Port(
         name=name,
         variable=v.name,

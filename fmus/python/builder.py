@@ -26,7 +26,7 @@ from uuid import UUID
 import numpy as np
 
 from fmus import archive, probe
-from fmus.documentation import index_html, licences
+from fmus.documentation import index_html, licences, reference_files
 from fmus.interface import Interface
 from fmus.model_description import Options, model_description
 from models.cache import source_files
@@ -103,7 +103,7 @@ def build(model: Model, destination: str | Path, *, page: str | None = None, ref
 
     `destination` is a file (`.fmu`) or a folder, where it is named after the model. `page` is the
     Markdown for its documentation (docs/components/<name>.md if not given), `reference` files for
-    documentation/reference (in.csv, out.csv). Equal sources give equal bytes.
+    documentation/reference (in.csv, out.csv; the golden results if not given). Equal sources give equal bytes.
     ValueError if the model's sources cannot be bundled, FileNotFoundError if pythonfmu is incomplete.
     """
     target = Path(destination)
@@ -114,7 +114,8 @@ def build(model: Model, destination: str | Path, *, page: str | None = None, ref
     binaries = _binaries()
     content: dict[str, bytes] = {"model.png": ICON.read_bytes(), **licences(), **_pythonfmu_licence()}
     content["documentation/index.html"] = index_html(interface, "Python backend", NOTES, page).encode()
-    content |= {f"documentation/reference/{name}": data for name, data in (reference or {}).items()}
+    files = reference_files(model.name) if reference is None else reference
+    content |= {f"documentation/reference/{name}": data for name, data in files.items()}
     content |= {f"resources/tables/{name}.npy": _npy(rows) for name, rows in model.default_tables.items()}
     options = Options(
         identifier=model.name,

@@ -1,0 +1,112 @@
+"""Inputs of the golden results: a short piece of the work of each component, written out without the help of the others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fmus.interface import Interface
+from models import gcode
+from models.declaration import FloatArray
+from models.trajectory import Placement, plan
+from tests.golden import H
+
+STEPS = 100
+T = H * np.arange(STEPS)[:, None]
+Q = np.array([0.05, -1.6, 2.05, 0.1, -0.4, -0.08])
+"""Axis angles [rad] well inside of the limits, wrist away from its singularity."""
+FORCE = np.array([-120.0, 380.0, 60.0])
+MOMENT = np.array([4.0, -2.5, 9.0])
+GROOVE = 13000.0 * 2.0 * np.pi / 60.0
+
+
+def _rise(start: float, duration: float) -> FloatArray:
+    """0 before `start` [s], 1 after `start + duration`, straight in between."""
+    return np.clip((T - start) / duration, 0.0, 1.0)
+
+
+def _axes() -> FloatArray:
+    return Q + np.array([0.02, -0.015, 0.01, 0.03, -0.02, 0.025]) * np.sin(2.0 * np.pi * T * np.array([1.0, 1.5, 2.0, 2.5, 3.0, 0.5]))
+
+
+def _force() -> FloatArray:
+    return FORCE * _rise(0.06, 0.08) * (1.0 - 0.8 * _rise(0.3, 0.02)) * (1.0 + 0.1 * np.sin(2.0 * np.pi * 9.0 * T))
+
+
+def _moment() -> FloatArray:
+    return MOMENT * _rise(0.06, 0.08)
+
+
+def _mill_pose() -> FloatArray:
+    """Into the block from -x, 4 mm deep, bent aside by up to 0.4 mm."""
+    tip = np.hstack([-0.062 + 0.06 * T, 4e-4 * _rise(0.1, 0.2) * np.sin(2.0 * np.pi * 9.0 * T), np.full_like(T, -0.004)])
+    return tip + np.array([1.595, -0.018, 1.099])
+
+
+def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    """Inputs by declared variable, each (STEPS, elements), those not named at their starts; parameters by name, tables as arrays."""
+    feed = np.array([0.02, 0.015, 0.0]) * _rise(0.0, 0.03)
+    segments, pilot = _program()
+    return {
+        "path_interpolator": (
+            {"speed_ratio": 1.0 + 0.5 * _rise(0.1, 0.05) - 1.2 * _rise(0.25, 0.05)},
+            {"segments": segments, "pilot": pilot},
+        ),
+        "robot_drive": (
+            {
+                "q_ref": _axes(),
+                "correction_B": np.array([2e-4, -6e-4, 1e-4]) * _rise(0.1, 0.1),
+                "correction_q": np.array([0.0, 1e-4, -2e-4, 0.0, 3e-4, 0.0]) * _rise(0.2, 0.05),
+                "f_T_B": _force(),
+                "m_T_B": _moment(),
+            },
+            {
+                "backlash": [1e-4, 5e-5, 5e-5, 1e-4, 1e-4, 2e-4],
+                "tracking_lag": 0.01,
+                "friction_coulomb": [100.0, 120.0, 90.0, 20.0, 20.0, 10.0],
+            },
+        ),
+        "robot_compliance": (
+            {"q_link": _axes(), "f_T_B": _force(), "m_T_B": _moment()},
+            {"gear_hysteresis": [1e-4] * 6, "tool_compliance": 2e-7, "mode_compliance": 1e-6, "payload_error": 5.0},
+        ),
+        "milling_force": (
+            {
+                "p_BT_B": _mill_pose(),
+                "v_BT_B": np.array([0.06, 0.0, 0.0]) * np.ones_like(T),
+                "spindle_speed": np.full_like(T, GROOVE),
+            },
+            {"runout": 1e-5, "tool_wear": 0.1, "block_size": [0.1, 0.03, 0.03]},
+        ),
+        "sensor_chain": (
+            {"f_T_B": _force(), "m_T_B": _moment(), "q": _axes()},
+            {"cross_talk": 0.01, "extra_lag": 0.008, "misalignment": [0.01, -0.02, 0.015], "weight_error": 1.0},
+        ),
+        "compensation_controller": (
+            {
+                "f_T_T": np.array([-0.1, -0.9, 0.3]) * np.linalg.norm(_force(), axis=1, keepdims=True),
+                "m_T_T": _moment(),
+                "f_pilot_B": 1.05 * FORCE * _rise(0.03, 0.06) * (1.0 - _rise(0.27, 0.02)),
+                "q_motor": _axes(),
+                "v_BT_B": feed,
+            },
+            {"mode": 2, "pilot": True, "ki": [0.5, 0.5, 0.5], "dead_band": 5.0},
+        ),
+    }[name]
+
+
+def _program() -> tuple[FloatArray, FloatArray]:
+    """Segment table and pilot forces of a short program with a blend, an arc and a descent."""
+    text = "G21 G90 G17 S13000 M3\nN10 G0 X0 Y0 Z0\nN20 G1 X8 F6000\nN30 Y6\nN40 G3 X4 Y10 I-4 J0\nN50 G1 X0 Z-2\nM30\n"
+    planned = plan(gcode.parse(text), Placement((1.595, -0.018, 1.1)))
+    tau = np.linspace(0.0, planned.duration, 9)
+    return planned.table, np.column_stack([tau, np.outer(np.sin(7.0 * tau), FORCE)])
+
+
+def input_rows(interface: Interface, columns: dict[str, FloatArray]) -> FloatArray:
+    """The columns as one array (STEPS, n_inputs)."""
+    rows = np.tile([float(p.start) for p in interface.inputs], (STEPS, 1))
+    for name, values in columns.items():
+        rows[:, interface.arrays[name]] = values
+    return rows
