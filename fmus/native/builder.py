@@ -1,0 +1,112 @@
+"""Builds the native FMU of a model, FMI 2.0 or 3.0: lower, generate data, link per platform, describe, pack.
+
+The archive holds modelDescription.xml, binaries/, documentation/, the icon, resources/tables/ (the
+built-in rows of the tables, to look at and to start from), for FMI 3.0 also terminalsAndIcons/.
+The library speaks both versions and needs the C library only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+from uuid import UUID
+
+from fmus import archive
+from fmus.documentation import index_html, licences
+from fmus.interface import Interface
+from fmus.model_description import Options, model_description
+from fmus.native.data import data_c
+from fmus.native.fmi3 import model_description_3, terminals_and_icons
+from fmus.native.lower import Lowered, NativeBuildError, lower
+from fmus.native.targets import PLATFORMS, compiler, fat, libraries, uses_zig
+from fmus.python.builder import ICON, _npy, _version
+from models.declaration import Model
+
+SHIM = Path(__file__).parent / "shim"
+NOTES = (
+    "Needs nothing but the C library of the system: no Python, no Numba.",
+    "After an error (fmi2Error, fmi3Error; the text goes to the log) the instance can be reset, restored to an earlier state or freed.",
+    "Names of table files are absolute or relative to the working directory; they hold float64 numbers in C order (numpy.save).",
+    "The numbers are those of the Python model, bit for bit, on every platform.",
+)
+
+
+def build(
+    model: Model,
+    destination: str | Path,
+    *,
+    fmi: Literal[2, 3] = 2,
+    platforms: Sequence[str] = ("linux64",),
+    page: str | None = None,
+    reference: Mapping[str, bytes] | None = None,
+) -> Path:
+    """Write the native FMU of `model` and return its path.
+
+    `destination` is a file (`.fmu`) or a folder, where it is named after the model. `platforms` are
+    of linux64, win64, darwin64. `page` is the Markdown for its documentation (docs/components/<name>.md
+    if not given), `reference` files for documentation/reference (in.csv, out.csv). Equal sources and
+    tools give equal bytes. NativeBuildError names a platform that there is not, a missing tool, or what of the
+    model cannot be lowered.
+    """
+    if fmi not in (2, 3):
+        raise NativeBuildError(f"FMI version {fmi!r}: expected 2 or 3")
+    unknown = sorted(set(platforms) - set(PLATFORMS))
+    if unknown or not platforms:
+        raise NativeBuildError(f"unknown platform {', '.join(unknown) or '(none)'}; available: {', '.join(PLATFORMS)}")
+    platforms = tuple(p for p in PLATFORMS if p in platforms)
+    linker = compiler(uses_zig(platforms))
+    target = Path(destination)
+    if target.suffix != ".fmu":
+        target /= f"{model.name}.fmu"
+    interface = Interface(model)
+    lowered = lower(model)
+    token = _token(interface, lowered)
+    sources = {f.name: f.read_bytes().replace(b"\r\n", b"\n") for f in sorted(SHIM.iterdir()) if f.suffix in (".c", ".h")}
+    sources["data.c"] = data_c(interface, token).encode()
+    with tempfile.TemporaryDirectory(prefix="robomill_native_") as folder:
+        linked = libraries(lowered.code, sources, model.name, platforms, Path(folder))
+
+    options = _options(model, lowered, token, f"robomill {_version()} (native, {linker})")
+    content: dict[str, bytes] = {**licences()}
+    content["documentation/index.html"] = index_html(interface, "native backend", NOTES, page).encode()
+    content |= {f"documentation/reference/{name}": data for name, data in (reference or {}).items()}
+    content |= {f"resources/tables/{name}.npy": _npy(rows) for name, rows in model.default_tables.items()}
+    if fmi == 2:
+        content["modelDescription.xml"] = model_description(interface, options)
+        content["model.png"] = ICON.read_bytes()
+        for platform, slices in linked.items():
+            library = fat(slices) if len(slices) > 1 else next(iter(slices.values()))
+            content[f"binaries/{platform}/{model.name}{PLATFORMS[platform].suffix}"] = library
+    else:
+        content["modelDescription.xml"] = model_description_3(interface, options)
+        content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals_and_icons(interface)
+        content["terminalsAndIcons/icon.png"] = ICON.read_bytes()
+        for platform, slices in linked.items():
+            for tuple_, library in slices.items():
+                content[f"binaries/{tuple_}/{model.name}{PLATFORMS[platform].suffix}"] = library
+    archive.write(target, content)
+    return target
+
+
+def _options(model: Model, lowered: Lowered, token: str, tool: str) -> Options:
+    return Options(
+        identifier=model.name,
+        guid=token,
+        tool=tool,
+        version=_version(),
+        variable_step=lowered.variable_step,
+        initial_dependencies=lowered.initial_dependencies,
+    )
+
+
+def _token(interface: Interface, lowered: Lowered) -> str:
+    """GUID and instantiation token: a hash of all that decides what the library does; the same for every platform and FMI version."""
+    digest = hashlib.sha256(lowered.code.encode())
+    digest.update(model_description(interface, _options(interface.model, lowered, "", "")))
+    digest.update(data_c(interface, "").encode())
+    for file in sorted(SHIM.iterdir()):
+        digest.update(file.read_bytes().replace(b"\r\n", b"\n"))
+    return f"{{{UUID(digest.hexdigest()[:32])}}}"

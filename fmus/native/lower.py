@@ -1,0 +1,237 @@
+"""A model as LLVM code that is the same on every machine, made in a process of its own.
+
+Numba lowers `init` and `step`. Of its two modules only the two functions and what they call stay,
+under names that hold no counters; what would need Python or Numba at run time is refused. The
+process compiles for a generic processor, so the code says nothing about the machine that made it.
+It also tries the model (`fmus.probe`), as it has it compiled anyway.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.cache import PACKAGE, prune, source_files, user_folder
+from models.declaration import COMPILER_OPTIONS, Model
+from models.replay import ReplayModel, from_specification
+
+FORBIDDEN = ("Py", "_Py", "NRT_", "numba_")
+"""Beginnings of names of functions that a native FMU does not have."""
+INEXACT = re.compile(r"\b(?:fast|contract|reassoc|arcp|afn|nnan|ninf|nsz) |llvm\.fmuladd|llvm\.fma\.")
+"""Marks of arithmetic that may come out differently on another processor."""
+KEPT = 40
+"""Lowered models that stay in the cache folder."""
+
+
+class NativeBuildError(RuntimeError):
+    """A model that cannot become a native FMU, or a tool that failed; the text says which and why."""
+
+
+@dataclass(frozen=True)
+class Lowered:
+    """What the process found out about a model."""
+
+    code: str
+    """LLVM assembly with the functions `model_init` and `model_step` in Numba's calling convention:
+    ``i32 f(i64 *status, i8 **exception, record *s[, double t, double h])``, zero unless an exception was raised."""
+    variable_step: bool
+    initial_dependencies: dict[str, tuple[str, ...]]
+
+
+def lower(model: Model) -> Lowered:
+    """Lower a model, or take what was kept of an earlier time with the same sources. NativeBuildError says what is in the way."""
+    with tempfile.TemporaryDirectory(prefix="robomill_lower_") as temporary:
+        folder = Path(temporary)
+        arguments = _reference(model, folder)
+        kept = _cache_file(model, folder)
+        if kept is not None and kept.is_file():
+            with suppress(OSError, ValueError, KeyError):
+                os.utime(kept.parent)
+                return _read(kept)
+        environment = {
+            **os.environ,
+            "NUMBA_CPU_NAME": "generic",
+            "NUMBA_CPU_FEATURES": "",
+            "NUMBA_OPT": "3",
+            "NUMBA_LOOP_VECTORIZE": "1",
+            "NUMBA_SLP_VECTORIZE": "0",
+            "NUMBA_DEBUGINFO": "0",
+            "NUMBA_FULL_TRACEBACKS": "0",
+            "PYTHONHASHSEED": "0",
+            "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
+        }
+        for name in ("NUMBA_ENABLE_AVX", "NUMBA_BOUNDSCHECK", "NUMBA_DISABLE_JIT", "NUMBA_DEVELOPER_MODE", "NUMBA_COVERAGE"):
+            environment.pop(name, None)
+        result = folder / "lowered.json"
+        command = [sys.executable, "-m", "fmus.native.lower", str(result), *arguments]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, encoding="utf-8", errors="replace", check=False)
+        if done.returncode != 0 or not result.is_file():
+            lines = [line for line in done.stderr.strip().splitlines() if line.strip()]
+            refusal = [line.partition("NativeBuildError: ")[2] for line in lines if "NativeBuildError: " in line]
+            raise NativeBuildError(f"model {model.name!r}: cannot be lowered: " + (refusal[-1] if refusal else "\n".join(lines[-15:])))
+        lowered = _read(result)
+        if kept is not None:
+            _keep(result, kept)
+        return lowered
+
+
+def _reference(model: Model, folder: Path) -> list[str]:
+    """How the other process finds the model: its module, or the files of a recording put into `folder`."""
+    if isinstance(model, ReplayModel):
+        (folder / "replay.json").write_text(json.dumps(model.specification, sort_keys=True), encoding="utf-8")
+        np.save(folder / "recording.npy", model.default_tables["recording"])
+        return ["replay", str(folder)]
+    module = model.step.__module__
+    if getattr(sys.modules.get(module), "MODEL", None) is not model:
+        raise NativeBuildError(f"model {model.name!r}: its step stands in module {module!r}, which does not hold it as MODEL")
+    return ["module", module]
+
+
+def _cache_file(model: Model, folder: Path) -> Path | None:
+    """Where the result of these sources is kept, None if its sources cannot be told."""
+    import llvmlite
+    import numba
+
+    digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__} {sys.version_info[:3]} {np.__version__}".encode())
+    module = "models.replay" if isinstance(model, ReplayModel) else model.step.__module__
+    try:
+        files = {*source_files(module).values(), *source_files(__name__).values(), *PACKAGE.rglob("*.toml")}
+        for name, content in sorted((f.name, hashlib.sha256(f.read_bytes()).digest()) for f in (*files, *folder.iterdir())):
+            digest.update(name.encode() + content)
+    except (OSError, ModuleNotFoundError):
+        return None
+    return user_folder() / "native" / digest.hexdigest()[:20] / f"{model.name}.json"
+
+
+def _keep(result: Path, kept: Path) -> None:
+    """Copy to the cache; a folder that cannot be written to only costs the next build its time."""
+    with suppress(OSError):
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        partial = kept.with_name(f".{kept.name}.{os.getpid()}")
+        partial.write_bytes(result.read_bytes())
+        partial.replace(kept)
+        prune(kept.parent.parent, kept.parent.name, KEPT)
+
+
+def _read(file: Path) -> Lowered:
+    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return Lowered(found["code"], found["variable_step"], {k: tuple(v) for k, v in found["initial_dependencies"].items()})
+
+
+# In the other process
+
+
+def main(arguments: list[str]) -> None:
+    """``python -m fmus.native.lower RESULT module NAME`` or ``RESULT replay FOLDER``."""
+    result, kind, where = arguments
+    if kind == "replay":
+        model: Model = from_specification(json.loads(Path(where, "replay.json").read_text()), np.load(Path(where, "recording.npy")))
+    else:
+        model = import_module(where).MODEL
+    code, functions = _lower(model)
+    variable_step, dependencies = _probe(model, functions)
+    content = {"code": code, "variable_step": variable_step, "initial_dependencies": dependencies}
+    Path(result).write_text(json.dumps(content, sort_keys=True), encoding="utf-8")
+
+
+def _lower(model: Model) -> tuple[str, tuple[Any, Any]]:
+    """The module as text, and the two functions compiled here."""
+    import numba
+
+    record = numba.from_dtype(model.dtype)
+    texts, functions = [], []
+    for name, function, signature in (
+        ("model_init", model.init, (record,)),
+        ("model_step", model.step, (record, numba.float64, numba.float64)),
+    ):
+        dispatcher: Any = numba.njit(**COMPILER_OPTIONS)(function)
+        dispatcher.compile(signature)
+        compiled = dispatcher.overloads[dispatcher.signatures[0]]
+        returned = compiled.signature.return_type
+        if not (isinstance(returned, numba.types.Integer) and returned.bitwidth == 64):
+            raise NativeBuildError(f"{function.__name__} returns {returned}; expected a status, an integer")
+        texts.append((name, compiled.fndesc.llvm_func_name, dispatcher.inspect_llvm(dispatcher.signatures[0])))
+        functions.append(dispatcher)
+    return portable(texts), (functions[0], functions[1])
+
+
+def portable(modules: list[tuple[str, str, str]]) -> str:
+    """One module out of several given as (new name, name, LLVM assembly of the module that defines it).
+
+    Everything but these functions becomes private or goes. NativeBuildError names a function that would
+    be missing at run time, or arithmetic that is not exact.
+    """
+    import llvmlite.binding as llvm
+
+    whole = llvm.parse_assembly("")
+    public = [new for new, _, _ in modules]
+    for new, old, text in modules:
+        module = llvm.parse_assembly(_without_target(text))
+        module.get_function(old).name = new
+        whole.link_in(module)
+    for value in (*whole.functions, *whole.global_variables):
+        if not value.is_declaration and value.name not in public:
+            value.linkage = "internal"
+    llvm.initialize_native_target()
+    machine = llvm.Target.from_default_triple().create_target_machine()
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_global_dead_code_eliminate_pass()
+    passes.run(whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=0)))
+    missing = sorted({f.name for f in whole.functions if f.is_declaration and f.name.startswith(FORBIDDEN)})
+    if missing:
+        raise NativeBuildError(f"the code calls {', '.join(missing)}, which only exist inside Python")
+    counts = {"function": 0, "global": 0}
+    for value in (*whole.functions, *whole.global_variables):
+        if not value.is_declaration and value.name not in public:
+            kind = "function" if value.is_function else "global"
+            value.name = f"{kind}_{counts[kind]}"
+            counts[kind] += 1
+    whole.verify()
+    text = _square_roots(_without_target(str(whole)))
+    inexact = INEXACT.search(text)
+    if inexact:
+        raise NativeBuildError(f"the code holds arithmetic marked {inexact.group().strip()!r}, which processors round differently")
+    return text
+
+
+def _without_target(text: str) -> str:
+    """Without what names a machine or the order in which things were compiled (comments, scopes of inlined functions)."""
+    text = re.sub(r"(?m)^(?:target (?:datalayout|triple) =|source_filename =|; ModuleID =).*\n", "", text)
+    return re.sub(r'!"_ZN[^"]*"', '!"scope"', text)
+
+
+def _square_roots(text: str) -> str:
+    """With the square root as an instruction. LLVM has made some into calls of the C library for its errno, which nobody reads."""
+    if "@sqrt(" not in text:
+        return text
+    text = re.sub(r"(?m)^declare double @sqrt\(.*\n", "", text)
+    text = text.replace("@sqrt(", "@llvm.sqrt.f64(")
+    return text if "declare double @llvm.sqrt.f64(" in text else text + "\ndeclare double @llvm.sqrt.f64(double)\n"
+
+
+def _probe(model: Model, functions: tuple[Any, Any]) -> tuple[bool, dict[str, list[str]]]:
+    """Whether the model takes other steps, and what its initial outputs depend on."""
+    from dataclasses import replace
+
+    from fmus import probe
+    from fmus.interface import Interface
+
+    interface = Interface(replace(model, init=functions[0], step=functions[1]))
+    dependencies = probe.initial_dependencies(interface, plain=True)
+    return probe.accepts_other_steps(interface, plain=True), {name: list(found) for name, found in dependencies.items()}
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

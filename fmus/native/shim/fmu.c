@@ -1,0 +1,703 @@
+/* The C side of a native FMU: FMI 2.0 and FMI 3.0 co-simulation around one record and two functions.
+   Equal for all components; what differs is in component.h. Behaves as fmus/instance.py does. */
+#include "component.h"
+#include <math.h>
+#include <stdarg.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#ifdef _WIN32
+#include <windows.h>
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+enum { OK, WARNING, DISCARD, ERROR };  /* the same numbers in FMI 2.0 and 3.0 */
+
+typedef void Logger2(void *environment, const char *instance, int status, const char *category, const char *format, ...);
+typedef void Logger3(void *environment, int status, const char *category, const char *text);
+typedef struct {
+    Logger2 *logger;
+    void *(*allocate)(size_t, size_t);
+    void (*free)(void *);
+    void (*step_finished)(void *, int);
+    void *environment;
+} Callbacks2;
+
+typedef struct {
+    char text[4096];
+    size_t length;
+} Text;
+
+typedef struct {
+    Word *record;
+    char *name;
+    char **paths;      /* of the tables; "" = built-in rows */
+    bool stale;        /* init has to run before outputs are read */
+    bool running;      /* the first step may come */
+    bool failed;       /* a step failed: only a reset or a state helps */
+    Text failure;
+    Logger2 *logger2;
+    Logger3 *logger3;
+    void *environment;
+} Instance;
+
+/* A state is one block of memory: this head, the words before the tables, the rows in use, the paths, the text of the failure. */
+typedef struct {
+    char token[64];
+    uint64_t size;
+    uint8_t stale, running, failed, padding[5];
+} State;
+
+/* Text */
+
+static void put(Text *t, const char *format, ...) {
+    va_list arguments;
+    va_start(arguments, format);
+    int n = vsnprintf(t->text + t->length, sizeof t->text - t->length, format, arguments);
+    va_end(arguments);
+    size_t left = sizeof t->text - 1 - t->length;
+    t->length += n < 0 ? 0 : (size_t)n < left ? (size_t)n : left;
+}
+
+/* A number as Python shows it: the shortest text that reads back as the same number. `digits`: not more than these. */
+static void put_number(Text *t, double x, const char *format, int digits) {
+    char text[512];
+    if (isnan(x) || isinf(x)) {
+        put(t, isnan(x) ? "nan" : x > 0 ? "inf" : "-inf");
+        return;
+    }
+    if (*format)
+        snprintf(text, sizeof text, format, x);
+    else {
+        int n = 0;
+        do
+            snprintf(text, sizeof text, "%.*e", n, x);
+        while (strtod(text, NULL) != x && ++n < digits);
+        int exponent = atoi(strchr(text, 'e') + 1);
+        if (exponent >= -4 && exponent < 16)
+            snprintf(text, sizeof text, "%.*f", n > exponent ? n - exponent : 1, x);
+    }
+    for (char *c = text; *c; c++)  /* the decimal comma of a locale */
+        if (*c == ',')
+            *c = '.';
+    put(t, "%s", text);
+}
+
+static void put_word(Text *t, Word w, const Part *p, int digits) {
+    if (p->kind == 'i')
+        put(t, "%lld", (long long)w.integer);
+    else
+        put_number(t, p->kind == 'n' ? (double)w.integer : w.real, p->format, digits);
+}
+
+/* The model's message for a status, with the values of the record at this moment. */
+static void put_message(Text *t, const Instance *I, int64_t status, double time) {
+    if (status <= 0 || status >= MESSAGE_COUNT) {
+        put(t, "status %lld without a message", (long long)status);
+        return;
+    }
+    for (const Part *p = MESSAGES[status]; p->text; p++) {
+        put(t, "%s", p->text);
+        if (p->kind == 't')
+            put_number(t, time, p->format, 17);
+        else if (p->kind && !p->count)
+            put_word(t, I->record[p->first], p, 17);
+        else if (p->kind) {
+            for (uint32_t i = 0; i < p->count; i++) {
+                put(t, i ? " " : "[");
+                put_word(t, I->record[p->first + i], p, 8);
+            }
+            put(t, "]");
+        }
+    }
+}
+
+/* `q[1]`, `stiffness[3,1]` */
+static void put_name(Text *t, const Variable *V, uint32_t word) {
+    uint32_t left = V->count, at = word - V->first;
+    put(t, "%s", V->name);
+    for (int i = 0; i < 4 && V->shape[i]; i++) {
+        left /= V->shape[i];
+        put(t, "%s%u", i ? "," : "[", at / left % V->shape[i] + 1);
+    }
+    put(t, V->shape[0] ? "]" : "");
+}
+
+static int report(const Instance *I, const Text *t) {
+    if (I->logger3)
+        I->logger3(I->environment, ERROR, "logStatusError", t->text);
+    if (I->logger2) {  /* the importer treats the text as a format */
+        Text format = {.length = 0};
+        for (const char *c = t->text; *c; c++)
+            put(&format, *c == '%' ? "%%%%" : "%c", *c);
+        I->logger2(I->environment, I->name, ERROR, "logStatusError", format.text);
+    }
+    return ERROR;
+}
+
+static Text begin(const Instance *I) {
+    Text t = {.length = 0};
+    put(&t, "%s: ", I->name);
+    return t;
+}
+
+#define FAIL(I, ...) do { Text text_ = begin(I); put(&text_, __VA_ARGS__); return report(I, &text_); } while (0)
+#define TRY(CALL) do { int status_ = (CALL); if (status_ > WARNING) return status_; } while (0)
+
+/* Tables */
+
+static FILE *open_file(const char *path) {
+#ifdef _WIN32
+    wchar_t wide[4096];
+    return MultiByteToWideChar(CP_UTF8, 0, path, -1, wide, 4096) ? _wfopen(wide, L"rb") : NULL;
+#else
+    return fopen(path, "rb");
+#endif
+}
+
+static void fill_table(Instance *I, const Table *T, const double *rows, uint64_t count) {
+    size_t used = (size_t)count * T->columns, before = (size_t)I->record[T->reference].integer * T->columns;
+    if (used)
+        memcpy(&I->record[T->first], rows, used * sizeof(double));
+    if (before > used)
+        memset(&I->record[T->first + used], 0, (before - used) * sizeof(double));
+    I->record[T->reference].integer = (int64_t)count;
+}
+
+/* Reads a .npy file (NumPy format 1 to 3) of float64 rows in C order. NULL and `why` if it does not fit. */
+static double *read_npy(FILE *file, const Table *T, uint64_t *count, Text *why) {
+    unsigned char head[12];
+    char header[1024];
+    if (fread(head, 1, 10, file) != 10 || memcmp(head, "\x93NUMPY", 6) || head[6] < 1 || head[6] > 3)
+        return put(why, "is not a .npy file"), NULL;
+    size_t length = head[8] | (size_t)head[9] << 8;
+    if (head[6] > 1) {
+        if (fread(head + 10, 1, 2, file) != 2)
+            return put(why, "ends within its header"), NULL;
+        length |= (size_t)head[10] << 16 | (size_t)head[11] << 24;
+    }
+    if (length >= sizeof header || fread(header, 1, length, file) != length)
+        return put(why, "has a header that is too long or incomplete"), NULL;
+    header[length] = 0;
+    if (!strstr(header, "'descr': '<f8'") || !strstr(header, "'fortran_order': False"))
+        return put(why, "expected float64 numbers in C order (descr '<f8', fortran_order False), found %s", header), NULL;
+    const char *shape = strstr(header, "'shape': (");
+    char *end = NULL;
+    unsigned long long rows = shape ? strtoull(shape + 10, &end, 10) : 0;
+    unsigned long long columns = end && *end == ',' ? strtoull(end + 1, &end, 10) : 0;
+    if (!end || *end != ')' || columns != T->columns || rows > T->capacity) {
+        int shown = shape && strchr(shape, ')') ? (int)(strchr(shape, ')') - shape) - 8 : 0;
+        put(why, "has shape %.*s, expected at most %u rows of %u columns", shown, shown ? shape + 9 : "", T->capacity, T->columns);
+        return NULL;
+    }
+    size_t n = (size_t)rows * T->columns;
+    double *values = malloc((n + 1) * sizeof(double));
+    if (!values || fread(values, sizeof(double), n, file) != n)
+        return put(why, values ? "ends before its last row" : "needs more memory than there is"), free(values), NULL;
+    for (size_t i = 0; i < n; i++)
+        if (!isfinite(values[i]))
+            return put(why, "holds values that are not finite"), free(values), NULL;
+    *count = rows;
+    return values;
+}
+
+static int load_table(Instance *I, uint32_t index, const char *path) {
+    const Table *T = &TABLES[index];
+    if (I->running)
+        FAIL(I, "table %s is fixed: it can be set before the first step only", T->name);
+    Text why = {.length = 0};
+    char *kept = malloc(strlen(path) + 1);
+    FILE *file = *path ? open_file(path) : NULL;
+    uint64_t count = T->count;
+    double *values = NULL;
+    if (!kept)
+        put(&why, "needs more memory than there is");
+    else if (*path && !file)
+        put(&why, "the file does not exist or cannot be read");
+    else if (file)
+        values = read_npy(file, T, &count, &why);
+    if (file)
+        fclose(file);
+    if (why.length) {
+        free(kept);
+        FAIL(I, "table %s from '%s': %s", T->name, path, why.text);
+    }
+    fill_table(I, T, values ? values : T->rows, count);
+    free(values);
+    free(I->paths[index]);
+    I->paths[index] = strcpy(kept, path);
+    I->stale = true;
+    return OK;
+}
+
+/* Running */
+
+static int check_outputs(Instance *I, const char *when, double time) {
+    const Word *w = &I->record[FIRST_REAL_OUTPUT];
+    double sum = 0.0;
+    for (uint32_t i = 0; i < REAL_OUTPUTS; i++)
+        sum += 0.0 * w[i].real;
+    if (sum == 0.0)
+        return OK;
+    uint32_t i = 0;
+    while (isfinite(w[i].real))
+        i++;
+    I->failure = begin(I);
+    put(&I->failure, "output ");
+    put_name(&I->failure, &VARIABLES[OWNER[FIRST_REAL_OUTPUT + i]], FIRST_REAL_OUTPUT + i);
+    put(&I->failure, " is ");
+    put_number(&I->failure, w[i].real, "", 17);
+    put(&I->failure, when, time);
+    return report(I, &I->failure);
+}
+
+/* What follows from the result of a model function: OK, or an error with its text in I->failure. */
+static int outcome(Instance *I, int32_t raised, int64_t status, double time, const char *doing, double t, double h) {
+    if (!raised && !status)
+        return OK;
+    I->failure.length = 0;
+    if (raised) {
+        put(&I->failure, "%s: IndexError %s", I->name, doing[1] == 'd' ? "during initialisation" : "in the step from t = ");
+        if (doing[1] != 'd') {
+            put_number(&I->failure, t, "%.9g", 17);
+            put(&I->failure, " s");
+        }
+        put(&I->failure, ": index is out of bounds");
+        return report(I, &I->failure);
+    }
+    put(&I->failure, strcmp(I->name, MODEL_NAME) ? "%s (%s): " : "%s: ", I->name, MODEL_NAME);
+    put_message(&I->failure, I, status, time);
+    put(&I->failure, doing, t, h);
+    return report(I, &I->failure);
+}
+
+static int initialise(Instance *I) {
+    int64_t status = 0;
+    void *exception = NULL;
+    int32_t raised = model_init(&status, &exception, I->record);
+    TRY(outcome(I, raised, status, 0.0, " (during initialisation)", 0.0, 0.0));
+    TRY(check_outputs(I, " after initialisation", 0.0));
+    I->stale = false;
+    return OK;
+}
+
+static int exit_initialisation(Instance *I) {
+    if (I->stale)
+        TRY(initialise(I));
+    I->running = true;
+    return OK;
+}
+
+static int step(Instance *I, double t, double h) {
+    if (!I->running)
+        FAIL(I, "a step before the end of initialisation");
+    if (I->failed)
+        FAIL(I, "cannot go on after an error; reset it or restore a state. The error was: %s", I->failure.text);
+    if (!(h > 0.0) || !isfinite(h) || !isfinite(t))
+        FAIL(I, "step from t = %.9g s of h = %.9g s: expected a finite time and a positive step", t, h);
+    int64_t status = 0;
+    void *exception = NULL;
+    I->failed = true;
+    int32_t raised = model_step(&status, &exception, I->record, t, h);
+    TRY(outcome(I, raised, status, t, " (step from t = %.9g s, h = %.9g s)", t, h));
+    TRY(check_outputs(I, " at t = %.9g s", t + h));
+    I->failed = false;
+    return OK;
+}
+
+static int reset(Instance *I) {
+    memset(I->record, 0, WORDS * sizeof(Word));
+    memcpy(I->record, START, START_WORDS * sizeof(Word));
+    I->running = I->failed = false;
+    I->stale = true;
+    for (uint32_t i = 0; i < TABLE_COUNT; i++)
+        TRY(load_table(I, i, ""));
+    return OK;
+}
+
+static void destroy(Instance *I) {
+    if (!I)
+        return;
+    for (uint32_t i = 0; I->paths && i < TABLE_COUNT; i++)
+        free(I->paths[i]);
+    free(I->paths);
+    free(I->record);
+    free(I->name);
+    free(I);
+}
+
+static Instance *create(const char *name, const char *token, Logger2 *logger2, Logger3 *logger3, void *environment) {
+    Instance nobody = {.name = (char *)(name && *name ? name : MODEL_NAME), .logger2 = logger2, .logger3 = logger3, .environment = environment};
+    Text t = begin(&nobody);
+    if (!token || strcmp(token, TOKEN)) {
+        put(&t, "the instantiation token (GUID) is '%s', expected '%s': model description and library belong to different FMUs", token ? token : "", TOKEN);
+        return report(&nobody, &t), NULL;
+    }
+    Instance *I = malloc(sizeof *I);
+    if (I) {
+        *I = nobody;
+        I->record = malloc(WORDS * sizeof(Word));
+        I->paths = calloc(TABLE_COUNT + 1, sizeof *I->paths);
+        I->name = malloc(strlen(nobody.name) + 1);
+        if (I->record && I->paths && I->name && reset(I) == OK)
+            return strcpy(I->name, nobody.name), I;
+        destroy(I);
+    }
+    put(&t, "needs %u bytes of memory, which are not there", WORDS * (unsigned)sizeof(Word));
+    return report(&nobody, &t), NULL;
+}
+
+/* Values */
+
+static const char *const KINDS[] = {"real", "integer", "boolean", "string"};
+
+static int no_variable(const Instance *I, uint32_t reference, const char *is, int found, int kind) {
+    if (found < 0)
+        FAIL(I, "value reference %u does not exist; expected a %s", reference, KINDS[kind]);
+    FAIL(I, "value reference %u is %s, a %s; expected a %s", reference, is, KINDS[found], KINDS[kind]);
+}
+
+/* The variable that a value reference belongs to; NULL after a report. `whole`: only that of its first element counts (FMI 3.0). */
+static const Variable *find(const Instance *I, uint32_t reference, int kind, bool whole) {
+    const Variable *V = reference < OWNED ? &VARIABLES[OWNER[reference]] : NULL;
+    if (V && V->kind == kind && (!whole || V->first == reference))
+        return V;
+    if (V && !(whole && V->first != reference))
+        no_variable(I, reference, V->name, V->kind, kind);
+    else
+        no_variable(I, reference, "", -1, kind);
+    return NULL;
+}
+
+static int find_table(const Instance *I, uint32_t reference, uint32_t *index) {
+    for (*index = 0; *index < TABLE_COUNT; ++*index)
+        if (TABLES[*index].reference == reference)
+            return OK;
+    const Variable *V = reference < OWNED ? &VARIABLES[OWNER[reference]] : NULL;
+    return no_variable(I, reference, V ? V->name : "", V ? V->kind : -1, STRING);
+}
+
+/* Outputs read during initialisation follow the inputs and parameters set so far. */
+static int refresh(Instance *I, const uint32_t references[], size_t n) {
+    if (I->stale && !I->running)
+        for (size_t i = 0; i < n; i++)
+            if (references[i] < OWNED && VARIABLES[OWNER[references[i]]].causality == OUTPUT)
+                return initialise(I);
+    return OK;
+}
+
+static int refuse(const Instance *I, const Variable *V, uint32_t word, Word value, const char *what, double bound) {
+    static const char *const causalities[] = {"input", "output", "parameter"};
+    Part shown = {.kind = V->kind == REAL ? 'r' : 'i', .format = ""};
+    Text t = begin(I);
+    put(&t, "%s ", causalities[V->causality]);
+    put_name(&t, V, word);
+    put(&t, " = ");
+    put_word(&t, value, &shown, 17);
+    put(&t, "%s", V->unit);
+    put(&t, what, bound, V->unit);
+    return report(I, &t);
+}
+
+static int set(Instance *I, const Variable *V, uint32_t word, Word value) {
+    double number = V->kind == REAL ? value.real : (double)value.integer;
+    if (V->causality != INPUT) {
+        bool output = V->causality == OUTPUT;
+        if (output || (I->running && V->fixed)) {
+            Text t = begin(I);
+            put(&t, output ? "" : "parameter ");
+            put_name(&t, V, word);
+            put(&t, output ? " is an output and cannot be set" : " is fixed: it can be set before the first step only");
+            return report(I, &t);
+        }
+    }
+    if (!isfinite(number))
+        return refuse(I, V, word, value, " is not a finite number", 0.0);
+    if (number < V->minimum)
+        return refuse(I, V, word, value, " is below its minimum %.9g%s", V->minimum);
+    if (number > V->maximum)
+        return refuse(I, V, word, value, " is above its maximum %.9g%s", V->maximum);
+    I->record[word] = value;
+    I->stale = true;
+    return OK;
+}
+
+/* State */
+
+static int get_state(Instance *I, State **state) {
+    uint64_t size = sizeof(State) + TABLES_AT * sizeof(Word) + I->failure.length + 1;
+    for (uint32_t i = 0; i < TABLE_COUNT; i++)
+        size += sizeof(Word) + (uint64_t)I->record[TABLES[i].reference].integer * TABLES[i].columns * sizeof(Word) + strlen(I->paths[i]) + 1;
+    if (!*state || (*state)->size != size) {
+        State *larger = realloc(*state, size);
+        if (!larger)
+            FAIL(I, "a state needs %llu bytes of memory, which are not there", (unsigned long long)size);
+        *state = larger;
+    }
+    State *S = *state;
+    *S = (State){.size = size, .stale = I->stale, .running = I->running, .failed = I->failed};
+    memcpy(S->token, TOKEN, strlen(TOKEN));
+    char *at = memcpy(S + 1, I->record, TABLES_AT * sizeof(Word));
+    at += TABLES_AT * sizeof(Word);
+    for (uint32_t i = 0; i < TABLE_COUNT; i++) {
+        size_t rows = (size_t)I->record[TABLES[i].reference].integer * TABLES[i].columns * sizeof(Word);
+        memcpy(at, &I->record[TABLES[i].reference], sizeof(Word));
+        memcpy(at + sizeof(Word), &I->record[TABLES[i].first], rows);
+        at += sizeof(Word) + rows;
+    }
+    for (uint32_t i = 0; i < TABLE_COUNT; at += strlen(at) + 1, i++)
+        strcpy(at, I->paths[i]);
+    memcpy(at, I->failure.text, I->failure.length + 1);
+    return OK;
+}
+
+static int set_state(Instance *I, const State *S) {
+    if (!S)
+        FAIL(I, "no state to restore");
+    const char *at = (const char *)(S + 1) + TABLES_AT * sizeof(Word);
+    memcpy(I->record, S + 1, TABLES_AT * sizeof(Word));
+    for (uint32_t i = 0; i < TABLE_COUNT; i++) {
+        Word rows;
+        memcpy(&rows, at, sizeof rows);
+        fill_table(I, &TABLES[i], (const double *)(at + sizeof rows), (uint64_t)rows.integer);
+        at += sizeof rows + (size_t)rows.integer * TABLES[i].columns * sizeof(Word);
+    }
+    for (uint32_t i = 0; i < TABLE_COUNT; at += strlen(at) + 1, i++)
+        if (strcmp(at, I->paths[i])) {
+            char *path = realloc(I->paths[i], strlen(at) + 1);
+            if (!path)
+                FAIL(I, "out of memory");
+            I->paths[i] = strcpy(path, at);
+        }
+    I->stale = S->stale;
+    I->running = S->running;
+    I->failed = S->failed;
+    I->failure.length = 0;
+    put(&I->failure, "%s", at);
+    return OK;
+}
+
+static int free_state(State **state) {
+    if (state) {
+        free(*state);
+        *state = NULL;
+    }
+    return OK;
+}
+
+static int serialise(const Instance *I, const State *S, void *bytes, size_t size) {
+    if (!S || size < S->size)
+        FAIL(I, "a buffer of %llu bytes is too small for a state", (unsigned long long)size);
+    memcpy(bytes, S, S->size);
+    return OK;
+}
+
+/* Whether the bytes are a state of this FMU, down to the last one. */
+static bool sound(const char *bytes, uint64_t size) {
+    State head;
+    if (size < sizeof head + TABLES_AT * sizeof(Word))
+        return false;
+    memcpy(&head, bytes, sizeof head);
+    if (head.size > size || strncmp(head.token, TOKEN, sizeof head.token))
+        return false;
+    uint64_t at = sizeof head + TABLES_AT * sizeof(Word);
+    for (uint32_t i = 0; i < TABLE_COUNT; i++) {
+        int64_t rows;
+        if (head.size - at < sizeof rows)
+            return false;
+        memcpy(&rows, bytes + at, sizeof rows);
+        at += sizeof rows;
+        if (rows < 0 || rows > TABLES[i].capacity || (head.size - at) / sizeof(Word) < (uint64_t)rows * TABLES[i].columns)
+            return false;
+        at += (uint64_t)rows * TABLES[i].columns * sizeof(Word);
+    }
+    for (uint32_t i = 0; i <= TABLE_COUNT; i++) {
+        const char *end = at < head.size ? memchr(bytes + at, 0, head.size - at) : NULL;
+        if (!end)
+            return false;
+        at = (uint64_t)(end - bytes) + 1;
+    }
+    return at == head.size;
+}
+
+static int deserialise(const Instance *I, const void *bytes, size_t size, State **state) {
+    if (!sound(bytes, size))
+        FAIL(I, "the %llu bytes are not a state of this FMU (%s)", (unsigned long long)size, TOKEN);
+    uint64_t used;
+    memcpy(&used, (const char *)bytes + offsetof(State, size), sizeof used);
+    State *S = malloc(used);
+    if (!S)
+        FAIL(I, "a state needs %llu bytes of memory, which are not there", (unsigned long long)used);
+    *state = memcpy(S, bytes, used);
+    return OK;
+}
+
+/* The FMI 2.0 face */
+
+EXPORT const char *fmi2GetTypesPlatform(void) { return "default"; }
+EXPORT const char *fmi2GetVersion(void) { return "2.0"; }
+
+EXPORT Instance *fmi2Instantiate(const char *name, int type, const char *guid, const char *where, const Callbacks2 *callbacks, int visible, int logging) {
+    (void)where, (void)visible, (void)logging;
+    if (type != 1) {
+        callbacks->logger(callbacks->environment, name, ERROR, "logStatusError", "%s: this FMU is for co-simulation", name);
+        return NULL;
+    }
+    return create(name, guid, callbacks->logger, NULL, callbacks->environment);
+}
+EXPORT void fmi2FreeInstance(Instance *I) { destroy(I); }
+EXPORT int fmi2SetDebugLogging(Instance *I, int on, size_t n, const char *const categories[]) {
+    return (void)I, (void)on, (void)n, (void)categories, OK;  /* only errors are logged, and always */
+}
+EXPORT int fmi2SetupExperiment(Instance *I, int defined, double tolerance, double start, int stop_defined, double stop) {
+    return (void)I, (void)defined, (void)tolerance, (void)start, (void)stop_defined, (void)stop, OK;
+}
+EXPORT int fmi2EnterInitializationMode(Instance *I) { return (void)I, OK; }
+EXPORT int fmi2ExitInitializationMode(Instance *I) { return exit_initialisation(I); }
+EXPORT int fmi2Terminate(Instance *I) { return (void)I, OK; }
+EXPORT int fmi2Reset(Instance *I) { return reset(I); }
+EXPORT int fmi2DoStep(Instance *I, double t, double h, int no_set_state) { return (void)no_set_state, step(I, t, h); }
+
+#define ACCESS2(NAME, TYPE, KIND, FIELD, STORED) \
+    EXPORT int fmi2Get##NAME(Instance *I, const uint32_t references[], size_t n, TYPE values[]) { \
+        TRY(refresh(I, references, n)); \
+        for (size_t i = 0; i < n; i++) { \
+            if (!find(I, references[i], KIND, false)) \
+                return ERROR; \
+            values[i] = (TYPE)I->record[references[i]].FIELD; \
+        } \
+        return OK; \
+    } \
+    EXPORT int fmi2Set##NAME(Instance *I, const uint32_t references[], size_t n, const TYPE values[]) { \
+        for (size_t i = 0; i < n; i++) { \
+            const Variable *V = find(I, references[i], KIND, false); \
+            if (!V) \
+                return ERROR; \
+            TYPE value = values[i]; \
+            TRY(set(I, V, references[i], (Word){.FIELD = STORED})); \
+        } \
+        return OK; \
+    }
+ACCESS2(Real, double, REAL, real, value)
+ACCESS2(Integer, int, INTEGER, integer, value)
+ACCESS2(Boolean, int, BOOLEAN, integer, value != 0)
+
+EXPORT int fmi2GetString(Instance *I, const uint32_t references[], size_t n, const char *values[]) {
+    for (size_t i = 0; i < n; i++) {
+        uint32_t index;
+        TRY(find_table(I, references[i], &index));
+        values[i] = I->paths[index];
+    }
+    return OK;
+}
+EXPORT int fmi2SetString(Instance *I, const uint32_t references[], size_t n, const char *const values[]) {
+    for (size_t i = 0; i < n; i++) {
+        uint32_t index;
+        TRY(find_table(I, references[i], &index));
+        TRY(load_table(I, index, values[i] ? values[i] : ""));
+    }
+    return OK;
+}
+
+#define STATES(GET, SET, FREE, SIZE, SERIALISE, DESERIALISE) \
+    EXPORT int GET(Instance *I, State **state) { return get_state(I, state); } \
+    EXPORT int SET(Instance *I, const State *state) { return set_state(I, state); } \
+    EXPORT int FREE(Instance *I, State **state) { return (void)I, free_state(state); } \
+    EXPORT int SIZE(Instance *I, const State *state, size_t *size) { return (void)I, *size = (size_t)state->size, OK; } \
+    EXPORT int SERIALISE(Instance *I, const State *state, void *bytes, size_t size) { return serialise(I, state, bytes, size); } \
+    EXPORT int DESERIALISE(Instance *I, const void *bytes, size_t size, State **state) { return deserialise(I, bytes, size, state); }
+STATES(fmi2GetFMUstate, fmi2SetFMUstate, fmi2FreeFMUstate, fmi2SerializedFMUstateSize, fmi2SerializeFMUstate, fmi2DeSerializeFMUstate)
+STATES(fmi3GetFMUState, fmi3SetFMUState, fmi3FreeFMUState, fmi3SerializedFMUStateSize, fmi3SerializeFMUState, fmi3DeserializeFMUState)
+
+/* Functions that must be there and that the model description says are not provided. Their further arguments are not looked at. */
+#define MISSING(NAME) EXPORT int NAME(Instance *I) { FAIL(I, #NAME " is not provided: no derivatives, events, clocks or asynchronous steps"); }
+MISSING(fmi2GetDirectionalDerivative) MISSING(fmi2SetRealInputDerivatives) MISSING(fmi2GetRealOutputDerivatives) MISSING(fmi2CancelStep)
+MISSING(fmi2GetStatus) MISSING(fmi2GetRealStatus) MISSING(fmi2GetIntegerStatus) MISSING(fmi2GetBooleanStatus) MISSING(fmi2GetStringStatus)
+
+/* The FMI 3.0 face */
+
+EXPORT const char *fmi3GetVersion(void) { return "3.0"; }
+
+EXPORT Instance *fmi3InstantiateCoSimulation(
+    const char *name, const char *token, const char *where, bool visible, bool logging, bool events, bool early_return,
+    const uint32_t intermediate[], size_t n, void *environment, Logger3 *logger, void *update) {
+    (void)where, (void)visible, (void)logging, (void)events, (void)early_return, (void)intermediate, (void)n, (void)update;
+    return create(name, token, NULL, logger, environment);
+}
+EXPORT Instance *fmi3InstantiateModelExchange(void) { return NULL; }
+EXPORT Instance *fmi3InstantiateScheduledExecution(void) { return NULL; }
+EXPORT void fmi3FreeInstance(Instance *I) { destroy(I); }
+EXPORT int fmi3SetDebugLogging(Instance *I, bool on, size_t n, const char *const categories[]) {
+    return (void)I, (void)on, (void)n, (void)categories, OK;
+}
+EXPORT int fmi3EnterInitializationMode(Instance *I, bool defined, double tolerance, double start, bool stop_defined, double stop) {
+    return (void)I, (void)defined, (void)tolerance, (void)start, (void)stop_defined, (void)stop, OK;
+}
+EXPORT int fmi3ExitInitializationMode(Instance *I) { return exit_initialisation(I); }
+EXPORT int fmi3Terminate(Instance *I) { return (void)I, OK; }
+EXPORT int fmi3Reset(Instance *I) { return reset(I); }
+EXPORT int fmi3DoStep(Instance *I, double t, double h, bool no_set_state, bool *event, bool *terminate, bool *early, double *reached) {
+    (void)no_set_state;
+    *event = *terminate = *early = false;
+    *reached = t;
+    TRY(step(I, t, h));
+    *reached = t + h;
+    return OK;
+}
+
+static int wrong_count(const Instance *I, size_t found, size_t expected) {
+    FAIL(I, "the variables have %llu values or more, found room for %llu", (unsigned long long)expected, (unsigned long long)found);
+}
+
+#define ACCESS3(NAME, TYPE, KIND, FIELD) \
+    EXPORT int fmi3Get##NAME(Instance *I, const uint32_t references[], size_t n, TYPE values[], size_t room) { \
+        size_t at = 0; \
+        TRY(refresh(I, references, n)); \
+        for (size_t i = 0; i < n; i++) { \
+            const Variable *V = find(I, references[i], KIND, true); \
+            if (!V) \
+                return ERROR; \
+            if (V->count > room - at) \
+                return wrong_count(I, room, at + V->count); \
+            for (uint32_t k = 0; k < V->count; k++) \
+                values[at++] = (TYPE)I->record[V->first + k].FIELD; \
+        } \
+        return at == room ? OK : wrong_count(I, room, at); \
+    } \
+    EXPORT int fmi3Set##NAME(Instance *I, const uint32_t references[], size_t n, const TYPE values[], size_t room) { \
+        size_t at = 0; \
+        for (size_t i = 0; i < n; i++) { \
+            const Variable *V = find(I, references[i], KIND, true); \
+            if (!V) \
+                return ERROR; \
+            if (V->count > room - at) \
+                return wrong_count(I, room, at + V->count); \
+            for (uint32_t k = 0; k < V->count; k++) \
+                TRY(set(I, V, V->first + k, (Word){.FIELD = values[at++]})); \
+        } \
+        return at == room ? OK : wrong_count(I, room, at); \
+    }
+ACCESS3(Float64, double, REAL, real)
+ACCESS3(Int64, int64_t, INTEGER, integer)
+ACCESS3(Boolean, bool, BOOLEAN, integer)
+
+EXPORT int fmi3GetString(Instance *I, const uint32_t references[], size_t n, const char *values[], size_t room) {
+    return n == room ? fmi2GetString(I, references, n, values) : wrong_count(I, room, n);
+}
+EXPORT int fmi3SetString(Instance *I, const uint32_t references[], size_t n, const char *const values[], size_t room) {
+    return n == room ? fmi2SetString(I, references, n, values) : wrong_count(I, room, n);
+}
+
+#define NO_ACCESS(NAME) MISSING(fmi3Get##NAME) MISSING(fmi3Set##NAME)
+NO_ACCESS(Float32) NO_ACCESS(Int8) NO_ACCESS(UInt8) NO_ACCESS(Int16) NO_ACCESS(UInt16) NO_ACCESS(Int32) NO_ACCESS(UInt32) NO_ACCESS(UInt64)
+NO_ACCESS(Binary) NO_ACCESS(Clock) NO_ACCESS(IntervalDecimal) NO_ACCESS(IntervalFraction) NO_ACCESS(ShiftDecimal) NO_ACCESS(ShiftFraction)
+MISSING(fmi3GetNumberOfVariableDependencies) MISSING(fmi3GetVariableDependencies) MISSING(fmi3GetDirectionalDerivative)
+MISSING(fmi3GetAdjointDerivative) MISSING(fmi3GetOutputDerivatives) MISSING(fmi3EnterConfigurationMode) MISSING(fmi3ExitConfigurationMode)
+MISSING(fmi3EnterEventMode) MISSING(fmi3EnterStepMode) MISSING(fmi3EvaluateDiscreteStates) MISSING(fmi3UpdateDiscreteStates)
+MISSING(fmi3EnterContinuousTimeMode) MISSING(fmi3CompletedIntegratorStep) MISSING(fmi3SetTime) MISSING(fmi3SetContinuousStates)
+MISSING(fmi3GetContinuousStates) MISSING(fmi3GetContinuousStateDerivatives) MISSING(fmi3GetNominalsOfContinuousStates)
+MISSING(fmi3GetEventIndicators) MISSING(fmi3GetNumberOfEventIndicators) MISSING(fmi3GetNumberOfContinuousStates) MISSING(fmi3ActivateModelPartition)
