@@ -195,7 +195,7 @@ def exp(x: float) -> float:
 
 @kernel
 def _scale(y: float, k: int) -> float:
-    """y * 2**k by exact multiplications."""
+    """Return y * 2**k by exact multiplications."""
     factor = 2.0
     n = k
     if n < 0:

@@ -6,7 +6,8 @@ where the really swept volume ends (discs along the recorded path, exact between
 nominal floors its height is compared. Nothing is read off the dexels, so walls are not rounded to a cell. The same
 comparison was made in the paper with a structured-light scan (Haehn & Weigold 2020, Figs. 10-13).
 
-Deviation: along the outward normal of the nominal surface, positive where material is left, negative where it is gouged.
+Deviation: along the outward normal of the nominal surface, positive where material is left, negative where it is gouged;
+material left on a wall is the distance to the nearest real surface (floor and top included) across the path.
 Everything in frame P (origin at the centre of the block's top surface, z up), lengths in m. Plain numpy at the surface;
 the loops over points and path segments are compiled when Numba is there.
 """
@@ -37,6 +38,9 @@ _FAN = 72
 
 _SAME_PLACE = 1e-6
 """Positions nearer than this [m] to their predecessor say nothing about direction."""
+
+_ON_THE_WAY = 2e-4
+"""Less material than this [m] is not looked at for a nearer surface than the one along the normal."""
 
 _STEEPEST = 1.0
 """Nominal floors steeper than this (45 deg) are steps between passes, not ramps; their normal is taken as vertical."""
@@ -337,7 +341,26 @@ def _walls(
     end = np.zeros(len(points))
     _compiled(_ray_ends)(points, np.ascontiguousarray(outward), cut, own_radius, reach, np.zeros((max(len(cut), 1), 2)), end)
     normal = np.column_stack([-outward, np.zeros(len(points))])
-    return points, normal, -end, np.ones(len(points), dtype=np.bool_), at.time[index], at.length[index]
+    deviation = _nearest(points, outward, -end, cut, own_radius, reach)
+    return points, normal, deviation, np.ones(len(points), dtype=np.bool_), at.time[index], at.length[index]
+
+
+def _nearest(points: FloatArray, outward: FloatArray, left: FloatArray, cut: FloatArray, radius: float, reach: float) -> FloatArray:
+    """Material left on walls as the distance to the nearest real surface, which may be a floor or the top above the point.
+
+    `left` [m] is what stands along the normal. Where the tool did not come down to a point (a ramp that it was lifted
+    off), the next wall at that height can be far away though the floor is near.
+    """
+    result = left.copy()
+    for inward in np.linspace(0.0, reach, 17):
+        near = np.flatnonzero(result > max(inward, _ON_THE_WAY))
+        if len(near) == 0:
+            break
+        floor = np.zeros(len(near))
+        _compiled(_lowest)(np.ascontiguousarray(points[near, :2] - inward * outward[near]), cut, radius, floor)
+        above = np.maximum(np.minimum(floor, 0.0) - points[near, 2], 0.0)
+        result[near] = np.minimum(result[near], np.hypot(inward, above))
+    return result
 
 
 def _floors(

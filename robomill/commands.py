@@ -158,17 +158,11 @@ def _run_system(options: Namespace) -> int:
             progress=lambda done, total: report(system.name, done, total),
             overwrite=True,
         )
-    figures = {
-        "system": system.name,
-        "folder": str(folder),
-        "rows": len(result),
-        "end_s": float(result.t[-1]),
-        "columns": list(result.columns),
-    }
+    rows, end, columns = len(result), float(result.t[-1]), list(result.columns)
     if options.json:
-        print(json.dumps(figures))
+        print(json.dumps({"system": system.name, "folder": str(folder), "rows": rows, "end_s": end, "columns": columns}))
     else:
-        print(f"{system.name}: {figures['rows']} rows up to t = {figures['end_s']:.6g} s, {len(figures['columns'])} signals, in {folder}/")
+        print(f"{system.name}: {rows} rows up to t = {end:.6g} s, {len(columns)} signals, in {folder}/")
     return 0
 
 

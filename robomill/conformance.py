@@ -275,7 +275,7 @@ class _Instance:
                 (v.valueReference, x) for v, x in zip(variables, values, strict=True) if (v.type if v.type in _TYPES else "String") == kind
             ]
             if chosen:
-                as_c: Callable[[Any], Any] = {"Real": float, "String": lambda x: str(x).encode()}.get(kind, int)
+                as_c: Callable[[Any], Any] = float if kind == "Real" else _encoded if kind == "String" else int
                 references = (ctypes.c_uint * len(chosen))(*(r for r, _ in chosen))
                 self.call(f"fmi2Set{kind}", references, len(chosen), (c_type * len(chosen))(*(as_c(x) for _, x in chosen)))
 
@@ -330,6 +330,10 @@ class _Instance:
     def free(self) -> None:
         """Free it; its library stays loaded (FMPy would unload it under other instances)."""
         self.slave.fmi2FreeInstance(self.slave.component)
+
+
+def _encoded(text: Any) -> bytes:
+    return str(text).encode()
 
 
 def _same(fmu: _Fmu, what: str, expected: Sequence[Sequence[float]], found: Sequence[Sequence[float]], first: int = 0) -> None:

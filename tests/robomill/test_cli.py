@@ -1,0 +1,161 @@
+"""The command line as a user meets it: help, results on disk, and one clear error for every kind of bad input."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from orchestration.results import Run
+from robomill.cli import main
+from tests.robomill.conftest import SCENARIOS
+
+PROGRAM = "G21 G90 G17 G54\nT1 M6\nS13000 M3\nG0 X-20. Y0. Z2.\nG1 Z-5. F1500.\nX20.\nM30\n"
+
+
+@pytest.fixture()
+def cell(tmp_path, monkeypatch):
+    """A folder with a short scenario of one variant; the working directory."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "milling_cell.toml").write_text((SCENARIOS / "milling_cell.toml").read_text())
+    (tmp_path / "part.ngc").write_text(PROGRAM)
+    (tmp_path / "part.toml").write_text(
+        '[scenario]\nname = "part"\nkind = "milling"\nsystem = "milling_cell.toml"\nprogram = "part.ngc"\n'
+        '[workpiece]\nposition = [1.3, 0.0, 1.2]\nabc = ["180 deg", 0, 0]\nsize = ["10 mm", "60 mm", "30 mm"]\n'
+        "[variants.cartesian]\nparameters.controller.mode = 1\n"
+    )
+    return tmp_path
+
+
+def refused(capsys, *arguments: str) -> str:
+    assert main(arguments) == 2
+    return capsys.readouterr().err
+
+
+def edit(file: Path, old: str, new: str) -> None:
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+
+
+@pytest.mark.parametrize("command", ["run", "build", "check", "plan"])
+def test_every_command_has_help_with_an_example(command, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([command, "--help"])
+    assert stop.value.code == 0
+    assert f"Example: robomill {command}" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_run_leaves_recording_summary_and_pictures(cell, capsys):
+    assert main(["run", "part.toml", "--csv"]) == 0
+    assert "reaction" in capsys.readouterr().out
+    folder = cell / "results" / "part"
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["scenario"] == "part"
+    figures = summary["variants"]["cartesian"]
+    wanted = {
+        "max_deviation_m",
+        "max_deviation_location",
+        "rms_deviation_m",
+        "p95_deviation_m",
+        "peak_force_n",
+        "reaction_t50_s",
+        "real_time_factor",
+    }
+    assert wanted <= set(figures)
+    recorded = Run.load(folder / "cartesian")
+    assert recorded.outcome == "finished"
+    assert recorded.unit("milling.f_T_B") == "N"
+    assert (folder / "cartesian" / "signals.csv").is_file()
+    for picture in ("surfaces.png", "deviation.png", "cartesian/surface.png", "cartesian/force.png", "cartesian/projection.png"):
+        assert (folder / picture).stat().st_size > 10_000
+
+
+def test_json_and_nothing_else(cell, capsys):
+    assert main(["run", "part.toml", "--no-pictures", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["scenario"] == "part"
+
+
+class TestBadInput:
+    def test_malformed_program_names_the_line(self, cell, capsys):
+        edit(cell / "part.ngc", "X20.", "X2O.")
+        assert "part.ngc line 6" in refused(capsys, "run", "part.toml")
+
+    def test_unreachable_path_names_block_pose_and_what_to_do(self, cell, capsys):
+        edit(cell / "part.toml", "[1.3, 0.0, 1.2]", "[2.9, 0.0, 1.2]")
+        text = refused(capsys, "run", "part.toml")
+        assert "reach" in text
+        assert "path" in text
+
+    def test_unknown_port(self, cell, capsys):
+        edit(cell / "milling_cell.toml", 'to = "drive.q_ref"', 'to = "drive.q_reff"')
+        text = refused(capsys, "run", "part.toml")
+        assert "q_reff" in text
+        assert "did you mean 'q_ref'" in text
+
+    def test_unit_mismatch(self, cell, capsys):
+        edit(cell / "milling_cell.toml", 'to = "milling.v_BT_B"', 'to = "drive.correction_B"')
+        text = refused(capsys, "run", "part.toml")
+        assert "m/s" in text
+        assert "drive.correction_B" in text
+
+    def test_two_sources_for_one_port(self, cell, capsys):
+        extra = '\n[[connections]]\nfrom = "path.q_ref"\nto = "compliance.q_link"\n'
+        (cell / "milling_cell.toml").write_text((cell / "milling_cell.toml").read_text() + extra)
+        text = refused(capsys, "run", "part.toml")
+        assert "compliance.q_link" in text
+        assert "drive.q_link" in text
+        assert "path.q_ref" in text
+
+    def test_missing_and_broken_fmu(self, cell, capsys):
+        edit(cell / "milling_cell.toml", 'source = "robot_drive"', 'source = "gone.fmu"')
+        assert "gone.fmu" in refused(capsys, "run", "part.toml")
+        (cell / "gone.fmu").write_bytes(b"not a zip")
+        assert "gone.fmu" in refused(capsys, "run", "part.toml")
+
+    def test_unknown_parameter_and_value_out_of_bounds(self, cell, capsys):
+        edit(cell / "part.toml", "controller.mode = 1", "controller.mod = 1")
+        assert "did you mean 'mode'" in refused(capsys, "run", "part.toml")
+        edit(cell / "part.toml", "controller.mod = 1", "controller.mode = 7")
+        text = refused(capsys, "run", "part.toml")
+        assert "mode" in text
+        assert "maximum 2" in text
+
+    def test_missing_scenario_lists_what_is_there(self, cell, capsys):
+        assert "part.toml" in refused(capsys, "run", "nowhere.toml")
+
+    def test_unknown_variant(self, cell, capsys):
+        assert "variants: cartesian" in refused(capsys, "run", "part.toml", "--variant", "axis")
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_a_readable_recording(cell):
+    """A long program is stopped while it runs: exit status 130, one line, and the results so far."""
+    edit(cell / "part.ngc", "G1 Z-5.", "G4 P1200.\nG1 Z-5.")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "robomill", "run", "part.toml", "--no-pictures"],
+        cwd=cell,
+        env=dict(os.environ),
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    live = cell / "results" / "part" / "cartesian" / "signals.arrow"
+    deadline = time.monotonic() + 120
+    while not (live.is_file() and live.stat().st_size > 200_000):
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    text = process.communicate(timeout=60)[1]
+    assert process.returncode == 130
+    assert "interrupted at t =" in text
+    recorded = Run.load(live.parent)
+    assert recorded.outcome == "interrupted"
+    assert len(recorded) > 100

@@ -1,0 +1,138 @@
+"""Scenario files, the test part, the static loads, and the same numbers whatever the components are made of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmus.components import COMPONENTS
+from fmus.python.builder import build
+from models.surface import cut_height_map
+from models.validation_loads import validation_loads
+from orchestration.results import Run
+from robomill import milling
+from robomill.scenario import Scenario, ScenarioError, load_scenario
+from robomill.static_loads import run_static_loads
+from tests.robomill.conftest import SCENARIOS, Runs
+from tests.tolerances import EXACT, ROUNDOFF, physics
+
+
+def short(scenario: Scenario, folder: Path) -> Scenario:
+    """The groove, cut short: entry, 10 mm of slot, exit."""
+    program = folder / "short.ngc"
+    program.write_text("G21 G90 G17 G54\nT1 M6\nS13000 M3\nG0 X-20. Y0. Z2.\nG1 Z-11.7 F1500.\nX20.\nM30\n")
+    assert scenario.workpiece is not None
+    return replace(scenario, program=program, workpiece=replace(scenario.workpiece, size=(0.01, 0.06, 0.03)))
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("short")
+    return milling.prepare(short(load_scenario(SCENARIOS / "groove.toml"), folder), folder / "results")
+
+
+def assert_equal(a: Run, b: Run) -> None:
+    assert len(a) == len(b)
+    for name, values in a.columns.items():
+        rows = np.flatnonzero(values != b.columns[name])
+        assert len(rows) == EXACT, f"{name} differs from t = {a.t[rows[0]]} s on: {values[rows[0]]!r} and {b.columns[name][rows[0]]!r}"
+
+
+class TestSwapping:
+    """One line of the system file; the numbers stay (EXACT)."""
+
+    @pytest.mark.parametrize("component", ["path", "drive", "compliance", "milling", "sensor", "controller"])
+    def test_a_recording_in_place_of_a_component(self, job, component, tmp_path):
+        variant = job.scenario.variants[3]
+        usual, _ = milling.mill(job, variant)
+        system = job.system.with_source(component, f"replay:{job.folder / variant.name}")
+        swapped, _ = milling.mill(replace(job, system=system, folder=tmp_path), variant)
+        assert_equal(usual, swapped)
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("component", ["path", "drive", "compliance", "milling", "sensor", "controller"])
+    def test_a_python_fmu_in_place_of_a_component(self, job, component, tmp_path):
+        variant = job.scenario.variants[3]
+        usual, _ = milling.mill(job, variant)
+        fmu = build(COMPONENTS[job.system.component(component).source], tmp_path)
+        swapped, _ = milling.mill(replace(job, system=job.system.with_source(component, str(fmu)), folder=tmp_path), variant)
+        assert_equal(usual, swapped)
+
+    @pytest.mark.slow
+    def test_all_fmus_mill_the_whole_groove(self, runs: Runs, tmp_path):
+        for model in COMPONENTS.values():
+            build(model, tmp_path)
+        fmus = runs.results("groove", tmp_path)
+        for name, result in runs.results("groove").items():
+            assert_equal(result.run, fmus[name].run)
+
+    def test_the_same_scenario_again_gives_the_same_bits(self, job):
+        first, _ = milling.mill(job, job.scenario.variants[1])
+        again, _ = milling.mill(job, job.scenario.variants[1])
+        assert_equal(first, again)
+
+
+class TestTestPart:
+    """The main job: everything is cut, and the variants come in the order of the paper."""
+
+    @pytest.mark.slow
+    def test_variants_rank_as_in_the_paper(self, runs: Runs):
+        largest = {name: r.surface.max for name, r in runs.results("test_part").items()}
+        assert largest["uncompensated"] > largest["cartesian"] > largest["cartesian_pilot"]
+        assert largest["uncompensated"] == pytest.approx(1.4e-3, abs=physics(1.4e-3, relative=0.15))
+        assert largest["cartesian_pilot"] <= 0.22 * largest["uncompensated"]
+
+    @pytest.mark.slow
+    def test_as_much_material_goes_as_the_nominal_tool_would_take(self, runs: Runs):
+        """Deflection moves the cut but hardly changes its volume: the bound is the rms deviation over the area of the walls and floors."""
+        r = runs.results("test_part")["cartesian_pilot"]
+        removed = float(np.sum(r.run["milling.removal_rate"]) * 0.004)
+        nominal = cut_height_map(r.nominal, r.radius, (0.16, 0.10, 0.03), 2.5e-4)
+        cell = (nominal.x[1] - nominal.x[0]) * (nominal.y[1] - nominal.y[0])
+        volume = float(-nominal.height.sum() * cell)
+        assert removed == pytest.approx(volume, abs=physics(volume, relative=0.02))
+
+
+class TestStaticLoads:
+    """Paper 000, sec. 3.1: mean calculated displacement 1.72 mm (0.11 mm are 6 % of the measured mean)."""
+
+    def test_mean_of_the_sixty_cases(self):
+        summary, _ = run_static_loads(load_scenario(SCENARIOS / "static_loads.toml"))
+        assert summary["mean_displacement_m"] == pytest.approx(1.72e-3, abs=physics(0.0, absolute=0.005e-3))
+        assert len(summary["cases"]) == 60
+        assert summary["variants"]["cell"]["mean_displacement_m"] == pytest.approx(1.83e-3, abs=physics(0.0, absolute=0.14e-3))
+
+    def test_the_component_gives_what_the_model_gives(self):
+        _, magnitudes = run_static_loads(load_scenario(SCENARIOS / "static_loads.toml"))
+        assert magnitudes["calculated"] == pytest.approx(validation_loads().magnitude, rel=ROUNDOFF)
+
+
+class TestBadFiles:
+    """One clear error each."""
+
+    @pytest.mark.parametrize(
+        ("change", "text"),
+        [
+            (('kind = "milling"', 'kind = "drilling"'), "kind is 'drilling'; known kinds: milling, static_loads"),
+            (('system = "milling_cell.toml"', 'system = "cell.toml"'), "'cell.toml': no such file; beside the scenario are"),
+            (("[variants.axis]", "[variantes.axis]"), "unknown: variantes"),
+            (('"100 mm", "60 mm"', '"100 N", "60 mm"'), "100.0 N cannot be expressed in m"),
+            (('size = ["100 mm", ', "size = ["), "expected three quantities in m"),
+            (("[scenario]", "[scenario"), "not valid TOML"),
+            (('program = "groove.ngc"', ""), "a milling scenario needs a program"),
+        ],
+    )
+    def test_scenario_errors_name_file_and_remedy(self, change, text, tmp_path):
+        for name in ("milling_cell.toml", "groove.ngc"):
+            (tmp_path / name).write_text((SCENARIOS / name).read_text())
+        file = tmp_path / "bad.toml"
+        old, new = change
+        assert old in (SCENARIOS / "groove.toml").read_text()
+        file.write_text((SCENARIOS / "groove.toml").read_text().replace(old, new, 1))
+        with pytest.raises((ScenarioError, FileNotFoundError)) as caught:
+            load_scenario(file)
+        assert "bad.toml" in str(caught.value)
+        assert text in str(caught.value)
