@@ -28,6 +28,14 @@ class WiringError(OrchestrationError):
         super().__init__("\n".join(problems))
 
 
+class IterationError(OrchestrationError):
+    """A loop of components cannot be iterated or does not converge; `component` is the one to look at first."""
+
+    def __init__(self, message: str, component: str) -> None:
+        self.component = component
+        super().__init__(message)
+
+
 class ResultsError(OrchestrationError):
     """A folder with results cannot be read or written."""
 

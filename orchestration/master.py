@@ -16,8 +16,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from orchestration.errors import Interrupted, OrchestrationError, RunError, WiringError, describe, unknown
+from orchestration.acceleration import DEFAULT, Iteration
+from orchestration.errors import Interrupted, IterationError, OrchestrationError, RunError, WiringError, describe, unknown
 from orchestration.guard import Guard
+from orchestration.iteration import Iterated
 from orchestration.slave import FloatArray, Slave
 from orchestration.system import ALGORITHMS, TICK, ticks
 from orchestration.wiring import Wiring
@@ -50,7 +52,7 @@ class Master:
     """Steps configured slaves in lock step.
 
     `slaves` by component name; `step` the communication step [s]; `algorithm` as in
-    `system.ALGORITHMS`; `check_ranges` whether leaving a declared minimum or maximum ends the run
+    `system.ALGORITHMS` ("iterated" with settings `iteration`); `check_ranges` whether leaving a declared minimum or maximum ends the run
     (NaN and infinite values always do); `folder` is only named in messages.
     """
 
@@ -64,6 +66,7 @@ class Master:
         manipulators: Sequence[Manipulator] = (),
         check_ranges: bool = True,
         folder: Path | None = None,
+        iteration: Iteration = DEFAULT,
     ) -> None:
         if algorithm not in ALGORITHMS:
             raise ValueError(unknown("algorithm", algorithm, ALGORITHMS))
@@ -84,6 +87,10 @@ class Master:
         self._current = ""  # component being called, for messages
         self._advance = self._jacobi if algorithm == "jacobi" else self._gauss_seidel
         self._plan = [(name, s, self._gather[name], self._u[name], self._y[name]) for name, s in self._slaves.items()]
+        self._iterated: Iterated | None = None
+        if algorithm == "iterated":
+            self._iterated = Iterated(wiring, iteration, self._plan, self._bus, lambda name: setattr(self, "_current", name))
+            self._advance = self._iterated.advance
 
     @property
     def time(self) -> float:
@@ -134,7 +141,9 @@ class Master:
             for name, slave in self._slaves.items():
                 self._current = name
                 slave.initialise(start, stop, self._step_ticks / TICK)
-            for name, slave, _, u, y in self._plan:
+            if self._iterated is not None:
+                self._iterated.initialise()
+            for name, slave, _, u, y in self._plan if self._iterated is None else ():
                 self._current = name
                 if len(u):
                     np.take(self._bus, self.wiring.gather_first[name], out=u, mode="clip")
@@ -242,6 +251,8 @@ class Master:
 
     def _failure(self, error: Exception, when: str, cause: tuple[str, str] | None) -> RunError:
         """The one error that a run ends with when a slave raised `error`; `cause` is the guard's finding in the same step."""
+        if isinstance(error, IterationError):
+            return RunError(f"{when}: {error}", error.component, self.time, self.folder)
         text = f"component {self._current!r} failed {when}: {describe(error)}"
         if cause is not None:  # garbage in: the slave that failed may not be the one to look at
             text += f"\nBefore that, in the same step, component {cause[0]!r}: {cause[1]}"

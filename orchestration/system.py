@@ -4,7 +4,7 @@
 
     name = "groove"
     step = "4 ms"
-    algorithm = "gauss-seidel"          # or "jacobi"
+    algorithm = "gauss-seidel"          # or "jacobi", or "iterated" (settings in [iteration])
 
     [components.drive]
     source = "robot_drive"              # in process, or "dist/robot_drive.fmu", or "replay:runs/42"
@@ -33,11 +33,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from orchestration.acceleration import DEFAULT, Iteration
 from orchestration.errors import SystemFileError, unknown
 from orchestration.parameters import Convert, quantity, same_unit_only
 from orchestration.toml_text import find_line
 
-ALGORITHMS = ("jacobi", "gauss-seidel")
+ALGORITHMS = ("jacobi", "gauss-seidel", "iterated")
 TICK = 1_000_000_000
 """Ticks per second: time is counted in whole nanoseconds."""
 
@@ -54,10 +55,20 @@ _TOP = {
     "components": dict,
     "connections": list,
     "recording": dict,
+    "iteration": dict,
 }
 _COMPONENT = {"source": str, "parameters": dict, "isolate": bool, "time_limit": (int, float, str)}
 _CONNECTION = {"from": str, "to": str, "delayed": bool}
 _RECORDING = {"columns": list, "every": int, "csv": bool, "chunk": int, "checkpoint_every": int}
+_ITERATION = {
+    "method": str,
+    "tolerance": (int, float),
+    "max_iterations": int,
+    "relaxation": (int, float),
+    "depth": int,
+    "hold": str,
+    "unconverged": str,
+}
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
@@ -127,6 +138,8 @@ class System:
     """Whether an open input is an error."""
     check_ranges: bool = True
     """Whether an output outside its declared minimum and maximum ends the run."""
+    iteration: Iteration = DEFAULT
+    """How loops are iterated, with algorithm "iterated"."""
     file: Path | None = None
 
     def __post_init__(self) -> None:
@@ -253,6 +266,7 @@ class _Loader:
                 labels=MappingProxyType(table.get("labels", {})),
                 require_connected=table.get("require_connected", False),
                 check_ranges=table.get("check_ranges", True),
+                iteration=Iteration(**self.check(table.get("iteration", {}), _ITERATION, (), "iteration", "iteration")),
                 file=self.file,
             )
         except SystemFileError as error:

@@ -16,10 +16,18 @@ import numpy.typing as npt
 
 from orchestration.errors import WiringError, unknown
 from orchestration.graph import Element, Link, execution_order, feedthrough, find_loop
-from orchestration.slave import FloatArray, Port, arrays, base_name, inputs, outputs
+from orchestration.loops import Loop, lay_out, regroup
+from orchestration.slave import FloatArray, Port, PortData, arrays, base_name, inputs, outputs
 from orchestration.system import Connection, System
 
 Indices = npt.NDArray[np.intp]
+
+MASTER = "master"
+RECORD = (
+    PortData("iterations", "output", "integer", "1", description="rounds of the loop that took most of them in this step", dependencies=()),
+    PortData("residual", "output", "real", "1", description="largest relative change in the last round", dependencies=()),
+)
+"""What the master itself reports with the algorithm "iterated": the last two outputs of the bus."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +51,8 @@ class Wiring:
     any_delayed: bool
     """Whether the part with the last step's outputs is read at all."""
     warnings: tuple[str, ...]
+    loops: tuple[Loop, ...] = ()
+    """Cycles of components, with the algorithm "iterated"."""
 
     @property
     def n_outputs(self) -> int:
@@ -85,6 +95,8 @@ def wire(system: System, components: Mapping[str, Sequence[Port]]) -> Wiring:
     open_inputs = _open_inputs(components, taken)
     if system.require_connected:
         problems.extend(f"{system.where(None)}{text}; connect it, or set require_connected = false" for text in open_inputs)
+    if system.algorithm == "iterated" and MASTER in components:
+        problems.append(f"component name {MASTER!r} belongs to the columns of iterated coupling; choose another")
     if problems:
         raise WiringError(problems)
     through = feedthrough(components)
@@ -93,6 +105,9 @@ def wire(system: System, components: Mapping[str, Sequence[Port]]) -> Wiring:
     if loop:
         raise WiringError([system.where(None) + _loop_text(loop, pairs, list(components))])
     order = execution_order(through, links, list(components))
+    if system.algorithm == "iterated":
+        order, cycles = regroup(order, links)
+        return _layout(components, pairs, order, system.algorithm, open_inputs, [(c, links) for c in cycles])
     rank = {name: i for i, name in enumerate(order)}
     backward = [p for p in pairs if not p.delayed and rank[p.source[0]] >= rank[p.target[0]]]
     warnings = [*open_inputs, *(_backward_texts(backward) if system.algorithm == "gauss-seidel" else [])]
@@ -100,9 +115,15 @@ def wire(system: System, components: Mapping[str, Sequence[Port]]) -> Wiring:
 
 
 def _layout(
-    components: Mapping[str, Sequence[Port]], pairs: Sequence[_Pair], order: Sequence[str], algorithm: str, warnings: Sequence[str]
+    components: Mapping[str, Sequence[Port]],
+    pairs: Sequence[_Pair],
+    order: Sequence[str],
+    algorithm: str,
+    warnings: Sequence[str],
+    cycles: Sequence[tuple[Sequence[str], Sequence[Link]]] = (),
 ) -> Wiring:
-    outs = [(name, p) for name, ports in components.items() for p in outputs(ports)]
+    iterated = algorithm == "iterated"
+    outs = [(name, p) for name, ports in components.items() for p in outputs(ports)] + ([(MASTER, p) for p in RECORD] if iterated else [])
     ins = [(name, p) for name, ports in components.items() for p in inputs(ports)]
     n = len(outs)
     place = {(name, p.name): i for i, (name, p) in enumerate(outs)}
@@ -113,10 +134,11 @@ def _layout(
     for p in pairs:
         forward = rank[p.source[0]] < rank[p.target[0]]
         # With Jacobi, and backwards, the output on the bus is still that of the last step when it is read.
-        from_last = p.delayed and forward and algorithm == "gauss-seidel"
+        # Iterated, a component may run several times in a step, so what is delayed is always read from the copy.
+        from_last = p.delayed and (iterated or (forward and algorithm == "gauss-seidel"))
         any_delayed |= from_last
         run[p.target] = place[p.source] + (n if from_last else 0)
-        if forward and not p.delayed:
+        if (forward or iterated) and not p.delayed:
             first[p.target] = place[p.source]
     starts = np.concatenate([np.zeros(2 * n), [float(p.start or 0.0) for _, p in ins]])
     slices, begin = {}, 0
@@ -137,6 +159,7 @@ def _layout(
         start_values=starts,
         any_delayed=any_delayed,
         warnings=tuple(warnings),
+        loops=tuple(lay_out(cycle, links, components, place) for cycle, links in cycles),
     )
 
 
@@ -214,7 +237,7 @@ def _loop_text(loop: Sequence[Element], pairs: Sequence[_Pair], components: Sequ
     return (
         f"algebraic loop: {' -> '.join([*hops, hops[0]])}; Gauss-Seidel cannot resolve it: mark the connection {best} with delayed = true"
         + (f" (or one of {', '.join(others)})" if others else "")
-        + ", or use algorithm = 'jacobi'"
+        + ", or use algorithm = 'iterated' or 'jacobi'"
     )
 
 

@@ -116,7 +116,7 @@ class TestLoops:
             wired([DRIVE, CUT], "drive.p -> cut.p", "cut.f -> drive.q[1]")
         assert str(caught.value) == (
             "algebraic loop: drive.q -> drive.p -> cut.p -> cut.f -> drive.q; Gauss-Seidel cannot resolve it: mark the connection "
-            "cut.f -> drive.q[1] with delayed = true (or one of drive.p -> cut.p), or use algorithm = 'jacobi'"
+            "cut.f -> drive.q[1] with delayed = true (or one of drive.p -> cut.p), or use algorithm = 'iterated' or 'jacobi'"
         )
 
     def test_a_delayed_connection_breaks_it(self):

@@ -1,0 +1,254 @@
+"""Iterated coupling: the components of a loop step from the same state again and again until their signals agree.
+
+Per macro step and loop: save the states; round: all members step in order, each with the fresh outputs of those
+before it and the guess for those behind it; compare the outputs that go backwards with the guess; unless they
+agree, go back to the saved states and make another round with a better guess (`acceleration`).
+
+That stands on going back exactly. So before a member is set back for the first time, it is proved: save, step,
+go back, step must give the same outputs and the same state, bit by bit. Done in the first step, and again in the
+first step that needs a second round: there the signals are those of the loop at work. Who fails is refused.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from orchestration.acceleration import Iteration, accelerator
+from orchestration.errors import IterationError, describe
+from orchestration.loops import Loop
+from orchestration.slave import FloatArray, Slave
+from orchestration.wiring import Wiring
+
+Entry = tuple[str, Slave, npt.NDArray[np.intp], FloatArray, FloatArray]
+"""Of a component: name, slave, positions of its inputs on the bus, its input and its output buffer."""
+
+
+class Iterated:
+    """Steps all components of a master once, those of loops until they agree.
+
+    `plan` and `bus` are the master's own; `announce` is told the component that is about to be called.
+    The numbers of rounds and the residual (the largest over the loops) go to the last two outputs of the bus.
+    """
+
+    def __init__(
+        self, wiring: Wiring, settings: Iteration, plan: Sequence[Entry], bus: FloatArray, announce: Callable[[str], None]
+    ) -> None:
+        self._settings, self._bus, self._announce = settings, bus, announce
+        n = wiring.n_outputs
+        self._fresh, self._last = bus[:n], bus[n : 2 * n]
+        by_name = {entry[0]: entry for entry in plan}
+        started: set[str] = set()
+        self._stages: list[tuple[Loop | None, list[Entry]]] = []
+        for entry in plan:
+            loop = next((x for x in wiring.loops if entry[0] in x.members), None)
+            if entry[0] not in started:
+                members = loop.members if loop else (entry[0],)
+                self._stages.append((loop, [by_name[m] for m in members]))
+                started.update(members)
+        self._first_gather = wiring.gather_first
+        self._rounds = self._residual = 0.0
+
+    def initialise(self) -> None:
+        """Outputs at the start that satisfy all connections which are not delayed; the slaves are in initialisation.
+
+        Nothing has to be set back here: inputs can be set any number of times. Values at the start are not means.
+        """
+        self._proved: dict[int, set[str]] = {}
+        self._begin()
+        for loop, members in self._stages:
+
+            def evaluate(members: list[Entry] = members) -> None:
+                for name, slave, _, u, y in members:
+                    self._announce(name)
+                    if len(u):
+                        self._bus.take(self._first_gather[name], out=u, mode="clip")
+                        slave.set_inputs(u)
+                    slave.get_outputs(y)
+
+            if loop is None:
+                evaluate()
+            else:
+                self._fresh[loop.feedback] = loop.starts
+                self._solve(loop, evaluate, lambda: None, lambda: None)
+        self._fresh[-2:] = self._rounds, self._residual
+
+    def advance(self, t: float, h: float) -> None:
+        """One step of all components from `t` [s] to `t + h` [s]."""
+        self._last[:] = self._fresh
+        self._begin()
+        for number, (loop, members) in enumerate(self._stages):
+            if loop is None:
+                self._round(None, members, t, h)
+            else:
+                self._iterate(number, loop, members, t, h)
+        self._fresh[-2:] = self._rounds, self._residual
+
+    def _begin(self) -> None:
+        self._rounds = self._residual = 0.0
+
+    def _iterate(self, number: int, loop: Loop, members: list[Entry], t: float, h: float) -> None:
+        proved = self._proved.setdefault(number, set())
+        if not proved:
+            _leave_initialisation(members)
+        saved = [self._save(name, slave, loop) for name, slave, _, _, _ in members]
+        guess = self._fresh[loop.feedback]
+
+        def back() -> None:
+            for (name, slave, _, _, _), state in zip(members, saved, strict=True):
+                self._announce(name)
+                slave.set_state(state)
+
+        def prove(when: str) -> None:
+            if when not in proved:
+                proved.add(when)
+                back()
+                self._prove(loop, members, saved, t, h)
+                back()
+                self._fresh[loop.feedback] = guess
+
+        prove("first step")
+        self._solve(loop, lambda: self._round(loop, members, t, h), back, lambda: prove("first return"))
+
+    def _solve(self, loop: Loop, evaluate: Callable[[], None], back: Callable[[], None], first_return: Callable[[], None]) -> None:
+        """Make rounds until the unknowns of `loop` stay the same; what stands on the bus before is the first guess."""
+        settings, fresh, feedback = self._settings, self._fresh, loop.feedback
+        improve = accelerator(settings)
+        x = fresh[feedback]
+        scale = np.ones_like(x)
+        residual, worst = np.inf, 0
+        for rounds in range(1, settings.max_iterations + 1):
+            evaluate()
+            g = fresh[feedback]
+            if not np.isfinite(g).all():  # the guard will name it
+                residual = np.inf
+                break
+            r = g - x
+            sizes = _sizes(loop, x, g)
+            change = np.abs(r) / sizes
+            worst = int(np.argmax(change)) if len(change) else 0
+            residual = float(change[worst]) if len(change) else 0.0
+            if residual <= settings.tolerance:
+                break
+            if rounds < settings.max_iterations:
+                if rounds == 1:
+                    scale = sizes
+                    first_return()
+                x = improve.next(x / scale, r / scale) * scale
+                back()
+                fresh[feedback] = x
+        else:
+            if settings.unconverged == "error":
+                raise IterationError(_unconverged_text(loop, settings, residual, worst), loop.members[0])
+        self._rounds, self._residual = max(self._rounds, float(rounds)), max(self._residual, residual)
+
+    def _round(self, loop: Loop | None, members: Sequence[Entry], t: float, h: float) -> None:
+        for entry in members:
+            name, slave, _, _, y = entry
+            self._announce(name)
+            self._set_inputs(loop, entry)
+            slave.step(t, h)
+            slave.get_outputs(y)
+
+    def _set_inputs(self, loop: Loop | None, entry: Entry) -> None:
+        name, slave, gather, u, _ = entry
+        if len(u):
+            self._bus.take(gather, out=u, mode="clip")
+            if loop is not None and self._settings.hold == "mean":
+                at, sources = loop.inner[name]
+                followed = gather[at] == sources  # an input that is overridden just now is no mean
+                at = at[followed]
+                u[at] = 0.5 * (u[at] + self._last[sources[followed]])
+            slave.set_inputs(u)
+
+    def _save(self, name: str, slave: Slave, loop: Loop) -> Any:
+        self._announce(name)
+        try:
+            return slave.get_state()
+        except Exception as error:
+            raise IterationError(
+                f"component {name!r} is in the loop {loop} and cannot save its state, which iterating needs: {describe(error)}\n{_REMEDY}",
+                name,
+            ) from error
+
+    def _prove(self, loop: Loop, members: Sequence[Entry], saved: Sequence[Any], t: float, h: float) -> None:
+        """One round in which every member steps twice from its saved state; IterationError names the one that does not repeat itself."""
+        for entry, state in zip(members, saved, strict=True):
+            name, slave, _, u, y = entry
+            self._announce(name)
+            self._set_inputs(loop, entry)
+            slave.step(t, h)
+            slave.get_outputs(y)
+            first, reached = y.copy(), slave.get_state()
+            slave.set_state(state)
+            slave.set_inputs(u)
+            slave.step(t, h)
+            slave.get_outputs(y)
+            what = None
+            if first.tobytes() != y.tobytes():
+                what = f"other outputs (largest difference {np.max(np.abs(first - y)):.3g})"
+            elif not same(reached, slave.get_state()):
+                what = "the same outputs, but another state"
+            if what:
+                raise IterationError(
+                    f"component {name!r} is in the loop {loop} and cannot go back exactly, which iterating needs: "
+                    f"its step from t = {t:.9g} s, made again from the saved state, gave {what}: its saved state is incomplete\n{_REMEDY}",
+                    name,
+                )
+
+
+def _leave_initialisation(members: Sequence[Entry]) -> None:
+    """So that no state is saved in initialisation: many FMUs cannot go back there, their state does not say where they are."""
+    for _, slave, _, _, _ in members:
+        leave = getattr(slave, "leave_initialisation", None)
+        if leave is not None:
+            leave()
+
+
+_REMEDY = "Mark a connection of the loop with delayed = true, or use algorithm = 'gauss-seidel' or 'jacobi'"
+
+
+def _sizes(loop: Loop, x: FloatArray, g: FloatArray) -> FloatArray:
+    """What a change of each unknown is compared with: the largest element of its array, in the guess or after the round."""
+    sizes = np.zeros(int(loop.arrays.max(initial=-1)) + 1)
+    np.maximum.at(sizes, loop.arrays, np.maximum(np.abs(x), np.abs(g)))
+    sizes[sizes == 0.0] = 1.0
+    return sizes[loop.arrays]
+
+
+def _unconverged_text(loop: Loop, settings: Iteration, residual: float, worst: int) -> str:
+    others = {
+        "fixed-point": "method = 'aitken' or 'anderson', or a smaller relaxation",
+        "aitken": "method = 'anderson', or a smaller relaxation",
+        "anderson": "a smaller relaxation, or a greater depth",
+    }
+    return (
+        f"the loop {loop} did not converge in {settings.max_iterations} iterations: {loop.names[worst]} still changes by {residual:.3g} "
+        f"of the size of its array (tolerance {settings.tolerance:.3g}, method {settings.method!r}). "
+        f"Try {others[settings.method]}, more max_iterations, a smaller step, or unconverged = 'accept'"
+    )
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two saved states are equal bit by bit; what cannot be looked into (a pointer of an FMU) counts as equal."""
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        return (
+            isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes())
+        )
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, float):
+        return np.float64(a).tobytes() == np.float64(b).tobytes()
+    if isinstance(a, bytes | bytearray | str | int | None):
+        return bool(a == b)
+    if isinstance(a, tuple | list):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    if isinstance(a, dict):
+        return list(a) == list(b) and all(same(x, b[k]) for k, x in a.items())
+    if dataclasses.is_dataclass(a):
+        return all(same(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
+    return True
