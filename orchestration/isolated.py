@@ -94,7 +94,7 @@ class Server:
 def serve(handle: int) -> None:
     """Answer requests on the pipe `handle`, one after the other, until it closes or `close` is asked for."""
     threading.Thread(target=_end_with_the_other_process, daemon=True).start()
-    kind: Any = connection.PipeConnection if sys.platform == "win32" else connection.Connection
+    kind = getattr(connection, "PipeConnection" if sys.platform == "win32" else "Connection")
     pipe: Any = kind(handle)
     server = Server()
     while True:
