@@ -21,12 +21,12 @@ td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: 
 """
 
 
-def index_html(interface: Interface, backend: str, notes: Iterable[str] = (), page: str | None = None) -> str:
+def index_html(interface: Interface, backend: str, notes: Iterable[str] = (), page: str | None = None, fmi: str = "2.0") -> str:
     """The page: what the FMU is, `page` (Markdown) or docs/components/<name>.md if there is one, ports, parameters, `notes` on use."""
     model = interface.model
     body = [f"<h1>{escape(model.name)}</h1>", f"<p>{escape(model.description)}.</p>"]
     body.append(
-        f"<p>FMI 2.0 co-simulation FMU ({escape(backend)}), made by robomill. SI units; the display units are for reading only.</p>"
+        f"<p>FMI {fmi} co-simulation FMU ({escape(backend)}), made by robomill. SI units; the display units are for reading only.</p>"
     )
     file = PAGES / f"{model.name}.md"
     if page is None and file.is_file():

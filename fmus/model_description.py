@@ -55,17 +55,17 @@ def model_description(interface: Interface, options: Options) -> bytes:
         "CoSimulation",
         modelIdentifier=options.identifier,
         needsExecutionTool="false",
-        canHandleVariableCommunicationStepSize=_bool(options.variable_step),
+        canHandleVariableCommunicationStepSize=boolean(options.variable_step),
         canInterpolateInputs="false",
         maxOutputDerivativeOrder="0",
         canRunAsynchronuously="false",
         canBeInstantiatedOnlyOncePerProcess="false",
-        canNotUseMemoryManagementFunctions=_bool(options.no_memory_functions),
+        canNotUseMemoryManagementFunctions=boolean(options.no_memory_functions),
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
         providesDirectionalDerivative="false",
     )
-    _units(root, interface)
+    unit_definitions(root, interface)
     categories = SubElement(root, "LogCategories")
     for name, description in LOG_CATEGORIES.items():
         SubElement(categories, "Category", name=name, description=description)
@@ -79,8 +79,9 @@ def model_description(interface: Interface, options: Options) -> bytes:
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
 
 
-def _units(root: Element, interface: Interface) -> None:
-    used = {p.unit for p in interface.ports if p.unit}
+def unit_definitions(root: Element, interface: Interface, others: tuple[str, ...] = ()) -> None:
+    """Add the units in use and `others`, in SI, each with the display units in use (the same in FMI 2.0 and 3.0)."""
+    used = {p.unit for p in interface.ports if p.unit}.union(others)
     if not used:
         return
     definitions = SubElement(root, "UnitDefinitions")
@@ -111,7 +112,7 @@ def _variable(parent: Element, port: Port) -> None:
             if bound is not None:
                 typed[name] = repr(float(bound)) if port.type == "real" else str(int(bound))
     if port.initial != "calculated":
-        typed["start"] = _bool(port.start) if port.type == "boolean" else port.start if isinstance(port.start, str) else repr(port.start)
+        typed["start"] = boolean(port.start) if port.type == "boolean" else port.start if isinstance(port.start, str) else repr(port.start)
     SubElement(variable, _TAGS[port.type], typed)
 
 
@@ -137,5 +138,6 @@ def _unknown(parent: Element, index: Mapping[str, str], name: str, dependencies:
     SubElement(parent, "Unknown", attributes)
 
 
-def _bool(value: object) -> str:
+def boolean(value: object) -> str:
+    """As XML writes it."""
     return "true" if value else "false"

@@ -71,7 +71,7 @@ def build(
 
     options = _options(model, lowered, token, f"robomill {_version()} (native, {linker})")
     content: dict[str, bytes] = {**licences()}
-    content["documentation/index.html"] = index_html(interface, "native backend", NOTES, page).encode()
+    content["documentation/index.html"] = index_html(interface, "native backend", NOTES, page, f"{fmi}.0").encode()
     content |= {f"documentation/reference/{name}": data for name, data in (reference or {}).items()}
     content |= {f"resources/tables/{name}.npy": _npy(rows) for name, rows in model.default_tables.items()}
     if fmi == 2:

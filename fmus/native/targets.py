@@ -59,7 +59,7 @@ PLATFORMS: Mapping[str, Platform] = {
         ("-fPIC",),
     ),
 }
-_COMMON = ("-std=c11", "-O2", "-g0", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
+_COMMON = ("-std=c11", "-O2", "-g0", "-shared", "-fvisibility=hidden", "-fno-sanitize=undefined", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
 _FAT_MAGIC, _FAT_ALIGNMENT = 0xCAFEBABE, 14
 
 

@@ -9,7 +9,10 @@
 #include <string.h>
 
 #ifdef _WIN32
-#include <windows.h>
+#include <wchar.h>
+/* as in windows.h, which has a great many other names */
+__declspec(dllimport) int __stdcall MultiByteToWideChar(unsigned, unsigned long, const char *, int, wchar_t *, int);
+enum { CP_UTF8 = 65001 };
 #define EXPORT __declspec(dllexport)
 #else
 #define EXPORT __attribute__((visibility("default")))
@@ -33,7 +36,7 @@ typedef struct {
 } Text;
 
 typedef struct {
-    Word *record;
+    Word *record;      /* with one word more, the time */
     char *name;
     char **paths;      /* of the tables; "" = built-in rows */
     bool stale;        /* init has to run before outputs are read */
@@ -49,6 +52,7 @@ typedef struct {
 typedef struct {
     char token[64];
     uint64_t size;
+    double time;
     uint8_t stale, running, failed, padding[5];
 } State;
 
@@ -236,6 +240,8 @@ static int load_table(Instance *I, uint32_t index, const char *path) {
 
 /* Running */
 
+static double *time_of(const Instance *I) { return &I->record[WORDS].real; }
+
 static int check_outputs(Instance *I, const char *when, double time) {
     const Word *w = &I->record[FIRST_REAL_OUTPUT];
     double sum = 0.0;
@@ -305,12 +311,13 @@ static int step(Instance *I, double t, double h) {
     int32_t raised = model_step(&status, &exception, I->record, t, h);
     TRY(outcome(I, raised, status, t, " (step from t = %.9g s, h = %.9g s)", t, h));
     TRY(check_outputs(I, " at t = %.9g s", t + h));
+    *time_of(I) = t + h;
     I->failed = false;
     return OK;
 }
 
 static int reset(Instance *I) {
-    memset(I->record, 0, WORDS * sizeof(Word));
+    memset(I->record, 0, (WORDS + 1) * sizeof(Word));
     memcpy(I->record, START, START_WORDS * sizeof(Word));
     I->running = I->failed = false;
     I->stale = true;
@@ -340,7 +347,7 @@ static Instance *create(const char *name, const char *token, Logger2 *logger2, L
     Instance *I = malloc(sizeof *I);
     if (I) {
         *I = nobody;
-        I->record = malloc(WORDS * sizeof(Word));
+        I->record = malloc((WORDS + 1) * sizeof(Word));
         I->paths = calloc(TABLE_COUNT + 1, sizeof *I->paths);
         I->name = malloc(strlen(nobody.name) + 1);
         if (I->record && I->paths && I->name && reset(I) == OK)
@@ -363,10 +370,11 @@ static int no_variable(const Instance *I, uint32_t reference, const char *is, in
 
 /* The variable that a value reference belongs to; NULL after a report. `whole`: only that of its first element counts (FMI 3.0). */
 static const Variable *find(const Instance *I, uint32_t reference, int kind, bool whole) {
-    const Variable *V = reference < OWNED ? &VARIABLES[OWNER[reference]] : NULL;
-    if (V && V->kind == kind && (!whole || V->first == reference))
+    static const Variable time = {.name = "time", .unit = " s", .count = 1, .kind = REAL, .causality = OUTPUT};
+    const Variable *V = reference < OWNED ? &VARIABLES[OWNER[reference]] : reference == WORDS ? &time : NULL;
+    if (V && V->kind == kind && (!whole || V->first == reference || V == &time))
         return V;
-    if (V && !(whole && V->first != reference))
+    if (V && (V->kind != kind))
         no_variable(I, reference, V->name, V->kind, kind);
     else
         no_variable(I, reference, "", -1, kind);
@@ -439,7 +447,7 @@ static int get_state(Instance *I, State **state) {
         *state = larger;
     }
     State *S = *state;
-    *S = (State){.size = size, .stale = I->stale, .running = I->running, .failed = I->failed};
+    *S = (State){.size = size, .time = *time_of(I), .stale = I->stale, .running = I->running, .failed = I->failed};
     memcpy(S->token, TOKEN, strlen(TOKEN));
     char *at = memcpy(S + 1, I->record, TABLES_AT * sizeof(Word));
     at += TABLES_AT * sizeof(Word);
@@ -473,6 +481,7 @@ static int set_state(Instance *I, const State *S) {
                 FAIL(I, "out of memory");
             I->paths[i] = strcpy(path, at);
         }
+    *time_of(I) = S->time;
     I->stale = S->stale;
     I->running = S->running;
     I->failed = S->failed;
@@ -554,7 +563,9 @@ EXPORT int fmi2SetDebugLogging(Instance *I, int on, size_t n, const char *const 
     return (void)I, (void)on, (void)n, (void)categories, OK;  /* only errors are logged, and always */
 }
 EXPORT int fmi2SetupExperiment(Instance *I, int defined, double tolerance, double start, int stop_defined, double stop) {
-    return (void)I, (void)defined, (void)tolerance, (void)start, (void)stop_defined, (void)stop, OK;
+    (void)defined, (void)tolerance, (void)stop_defined, (void)stop;
+    *time_of(I) = start;
+    return OK;
 }
 EXPORT int fmi2EnterInitializationMode(Instance *I) { return (void)I, OK; }
 EXPORT int fmi2ExitInitializationMode(Instance *I) { return exit_initialisation(I); }
@@ -635,7 +646,7 @@ EXPORT int fmi3SetDebugLogging(Instance *I, bool on, size_t n, const char *const
     return (void)I, (void)on, (void)n, (void)categories, OK;
 }
 EXPORT int fmi3EnterInitializationMode(Instance *I, bool defined, double tolerance, double start, bool stop_defined, double stop) {
-    return (void)I, (void)defined, (void)tolerance, (void)start, (void)stop_defined, (void)stop, OK;
+    return fmi2SetupExperiment(I, defined, tolerance, start, stop_defined, stop);
 }
 EXPORT int fmi3ExitInitializationMode(Instance *I) { return exit_initialisation(I); }
 EXPORT int fmi3Terminate(Instance *I) { return (void)I, OK; }
@@ -664,7 +675,7 @@ static int wrong_count(const Instance *I, size_t found, size_t expected) {
             if (V->count > room - at) \
                 return wrong_count(I, room, at + V->count); \
             for (uint32_t k = 0; k < V->count; k++) \
-                values[at++] = (TYPE)I->record[V->first + k].FIELD; \
+                values[at++] = (TYPE)I->record[references[i] + k].FIELD; \
         } \
         return at == room ? OK : wrong_count(I, room, at); \
     } \
@@ -677,7 +688,7 @@ static int wrong_count(const Instance *I, size_t found, size_t expected) {
             if (V->count > room - at) \
                 return wrong_count(I, room, at + V->count); \
             for (uint32_t k = 0; k < V->count; k++) \
-                TRY(set(I, V, V->first + k, (Word){.FIELD = values[at++]})); \
+                TRY(set(I, V, references[i] + k, (Word){.FIELD = values[at++]})); \
         } \
         return at == room ? OK : wrong_count(I, room, at); \
     }
