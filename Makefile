@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: run test check quick build golden clean help
+.PHONY: run test check quick build golden figures clean help
 
 run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictures in results/test_part
 	$(BIN)/robomill build
@@ -26,6 +26,9 @@ build: $(READY) ## write every FMU to dist/
 
 golden: $(READY) ## write the golden results anew; review the diff
 	$(BIN)/python -m tests.golden.regenerate
+
+figures: $(READY) ## the studies and pictures of docs/validation.md
+	$(BIN)/python docs/studies.py
 
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "robomill needs Python 3.11 or newer; set PYTHON=/path/to/python3.11")'

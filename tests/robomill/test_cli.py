@@ -19,7 +19,7 @@ from tests.robomill.conftest import SCENARIOS
 PROGRAM = "G21 G90 G17 G54\nT1 M6\nS13000 M3\nG0 X-20. Y0. Z2.\nG1 Z-5. F1500.\nX20.\nM30\n"
 
 
-@pytest.fixture()
+@pytest.fixture
 def cell(tmp_path, monkeypatch):
     """A folder with a short scenario of one variant; the working directory."""
     monkeypatch.chdir(tmp_path)
