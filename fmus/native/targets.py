@@ -47,7 +47,7 @@ PLATFORMS: Mapping[str, Platform] = {
     "linux64": Platform(
         ".so",
         (Slice("x86_64-unknown-linux-gnu", "x86-64-v2", "x86_64-linux-gnu.2.17", fmi3="x86_64-linux"),),
-        ("-fPIC", "-nostartfiles", "-Wl,-z,noexecstack"),
+        ("-fPIC", "-Wl,-z,noexecstack"),
     ),
     "win64": Platform(".dll", (Slice("x86_64-pc-windows-gnu", "x86-64-v2", "x86_64-windows-gnu", fmi3="x86_64-windows"),)),
     "darwin64": Platform(
@@ -112,7 +112,7 @@ def _link(code: str, sources: Mapping[str, bytes], name: str, platform: Platform
     for file, content in {**sources, "model.o": object_code(code, target)}.items():
         (folder / file).write_bytes(content)
     library = name + platform.suffix
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", target.zig] if zig else ["gcc"]
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", target.zig] if zig else ["gcc", "-nostartfiles"]
     command += [*_COMMON, *platform.flags, "-s", "-o", library, *sorted(f for f in sources if f.endswith(".c")), "model.o"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode != 0:
