@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import zipfile
 
+import fmpy
 import numpy as np
 import pytest
 
@@ -11,8 +13,9 @@ from orchestration.acceleration import Aitken, Anderson, FixedPoint, Iteration
 from orchestration.assembly import run
 from orchestration.errors import RunError, SystemFileError, WiringError
 from orchestration.slave import PortData
-from orchestration.system import System
+from orchestration.system import Component, Connection, System
 from orchestration.wiring import wire
+from tests.orchestration import c_fmu
 from tests.orchestration.mocks import Integrator, Mock, gain, resolver, source, system
 from tests.tolerances import EXACT, ROUNDOFF, discretisation
 
@@ -266,6 +269,39 @@ class TestRollback:
         r = oscillator(h, stop=0.5, tolerance=1e-15, max_iterations=100, unconverged="accept")
         assert np.max(np.abs(r["x.y"][1:] - r["x.y"][:-1] - h * w * r["v.y"][1:])) <= 10 * ROUNDOFF
         assert np.max(np.abs(r["v.y"][1:] - r["v.y"][:-1] + h * w * r["x.y"][1:])) <= 10 * ROUNDOFF
+
+
+@pytest.mark.skipif(c_fmu.compiler() is None, reason="no C compiler on this machine")
+class TestFmus:
+    """An FMU that somebody else made, in a loop."""
+
+    def back(self, value):
+        return Mock("b", [PortData("u", "input", start=0.0), PortData("y", "output")], lambda u, t: [-u[0] - value])
+
+    def test_integrator_in_a_loop_is_the_implicit_euler_rule(self, tmp_path):
+        file = c_fmu.build(tmp_path)
+        h, rate = 0.1, 3.0
+        components = (Component("euler", str(file), {"gain": rate}), Component("b", "mock"))
+        connections = (Connection("euler.y", "b.u"), Connection("b.y", "euler.u"))
+        settings = Iteration(tolerance=1e-14)
+        s = System("x", h, components, connections, "iterated", iteration=settings, stop=1.0)
+        r = run(s, resolver=lambda source, name: self.back(1.0))
+        # y' = -rate (y + 1), y = 0 at first: (y_k + 1) (1 + rate h) = y_(k-1) + 1
+        assert np.max(np.abs(r["euler.y"] + 1.0 - (1.0 + rate * h) ** -np.arange(11.0))) <= 10 * ROUNDOFF
+        assert r["euler.n"][-1] == 10  # steps that count, not calls
+        assert r["master.iterations"].max() > 2
+
+    def test_fmu_without_saved_states_is_refused(self, tmp_path):
+        file = c_fmu.build(tmp_path)
+        description = c_fmu.DESCRIPTION.replace('canGetAndSetFMUstate="true"', 'canGetAndSetFMUstate="false"')
+        library = f"binaries/{fmpy.platform}/euler{c_fmu.SUFFIX}"
+        with zipfile.ZipFile(file) as z:
+            data = z.read(library)
+        other = c_fmu.pack(tmp_path / "other.fmu", description, {library: data})
+        components = (Component("euler", str(other)), Component("b", "mock"))
+        s = System("x", 0.1, components, (Connection("euler.y", "b.u"), Connection("b.y", "euler.u")), "iterated", stop=1.0)
+        with pytest.raises(RunError, match=r"component 'euler' is in the loop .*: other.fmu cannot save its state"):
+            run(s, resolver=lambda source, name: self.back(0.0))
 
 
 class TestRecordAndErrors:
