@@ -41,6 +41,7 @@ _INSTALLER = "fmus.python.install"
 
 SCRIPT = '''"""Entry point of this FMU for the pythonfmu library, which runs it once per instance. Loads the package beside it."""
 
+import ctypes
 import importlib.util
 import os
 import sys
@@ -61,7 +62,7 @@ def load():
         installer = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(installer)
         installer.install(PACKAGE, bundle)
-    sys.modules[PACKAGE].KEPT.append(globals())
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
     return sys.modules[PACKAGE].ComponentSlave
 
 
@@ -74,7 +75,6 @@ PACKAGE_INIT = '''"""{description}."""
 from fmus.python.slave import slave_class
 
 ComponentSlave = slave_class(MODEL, "{package}")
-KEPT = []
 '''
 
 REPLAY_IMPORTS = """import json

@@ -7,7 +7,7 @@ What that library (0.7) does with it, and what follows from that:
   FMPy and PyFMI take that as a regular end and return the results so far. An error must not look like that.
 - An exception = `fmi2Fatal`, and only its `repr` reaches the importer. The library then also gives
   up its references to instance, class and log, and once more when the instance is freed: a crash.
-  `_KEPT` holds one more reference to each, so an instance survives its errors.
+  So `failure` gives it one more of each beforehand, and an instance survives its errors.
 - While the exception is pending the library delivers queued log messages; a logger written in Python
   would run with a foreign exception set. So nothing may be queued when one is raised.
 - Log messages, and the text of the exception, go nowhere unless the importer has switched logging on.
@@ -18,6 +18,7 @@ What that library (0.7) does with it, and what follows from that:
 
 from __future__ import annotations
 
+import ctypes
 import json
 import sys
 import traceback
@@ -30,7 +31,6 @@ from fmus.instance import ComponentError, Instance, State
 from fmus.interface import Interface, Port, PortType
 from models.declaration import Model
 
-_KEPT: list[object] = []
 _OK, _WARNING = 0, 1
 _CATEGORIES = {_OK: "logAll", _WARNING: "logStatusWarning"}
 _Method = TypeVar("_Method", bound=Callable[..., Any])
@@ -109,7 +109,8 @@ class Slave(Fmi2Slave):
             text = f"{self._instance.name}: {text}\n" + "".join(traceback.format_exception(error))
         text = "\n".join([*(m.msg for m in self._log if m.status != _OK), text])
         self._log.clear()
-        _KEPT.extend((type(self), self, self._log))
+        for lost in (type(self), self, self._log):
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(lost))
         if sys.stderr is not None:
             print(f"[fmi2Fatal] {text}", file=sys.stderr, flush=True)
         return Failure(text)

@@ -35,7 +35,7 @@ def outputs(slave: InProcessSlave) -> list[float]:
 def run(slave: InProcessSlave, first: int, last: int) -> list[list[float]]:
     rows = []
     for k in range(first, last):
-        slave.set_inputs(U + [0.001 * k, -0.002 * k, 0.0, 0.0, k])
+        slave.set_inputs(U + np.array([0.001 * k, -0.002 * k, 0.0, 0.0, k]))
         slave.step(k * H, H)
         rows.append(outputs(slave))
     return rows

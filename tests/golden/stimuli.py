@@ -50,7 +50,7 @@ def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     segments, pilot = _program()
     return {
         "path_interpolator": (
-            {"speed_ratio": 1.0 + 0.5 * _rise(0.1, 0.05) - 1.2 * _rise(0.25, 0.05)},
+            {"speed_ratio": 1.0 + 0.5 * _rise(0.1, 0.05) - 0.1 * _rise(0.2, 0.05)},
             {"segments": segments, "pilot": pilot},
         ),
         "robot_drive": (
@@ -98,7 +98,7 @@ def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
 
 def _program() -> tuple[FloatArray, FloatArray]:
     """Segment table and pilot forces of a short program with a blend, an arc and a descent."""
-    text = "G21 G90 G17 S13000 M3\nN10 G0 X0 Y0 Z0\nN20 G1 X8 F6000\nN30 Y6\nN40 G3 X4 Y10 I-4 J0\nN50 G1 X0 Z-2\nM30\n"
+    text = "G21 G90 G17 S13000 M3\nN10 G0 X0 Y0 Z0\nN20 G1 X4 F6000\nN30 Y3\nN40 G3 X2 Y5 I-2 J0\nN50 G1 X1 Z-0.5\nM30\n"
     planned = plan(gcode.parse(text), Placement((1.595, -0.018, 1.1)))
     tau = np.linspace(0.0, planned.duration, 9)
     return planned.table, np.column_stack([tau, np.outer(np.sin(7.0 * tau), FORCE)])
