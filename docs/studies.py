@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
 from models.declaration import FloatArray
+from orchestration.errors import OrchestrationError
 from orchestration.system import Connection, System
 from robomill import milling, run
 from robomill.evaluation import Result, evaluate
@@ -47,6 +48,24 @@ def with_changes(scenario: Scenario, changes: dict[str, dict[str, Any]]) -> Scen
     for component, values in changes.items():
         merged.setdefault(component, {}).update({k: v for k, v in values.items() if v is not None})
     return replace(scenario, parameters=merged)
+
+
+def positions(folder: Path) -> None:
+    """How much of the uncompensated deviation is left with Cartesian compensation, at random places of the work space."""
+    assert GROOVE.workpiece is not None
+    rng = np.random.default_rng(0)
+    left: list[float] = []
+    while len(left) < 24:
+        place = rng.uniform([1.1, -0.6, 0.9], [1.9, 0.6, 1.7])
+        turn = float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi
+        workpiece = replace(GROOVE.workpiece, position=tuple(place), abc=(turn, 0.0, 0.0))
+        try:
+            job = milling.prepare(replace(GROOVE, workpiece=workpiece), folder)
+        except OrchestrationError:
+            continue  # out of reach
+        pair = [evaluate(v.name, v.title, milling.mill(job, v)[0], workpiece, 1.0).surface.max for v in GROOVE.variants[:2]]
+        left.append(pair[1] / pair[0])
+    print(f"share left at {len(left)} places: {min(left):.2f} .. {max(left):.2f}, median {np.median(left):.2f}")
 
 
 def lead_time(folder: Path) -> None:
@@ -167,6 +186,6 @@ def deflection(loop: System, algorithm: str, step: float) -> FloatArray:
 if __name__ == "__main__":
     FIGURES.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
-        for study in (calibration, lead_time, convergence):
+        for study in (calibration, positions, lead_time, convergence):
             print(f"\n## {study.__doc__}")
             study(Path(scratch))

@@ -2,7 +2,7 @@
 
     from robomill import System, run
 
-    result = run(System.load("scenarios/cell.toml"), "results/cell")
+    result = run(System.load("my_cell.toml"), "results/my_cell")
     result["drive.q_link"]          # float64[n, 6]
 
 `run` and `System` are those of `orchestration`, with this project's components and units put in.
@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from orchestration.assembly import run as _run
+from orchestration.parameters import Convert
 from orchestration.results import Run
 from orchestration.system import System as _System
 from robomill.binding import convert, resolve
@@ -26,11 +27,9 @@ run = partial(_run, resolver=resolve, convert=convert)
 
 
 class System(_System):
-    """`orchestration.system.System`, with units in its files."""
+    """`orchestration.system.System`, whose files may give values with units."""
 
     @staticmethod
-    def load(file: str | Path, convert: object = convert) -> _System:  # type: ignore[override]  # the converter is fixed here
+    def load(file: str | Path, convert: Convert = convert) -> _System:
         """Read a system file; SystemFileError names file, line, what was found and what is allowed."""
-        from robomill.binding import convert as units
-
-        return _System.load(file, units)
+        return _System.load(file, convert)

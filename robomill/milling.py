@@ -50,7 +50,7 @@ class Job:
         return int(np.ceil(self.plan.duration / self.system.step)) + 1
 
 
-def prepare(scenario: Scenario, folder: Path, fmus: Path | None = None, progress: Progress | None = None) -> Job:
+def prepare(scenario: Scenario, folder: str | Path, fmus: Path | None = None, progress: Progress | None = None) -> Job:
     """Plan the program and estimate the cutting force along it.
 
     `fmus`: folder of FMUs to run instead of the in-process components. Raises what the reader of the program, the
@@ -64,6 +64,7 @@ def prepare(scenario: Scenario, folder: Path, fmus: Path | None = None, progress
         planned = plan(point_path.read_points(scenario.program), placement)
     else:
         planned = plan(gcode.read(scenario.program), placement)
+    folder = Path(folder)
     (folder / "plan").mkdir(parents=True, exist_ok=True)
     segments, pilot = folder / "plan" / "segments.npy", folder / "plan" / "pilot.npy"
     np.save(segments, planned.table)

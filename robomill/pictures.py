@@ -226,8 +226,9 @@ def load_cases(magnitudes: dict[str, FloatArray], titles: dict[str, str], paper:
             ax.axhline(1e3 * paper[name], color=colours[i], ls="--", lw=1.0, label=f"mean in the paper: {1e3 * paper[name]:.2f} mm")
     for start, text in ((1, "load in +x"), (21, "load in +y"), (41, "load in -z")):
         ax.axvline(start - 0.5, color="k", lw=0.6)
-        ax.text(start, ax.get_ylim()[1], text, va="top", fontsize=9)
+        ax.text(start, 0.99, text, va="top", fontsize=9, transform=ax.get_xaxis_transform())
     ax.set(xlabel="measurement (4 positions x 5 orientations per direction)", ylabel="displacement of the tool tip in mm", xlim=(0, 61))
     ax.set_title("Static load of 750 N")
-    ax.legend(fontsize=8, loc="upper center", ncols=2)
+    ax.set_ylim(0.0, 1.12e3 * max(size.max() for size in magnitudes.values()))
+    figure.legend(fontsize=8, loc="outside lower center", ncols=4)
     return figure
