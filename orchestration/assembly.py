@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from orchestration import checkpoint
 from orchestration.errors import OrchestrationError, SlaveError, SystemFileError, describe
 from orchestration.isolation import IsolatedSlave
-from orchestration.master import Manipulator, Master, Observer, Progress
+from orchestration.master import Manipulator, Master, Observer, Progress, Saver
 from orchestration.memory import Memory
 from orchestration.parameters import Convert, prepare, same_unit_only
 from orchestration.recorder import Recorder
@@ -99,11 +100,14 @@ def run(
     overwrite: bool = False,
     observers: Sequence[Observer] = (),
     manipulators: Sequence[Manipulator] = (),
+    resume: bool = False,
 ) -> Run:
     """Run `system` from `start` to `stop` [s] (default: the system's own) and return what was recorded.
 
     With a `folder` the results stream to disk (refused if it holds a run, unless `overwrite`), without
-    one they stay in memory. `labels` are added to those of the system. Raises what `assemble` raises,
+    one they stay in memory. With `resume` the run in the folder goes on from its checkpoint: a finished one is returned
+    as it is, one without a checkpoint begins anew, one of a system that has changed since is refused; observers see
+    only what comes after the checkpoint. `labels` are added to those of the system. Raises what `assemble` raises,
     and RunError or Interrupted from the run itself; the folder is complete and readable by then.
     """
     end = system.stop if stop is None else stop
@@ -112,26 +116,41 @@ def run(
             raise OrchestrationError(f"system {system.name!r} has no end: give stop, or set stop or stop_when in the system file")
         end = math.inf
     with assemble(system, resolver, convert) as assembly:
-        keeper: Recorder | Memory
         if folder is None:
-            keeper = Memory(assembly.about())
-        else:
-            r = system.recording
-            all_labels = {**system.labels, **(labels or {})}
-            keeper = Recorder(Path(folder), r.columns, r.every, r.chunk, r.csv, assembly.about(), all_labels, overwrite)
-        master = Master(
-            assembly.slaves,
-            assembly.wiring,
-            system.step,
-            system.algorithm,
-            (keeper, *observers),
-            manipulators,
-            system.check_ranges,
-            Path(folder) if folder is not None else None,
-            system.iteration,
-        )
-        master.run(end, start, progress, system.stop_when)
-    return keeper.run() if isinstance(keeper, Memory) else Run.load(keeper.folder)
+            if resume:
+                raise OrchestrationError("resume needs the folder of the run")
+            memory = Memory(assembly.about())
+            _master(assembly, (memory, *observers), manipulators, None).run(end, start, progress, system.stop_when)
+            return memory.run()
+        r, place = system.recording, Path(folder)
+        about = {**assembly.about(), **checkpoint.identity(system, assembly.parameters)}
+        recorder = Recorder(place, r.columns, r.every, r.chunk, r.csv, about, {**system.labels, **(labels or {})}, overwrite or resume)
+        saved = checkpoint.continuation(place, recorder.info(assembly.wiring, system.step), end, system.stop_when) if resume else None
+        if isinstance(saved, Run):
+            return saved
+        recorder.resume_after = saved.done if saved is not None else None
+        save = (r.checkpoint_every, _saver(assembly, recorder)) if r.checkpoint_every else None
+        master = _master(assembly, (recorder, *observers), manipulators, place)
+        master.run(end, start, progress, system.stop_when, saved, save)
+    return Run.load(place)
+
+
+def _master(assembly: Assembly, observers: Sequence[Observer], manipulators: Sequence[Manipulator], folder: Path | None) -> Master:
+    s = assembly.system
+    return Master(assembly.slaves, assembly.wiring, s.step, s.algorithm, observers, manipulators, s.check_ranges, folder, s.iteration)
+
+
+def _saver(assembly: Assembly, recorder: Recorder) -> Saver:
+    """Writes checkpoints. At the start it only finds out whether that will be possible."""
+
+    def save(master: Master) -> None:
+        if master.time == master.start:
+            checkpoint.check_savable(assembly.slaves)
+            return
+        recorder.flush()  # the checkpoint must not be ahead of the signals on disk
+        checkpoint.write(recorder.folder, master.snapshot())
+
+    return save
 
 
 def _open(system: System, c: Component, resolver: Resolver | None) -> Slave:

@@ -173,13 +173,18 @@ class FmuSlave:
             if status > _WARNING:
                 self._failed(f"fmi2Set{group.kind.capitalize()}", status)
 
+    def leave_initialisation(self) -> None:
+        """Leave initialisation before the first step does, if that has not happened: a state of later on can be set then."""
+        if self._initialising:
+            self._call("fmi2ExitInitializationMode")
+            self._initialising, self._stepped = False, True
+
     def step(self, t: float, h: float) -> None:
         """fmi2DoStep from `t` to `t + h` [s]; the first one leaves initialisation."""
         if self._dead:
             self._refuse()
         if self._initialising:
-            self._call("fmi2ExitInitializationMode")
-            self._initialising, self._stepped = False, True
+            self.leave_initialisation()
         status = self._do_step(self._component, t, h, 0)
         if status > _WARNING:
             self._failed(f"fmi2DoStep(t = {t:.9g}, h = {h:.9g})", status)

@@ -72,6 +72,11 @@ class Server:
             self.fmu.set_inputs(self.inputs)
         self.fmu.get_outputs(self.outputs)
 
+    def leave_initialisation(self) -> None:
+        """With the inputs set so far; the outputs stay readable."""
+        self.refresh()
+        getattr(self.fmu, "leave_initialisation", lambda: None)()
+
     def get_state(self) -> Any:
         """The state if it can be sent, else a stand-in."""
         state = self.fmu.get_state()

@@ -131,6 +131,11 @@ class IsolatedSlave:
         self._call("initialise", start, stop, step)
         self._stale = True
 
+    def leave_initialisation(self) -> None:
+        """Leave initialisation before the first step does."""
+        self._call("leave_initialisation")
+        self._stale = False
+
     def set_inputs(self, values: FloatArray) -> None:
         """Put the inputs where the other process finds them: they reach the FMU with the next step, or when outputs are read before it."""
         self._inputs[:] = values

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from orchestration.acceleration import DEFAULT, Iteration
+from orchestration.checkpoint import Snapshot, alike
 from orchestration.errors import Interrupted, IterationError, OrchestrationError, RunError, WiringError, describe, unknown
 from orchestration.guard import Guard
 from orchestration.iteration import Iterated
@@ -46,6 +47,10 @@ class Observer(Protocol):
 
 Manipulator = Callable[["Master", float], object]
 """Called before each step with the master and the time [s]; may call `Master.override` and `Master.release`."""
+
+
+Saver = Callable[["Master"], object]
+"""Called between two steps, each so many steps; may call `Master.snapshot`."""
 
 
 class Master:
@@ -98,18 +103,33 @@ class Master:
         return (self._start_ticks + self._done * self._step_ticks) / TICK
 
     @property
+    def start(self) -> float:
+        """Time at which the run began [s]."""
+        return self._start_ticks / TICK
+
+    @property
     def outputs(self) -> FloatArray:
         """The current outputs of all components, in the order of the bus (a view)."""
         return self._fresh
 
-    def run(self, stop: float, start: float = 0.0, progress: Progress | None = None, until: str | None = None) -> float:
+    def run(
+        self,
+        stop: float,
+        start: float = 0.0,
+        progress: Progress | None = None,
+        until: str | None = None,
+        resume: Snapshot | None = None,
+        save: tuple[int, Saver] | None = None,
+    ) -> float:
         """Initialise at `start` and step until `stop` [s] is reached or the output `until` is not zero; return the time reached.
 
         If `stop - start` is no multiple of the step, the last step goes beyond `stop`. `stop` may be
         inf when `until` is given. Raises RunError (component, time) or Interrupted; the observers
         have ended by then, so that all results up to there are on disk. The slaves stay open: closing them is for who opened them.
+        With `resume` the run goes on from there, and observers see only what comes after it. `save` is (steps, saver): the saver
+        is called after initialisation and whenever the number of steps done is a multiple.
         """
-        self._start_ticks = round(start * TICK)
+        self._start_ticks = round(start * TICK) if resume is None else resume.start_ticks
         total = self._steps(stop)
         watched = self._watched(until, stop)
         begun: list[Observer] = []
@@ -119,8 +139,10 @@ class Master:
                 o.begin(self.wiring, self._step_ticks / TICK)
                 begun.append(o)
             with self._interruptible():
-                self.initialise(start, stop)
-                self._loop(total, progress, watched)
+                self.initialise(start, stop, resume is None)
+                if resume is not None:
+                    self.restore(resume)
+                self._loop(total, progress, watched, save)
             outcome = "finished"
         except KeyboardInterrupt:
             outcome, message = "interrupted", f"interrupted by the user at t = {self.time:.9g} s"
@@ -133,8 +155,8 @@ class Master:
                 o.end(outcome, message)
         return self.time
 
-    def initialise(self, start: float, stop: float) -> None:
-        """Initialise all slaves, then give each in order the inputs that are known and take its outputs."""
+    def initialise(self, start: float, stop: float, observed: bool = True) -> None:
+        """Initialise all slaves, give each in order the inputs that are known and take its outputs; observers see it if `observed`."""
         self._done, self._start_ticks = 0, round(start * TICK)
         self._bus[:] = self.wiring.start_values
         try:
@@ -153,8 +175,36 @@ class Master:
             raise self._failure(error, "during initialisation", None) from error
         if not self._guard.ok(self._fresh):
             raise self._violation(self.time)
-        for o in self._observers:
+        for o in self._observers if observed else ():
             o.observe(self.time, self._fresh)
+
+    def snapshot(self) -> Snapshot:
+        """Everything that `restore` goes on from, between two steps. Whatever an algorithm keeps from step to step must be in it."""
+        states = {}
+        for name, slave in self._slaves.items():
+            self._current = name
+            try:
+                states[name] = slave.get_state()
+            except Exception as error:
+                raise self._failure(error, f"saving its state at t = {self.time:.9g} s", None) from error
+        gather = {name: indices.copy() for name, indices in self._gather.items()}
+        return Snapshot(self._done, self._start_ticks, self._step_ticks, self._bus.copy(), gather, states)
+
+    def restore(self, saved: Snapshot) -> None:
+        """Go on from a snapshot of the same system, also of another process; the slaves have just been initialised."""
+        if (saved.step_ticks, saved.bus.shape, list(saved.states)) != (self._step_ticks, self._bus.shape, list(self._slaves)):
+            raise OrchestrationError("the checkpoint is of another system: another step, or other components or ports")
+        for name, slave in self._slaves.items():
+            self._current = name
+            try:
+                if saved.done and hasattr(slave, "leave_initialisation"):  # states of later on cannot be set during it
+                    slave.leave_initialisation()
+                slave.set_state(alike(slave.get_state(), saved.states[name]))
+            except Exception as error:
+                raise self._failure(error, f"going back to its state at t = {saved.time:.9g} s", None) from error
+            self._gather[name][:] = saved.gather[name]
+        self._done, self._start_ticks = saved.done, saved.start_ticks
+        self._bus[:] = saved.bus
 
     def step(self) -> None:
         """One communication step of all slaves; then the guards and the observers."""
@@ -201,11 +251,13 @@ class Master:
             slave.step(t, h)
             slave.get_outputs(y)
 
-    def _loop(self, total: float, progress: Progress | None, watched: int | None) -> None:
+    def _loop(self, total: float, progress: Progress | None, watched: int | None, save: tuple[int, Saver] | None = None) -> None:
         in_all = int(total) if math.isfinite(total) else 0
         while self._done < total and not (watched is not None and self._fresh[watched] != 0.0):
             if self._stop_requested:
                 raise KeyboardInterrupt
+            if save is not None and self._done % save[0] == 0:
+                save[1](self)
             self.step()
             if progress is not None:
                 progress(self._done, in_all)

@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 
 from orchestration.errors import ResultsError, unknown
-from orchestration.results import LIVE, RUN, SIGNALS, finalise, write_csv
+from orchestration.results import ASIDE, CHECKPOINT, LIVE, RUN, SIGNALS, finalise, read_info, rows_of, set_aside, write_csv
 from orchestration.slave import FloatArray, Port, base_name
 from orchestration.toml_text import dump
 from orchestration.wiring import Wiring
@@ -38,7 +38,8 @@ class Recorder:
     `columns` are patterns on `component.port` (see `system.Recording`); every `every`-th step is
     written, in chunks of `chunk` rows. `about` goes into run.toml as it is: name of the system,
     algorithm, parameters, sources; `labels` too, with program, robot, tool and workpiece at the top.
-    ResultsError if the folder already holds a run and `overwrite` is not set.
+    ResultsError if the folder already holds a run and `overwrite` is not set. With `resume_after`, that many steps of
+    the run in the folder are kept and it is continued; the first row observed is then that of the next step.
     """
 
     folder: Path
@@ -49,32 +50,62 @@ class Recorder:
     about: Mapping[str, Any] = field(default_factory=dict)
     labels: Mapping[str, Any] = field(default_factory=dict)
     overwrite: bool = False
+    resume_after: int | None = None
 
     def begin(self, wiring: Wiring, step: float) -> None:
         """Choose the columns, write run.toml, open the stream."""
         chosen = select(self.columns, wiring.column_names())
         ports = [wiring.outputs[i] for i in chosen]
         self.folder = Path(self.folder)
-        present = [n for n in (RUN, SIGNALS, LIVE) if (self.folder / n).exists()]
-        if present and not self.overwrite:
-            raise ResultsError(f"{self.folder} already holds a run ({', '.join(present)}); choose another folder, or allow overwriting")
-        self.folder.mkdir(parents=True, exist_ok=True)
-        for name in present:
-            (self.folder / name).unlink()
-        self._info = self._run_info(ports, step)
-        self._write_info("running", "")
+        self._info = self.info(wiring, step)
         fields = [pa.field("t", pa.float64(), metadata={"unit": "s", "description": "time"})]
         fields += [pa.field(f"{c}.{p.name}", _TYPES[p.type], metadata=_metadata(c, p)) for c, p in ports]
+        self._seen = 0
+        aside = None
+        if self.resume_after is None:
+            self._clear()
+        else:
+            old = read_info(self.folder)
+            self._info |= {"created": old.get("created", ""), "resumed": [*old.get("resumed", []), self.resume_after * step]}
+            self._seen = self.resume_after + 1
+            aside = set_aside(self.folder, -(-self._seen // self.every))
+        self._write_info("running", "")
         self._schema = pa.schema(fields, metadata={"robomill": dump(self._info)})
         self._stream = (self.folder / LIVE).open("wb")
         self._writer = pa.ipc.new_stream(self._stream, self._schema)
         self._writer.write_batch(pa.record_batch([[]] * len(fields), schema=self._schema))  # without a batch there is no schema in the file
-        self._stream.flush()
+        try:
+            if aside is not None:
+                self._keep(aside)
+            self._stream.flush()
+        except BaseException:
+            self._stream.close()
+            raise
         self._chosen = None if chosen == list(range(wiring.n_outputs)) else np.array(chosen, dtype=np.intp)
         self._buffer = np.empty((self.chunk, 1 + len(chosen)))
         self._rows = [row[1:] for row in self._buffer]
-        self._count = self._seen = 0
+        self._count = 0
         self._flushed = time.monotonic()
+
+    def _clear(self) -> None:
+        """Make room for a new run."""
+        present = [n for n in (RUN, SIGNALS, LIVE) if (self.folder / n).exists()]
+        if present and not self.overwrite:
+            raise ResultsError(f"{self.folder} already holds a run ({', '.join(present)}); choose another folder, or allow overwriting")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        for file in (*(self.folder / n for n in (*present, CHECKPOINT)), *self.folder.glob(f"{ASIDE}*")):
+            file.unlink(missing_ok=True)
+
+    def _keep(self, aside: Path) -> None:
+        """Copy the rows of the steps that are kept, and remove the file that they come from."""
+        missing = -(-self._seen // self.every)
+        for batch in rows_of(aside):
+            kept = batch.slice(0, min(missing, len(batch)))
+            missing -= len(kept)
+            if len(kept):
+                self._writer.write_batch(pa.record_batch(kept.columns, schema=self._schema))
+        self._stream.flush()
+        aside.unlink()
 
     def observe(self, t: float, outputs: FloatArray) -> None:
         """Keep a row; write the chunk when it is full or old."""
@@ -113,7 +144,9 @@ class Recorder:
         if self.csv:
             write_csv(self.folder)
 
-    def _run_info(self, ports: Sequence[tuple[str, Port]], step: float) -> dict[str, Any]:
+    def info(self, wiring: Wiring, step: float) -> dict[str, Any]:
+        """What run.toml says, except how the run ended."""
+        ports = [wiring.outputs[i] for i in select(self.columns, wiring.column_names())]
         return {
             "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             "kind": "simulated",

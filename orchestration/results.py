@@ -22,6 +22,8 @@ from orchestration.slave import FloatArray, PortData, base_name
 
 _ROWS_PER_GROUP = 50_000
 RUN, SIGNALS, LIVE, CSV = "run.toml", "signals.parquet", "signals.arrow", "signals.csv"
+CHECKPOINT = "checkpoint.zip"
+ASIDE = "before-"  # the signals of a run while it is being taken up again
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def load(folder: Path) -> Run:
     """See `Run.load`."""
     if not folder.is_dir():
         raise ResultsError(f"no run folder {folder}")
-    info = _read_info(folder)
+    info = read_info(folder)
     table = _read_table(folder)
     if table.num_columns == 0 or "t" not in table.column_names:
         raise ResultsError(f"{folder}: the signals have no column 't' (time in s); they have {', '.join(table.column_names[:20])}")
@@ -110,14 +112,15 @@ def load(folder: Path) -> Run:
     return Run(folder, t, columns, ports, info)
 
 
-def _read_info(folder: Path) -> dict[str, Any]:
+def read_info(folder: Path) -> dict[str, Any]:
+    """run.toml as it is. ResultsError if there is none or it is not valid."""
     file = folder / RUN
     if not file.is_file():
         held = ", ".join(sorted(f.name for f in folder.iterdir())[:20])
         raise ResultsError(f"{folder} is not a run: there is no {RUN} in it; it holds {held or 'nothing'}")
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ResultsError(f"{file}: not valid TOML: {error}") from None
 
 
@@ -188,6 +191,38 @@ def finalise(folder: Path) -> None:
         writer.write_table(pa.Table.from_batches(rows, schema))
     part.replace(folder / SIGNALS)
     live.unlink()
+
+
+def set_aside(folder: Path, rows: int) -> Path:
+    """Rename the signals of a run that is to go on after `rows` rows; returns the file, which `rows_of` reads.
+
+    If that was done before and came to nothing, the renamed file is still the one. ResultsError if it has fewer rows.
+    """
+    aside = next((folder / (ASIDE + n) for n in (SIGNALS, LIVE) if (folder / (ASIDE + n)).is_file()), None)
+    file = aside or next((folder / n for n in (SIGNALS, LIVE) if (folder / n).is_file()), None)
+    if file is None:
+        raise ResultsError(f"{folder}: there is no {SIGNALS} or {LIVE} in it")
+    held = sum(len(b) for b in rows_of(file))
+    if held < rows:
+        raise ResultsError(f"{folder}: {file.name} holds {held} rows, the checkpoint was made after {rows}: run it anew without resuming")
+    if aside is None:
+        aside = file.replace(folder / (ASIDE + file.name))
+    for name in (SIGNALS, LIVE):
+        (folder / name).unlink(missing_ok=True)
+    return aside
+
+
+def rows_of(file: Path) -> Iterator[pa.RecordBatch]:
+    """The complete chunks of a file of signals."""
+    try:
+        if file.suffix == Path(SIGNALS).suffix:
+            with pyarrow.parquet.ParquetFile(file) as table:
+                yield from table.iter_batches()
+        else:
+            with pa.OSFile(str(file)) as source:
+                yield from _batches(source)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise ResultsError(f"{file}: the signals cannot be read: {error}") from None
 
 
 def write_csv(folder: Path) -> Path:
