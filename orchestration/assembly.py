@@ -16,6 +16,7 @@ from orchestration.isolation import IsolatedSlave
 from orchestration.master import Manipulator, Master, Observer, Progress, Saver
 from orchestration.memory import Memory
 from orchestration.parameters import Convert, prepare, same_unit_only
+from orchestration.rate import MultiRate
 from orchestration.recorder import Recorder
 from orchestration.replay import ReplaySlave
 from orchestration.results import Run
@@ -57,6 +58,7 @@ class Assembly:
             "description": s.description,
             "algorithm": s.algorithm,
             "warnings": list(self.wiring.warnings),
+            "rates": {c.name: c.rate if c.every == 1 else 1.0 / c.every for c in s.components if (c.rate, c.every) != (1, 1)},
             "sources": {c.name: c.source for c in s.components},
             "parameters": {name: dict(values) for name, values in self.parameters.items()},
         }
@@ -81,6 +83,8 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
         for c in system.components:
             with _attributed(system, c):
                 parameters[c.name] = _configure(system, c, slaves[c.name], convert)
+            if (c.rate, c.every) != (1, 1):
+                slaves[c.name] = MultiRate(slaves[c.name], c.rate, c.every)
         return Assembly(system, slaves, wire(system, {name: s.ports for name, s in slaves.items()}), parameters)
     except BaseException:
         _close(slaves.values())

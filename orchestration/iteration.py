@@ -58,7 +58,7 @@ class Iterated:
 
         Nothing has to be set back here: inputs can be set any number of times. Values at the start are not means.
         """
-        self._proved: dict[int, set[str]] = {}
+        self._proved: dict[int, set[tuple[str, tuple[bool, ...]]]] = {}
         self._begin()
         for loop, members in self._stages:
 
@@ -97,6 +97,7 @@ class Iterated:
             _leave_initialisation(members)
         saved = [self._save(name, slave, loop) for name, slave, _, _, _ in members]
         guess = self._fresh[loop.feedback]
+        due = tuple(getattr(slave, "due", True) for _, slave, _, _, _ in members)  # who does not step proves nothing
 
         def back() -> None:
             for (name, slave, _, _, _), state in zip(members, saved, strict=True):
@@ -104,8 +105,8 @@ class Iterated:
                 slave.set_state(state)
 
         def prove(when: str) -> None:
-            if when not in proved:
-                proved.add(when)
+            if (when, due) not in proved:
+                proved.add((when, due))
                 back()
                 self._prove(loop, members, saved, t, h)
                 back()

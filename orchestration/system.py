@@ -11,6 +11,7 @@
     parameters = {backlash = "20 urad", "stiffness_scale[2]" = 0.9}
     isolate = false                     # true: an FMU in its own process (orchestration/isolation.py)
     time_limit = "60 s"                 # of wall clock for one call, if isolated
+    rate = 1                            # steps in each step of the system; or every = n: one step in n (orchestration/rate.py)
 
     [[connections]]
     from = "drive.q_link"
@@ -57,7 +58,7 @@ _TOP = {
     "recording": dict,
     "iteration": dict,
 }
-_COMPONENT = {"source": str, "parameters": dict, "isolate": bool, "time_limit": (int, float, str)}
+_COMPONENT = {"source": str, "parameters": dict, "isolate": bool, "time_limit": (int, float, str), "rate": int, "every": int}
 _CONNECTION = {"from": str, "to": str, "delayed": bool}
 _RECORDING = {"columns": list, "every": int, "csv": bool, "chunk": int, "checkpoint_every": int}
 _ITERATION = {
@@ -84,6 +85,10 @@ class Component:
     """Whether it (an FMU) runs in its own process."""
     time_limit: float = 60.0
     """Wall clock that one call may take if it is isolated [s]."""
+    rate: int = 1
+    """Steps that it makes in each step of the system (see `orchestration.rate`)."""
+    every: int = 1
+    """Steps of the system for each of which it makes one, over all of them."""
 
 
 @dataclass(frozen=True)
@@ -154,8 +159,17 @@ class System:
         for c in self.components:
             if not 0.0 < c.time_limit < math.inf:
                 raise SystemFileError(f"component {c.name!r}: time_limit is a positive time; found {c.time_limit!r} s")
+            self._check_rate(c)
         if not self.components:
             raise SystemFileError("the system has no components")
+
+    def _check_rate(self, c: Component) -> None:
+        if c.rate < 1 or c.every < 1 or c.rate > 1 < c.every:
+            raise SystemFileError(
+                f"component {c.name!r}: rate and every are whole numbers from 1, and only one of them is more; found {c.rate} and {c.every}"
+            )
+        if ticks(self.step, "step") % c.rate:
+            raise SystemFileError(f"component {c.name!r}: rate = {c.rate} divides the step of {self.step!r} s into no whole nanoseconds")
 
     @property
     def folder(self) -> Path:
@@ -298,6 +312,8 @@ class _Loader:
             find_line(self.text, *path),
             table.get("isolate", False),
             self.seconds(table.get("time_limit", 60.0), *path, "time_limit"),
+            table.get("rate", 1),
+            table.get("every", 1),
         )
 
     def connection(self, index: int, table: Any) -> Connection:
