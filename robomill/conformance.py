@@ -191,6 +191,24 @@ class _Fmu:
         self.parameter_values: dict[str, Any] = {}
         self.reference_rows: list[list[float]] = []
         self.rows = self._excitation()
+        self.log: list[str] = []
+        """Messages of all instances since the check began."""
+        self.callbacks = self._callbacks()
+
+    def _callbacks(self) -> Any:
+        """One logger for all instances: FMPy's formatter of printf messages knows only one."""
+        from fmpy import calloc, fmi2, free
+
+        def message(_environment: Any, _instance: bytes, _status: int, _category: bytes, text: bytes) -> None:
+            self.log.append((text or b"").decode("utf-8", "replace").strip())
+
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(message)
+        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
+        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+        if not (self.folder / "resources" / "slavemodule.txt").is_file():  # pythonfmu hands over finished texts
+            fmi2.addLoggerProxy(ctypes.byref(callbacks))
+        return callbacks
 
     def _excitation(self) -> list[list[float]]:
         """Inputs per step, in the order of `inputs`."""
@@ -239,23 +257,16 @@ class _Instance:
     """One instance of the FMU; raw calls, every status looked at, its log kept."""
 
     def __init__(self, fmu: _Fmu, name: str = "instance") -> None:
-        from fmpy import calloc, fmi2, free
+        from fmpy import fmi2
 
-        self.fmu, self.log = fmu, list[str]()
+        self.fmu, self.log = fmu, fmu.log
         self.slave = fmi2.FMU2Slave(
             guid=fmu.md.guid, unzipDirectory=str(fmu.folder), modelIdentifier=fmu.flags.modelIdentifier, instanceName=name
         )
-        self.callbacks = fmi2.fmi2CallbackFunctions()
-        self.callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(self._message)
-        self.callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(calloc)
-        self.callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
         try:
-            self.slave.instantiate(callbacks=self.callbacks, loggingOn=True)
+            self.slave.instantiate(callbacks=fmu.callbacks, loggingOn=True)
         except Exception as error:
             raise _Call(f"fmi2Instantiate: {error} {self.logged()}") from None
-
-    def _message(self, _environment: Any, _instance: bytes, _status: int, _category: bytes, message: bytes) -> None:
-        self.log.append((message or b"").decode("utf-8", "replace").strip())
 
     def logged(self) -> str:
         """What it logged, in one line."""
@@ -453,40 +464,56 @@ def _dependencies(fmu: _Fmu) -> str:
         raise _Finding("no output declares its dependencies; importers must assume that it follows every input at once")
     if not fmu.flags.canGetAndSetFMUstate:
         raise _Skip("needs canGetAndSetFMUstate")
-    instance = _Instance(fmu)
-    instance.initialise()
     k = 6 * len(fmu.rows) // 10
-    for earlier in range(k):
-        instance.step(earlier)
-    saved = instance.state()
+    instance, saved = _advanced(fmu, k)
     base = instance.step(k)
-    followed = 0
+    followed, late = 0, ""
     for i, moved in enumerate(fmu.inputs):
         for change in (1e-3, -2e-2):
             row = list(fmu.rows[k])
-            row[i] = (
-                row[i] + change * (abs(row[i]) or 1.0) if moved.type == "Real" else 1.0 - row[i] if moved.type == "Boolean" else row[i] + 1
-            )
-            instance.restore(saved)
+            row[i] = _moved(moved, row[i], change)
             try:
-                outputs = instance.step(k, row)
-            except _Call:
-                continue  # an input that cannot be moved alone
-            for v, x, y in zip(fmu.outputs, base, outputs, strict=True):
+                instance.restore(saved)
+                instance.step(k)
+                instance.set([moved], [row[i]])
+                without_step = instance.get()
+                instance.restore(saved)
+                with_step = instance.step(k, row)
+            except _Call:  # an input that cannot be moved alone; after an error nothing more may be asked of the instance
+                instance, saved = _advanced(fmu, k)
+                continue
+            for v, x, y, z in zip(fmu.outputs, base, without_step, with_step, strict=True):
                 names = declared.get(v.name)
-                if x == y:
-                    continue
-                followed += 1
-                if names is not None and moved.name not in {d.name for d in names}:
-                    raise AssertionError(
-                        f"output {v.name} follows input {moved.name} at once; it declares {_some([d.name for d in names]) or 'none'}"
-                    )
+                known = names is None or moved.name in {d.name for d in names}
+                followed += x != z
+                declares = f"it declares {_some([d.name for d in names or ()]) or 'none'}"
+                if x != y and not known:
+                    raise AssertionError(f"output {v.name} follows input {moved.name} at once, without a step; {declares}")
+                if x != z and not known:
+                    late = late or f"output {v.name} follows input {moved.name} within the step, {declares}"
     instance.restore(saved)
     instance.call("fmi2FreeFMUstate", ctypes.byref(saved))
     instance.free()
+    if late:
+        raise _Finding(f"{late}: right for an integrator; a master that sorts by dependencies may pass the value one step late")
     if not followed:
-        raise _Skip(f"no input that was moved in step {k} changed an output at once")
+        raise _Skip(f"no input that was moved in step {k} changed an output in that step")
     return f"{followed} changes of outputs by moved inputs in step {k}, all declared"
+
+
+def _advanced(fmu: _Fmu, k: int) -> tuple[_Instance, Any]:
+    """An instance before step k and its state there."""
+    instance = _Instance(fmu)
+    instance.initialise()
+    for earlier in range(k):
+        instance.step(earlier)
+    return instance, instance.state()
+
+
+def _moved(v: Any, value: float, change: float) -> float:
+    if v.type == "Real":
+        return value + change * (abs(value) or 1.0)
+    return 1.0 - value if v.type == "Boolean" else value + 1
 
 
 def _nan_input(fmu: _Fmu) -> str:
@@ -589,6 +616,7 @@ def _child(path: Path, report: Path) -> None:
         for name, check in CHECKS.items():
             stream.write(json.dumps({"begun": name}) + "\n")
             outcome: Outcome = "passed"
+            fmu.log.clear()
             try:
                 detail = check(fmu)
             except _Skip as reason:
