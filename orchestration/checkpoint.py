@@ -28,7 +28,7 @@ from orchestration.system import TICK, System
 from orchestration.toml_text import dump
 
 SCHEMA = "robomill-checkpoint/1"
-_COMPARED = ("algorithm", "sources", "connections", "files", "parameters", "clock", "columns")
+_COMPARED = ("algorithm", "sources", "rates", "connections", "files", "parameters", "clock", "columns")
 _REMEDY = "run it anew without resuming, or into another folder"
 
 

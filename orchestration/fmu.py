@@ -220,6 +220,8 @@ class FmuSlave:
     def set_state(self, state: Any) -> None:
         """Go back to a state from `get_state`."""
         phase, saved = state
+        if self._initialising and not phase[0]:  # many FMUs cannot go on from later on while they are in initialisation
+            self.leave_initialisation()
         if isinstance(saved, bytes):
             pointer = ctypes.c_void_p()
             self._call("fmi2DeSerializeFMUstate", ctypes.create_string_buffer(saved, len(saved)), len(saved), ctypes.byref(pointer))

@@ -197,8 +197,6 @@ class Master:
         for name, slave in self._slaves.items():
             self._current = name
             try:
-                if saved.done and hasattr(slave, "leave_initialisation"):  # states of later on cannot be set during it
-                    slave.leave_initialisation()
                 slave.set_state(alike(slave.get_state(), saved.states[name]))
             except Exception as error:
                 raise self._failure(error, f"going back to its state at t = {saved.time:.9g} s", None) from error

@@ -33,6 +33,12 @@ def parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--stop", type=float, metavar="S", help="stop time in s (system files)")
     run.add_argument("--csv", action="store_true", help="also write signals.csv")
+    run.add_argument("--checkpoint-every", type=int, metavar="STEPS", help="save each so many steps all that --resume goes on from")
+    run.add_argument(
+        "--resume",
+        action="store_true",
+        help="keep finished runs in the folder, go on with one that has a checkpoint, begin the others anew",
+    )
     run.add_argument("--no-pictures", action="store_true", help="skip the pictures")
 
     build = _command(commands, "build", "write every FMU", "robomill build --out dist")

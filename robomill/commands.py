@@ -75,7 +75,7 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     assert scenario.workpiece is not None  # load_scenario checks it for this kind
     results: list[Result] = []
     with _progress(options.json) as report:
-        job = milling.prepare(scenario, folder, options.fmus, report)
+        job = milling.prepare(scenario, folder, options.fmus, report, resume=options.resume, checkpoint_every=options.checkpoint_every)
         for variant in scenario.variants:
             recorded, factor = milling.mill(job, variant, report, csv=options.csv)
             results.append(evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor))
@@ -147,6 +147,8 @@ def _run_system(options: Namespace) -> int:
         system = with_fmus(system, options.fmus)
     if options.csv:
         system = replace(system, recording=replace(system.recording, csv=True))
+    if options.checkpoint_every is not None:
+        system = replace(system, recording=replace(system.recording, checkpoint_every=options.checkpoint_every))
     folder = options.out or RESULTS / system.name
     with _progress(options.json) as report:
         result = run_once(
@@ -157,6 +159,7 @@ def _run_system(options: Namespace) -> int:
             convert=convert,
             progress=lambda done, total: report(system.name, done, total),
             overwrite=True,
+            resume=options.resume,
         )
     rows, end, columns = len(result), float(result.t[-1]), list(result.columns)
     if options.json:

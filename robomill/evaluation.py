@@ -72,7 +72,7 @@ def evaluate(name: str, title: str, run: Run, workpiece: Workpiece, real_time_fa
         "peak_cutting_force_n": float(np.max(np.linalg.norm(run["milling.f_T_B"], axis=1))),
         "peak_substep_force_n": float(np.max(run["milling.f_peak"])),
         "reaction_t50_s": None if math.isnan(reaction) else reaction,
-        "real_time_factor": real_time_factor,
+        "real_time_factor": None if math.isnan(real_time_factor) else real_time_factor,
     }
     return Result(name, title, run, nominal, actual, radius, surface, cuts, figures)
 

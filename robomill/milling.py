@@ -6,6 +6,7 @@ pilot force comes from), one run per variant, pictures, and `summary.json`.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from models.trajectory import Placement, Plan, pilot_table, plan
 from orchestration.assembly import run
 from orchestration.results import Run
 from orchestration.system import Connection, System
+from orchestration.wiring import Wiring
 from robomill.binding import convert, resolve, with_fmus
 from robomill.scenario import ComponentParameters, Scenario, ScenarioError, Variant, Workpiece
 
@@ -43,6 +45,8 @@ class Job:
     plan: Plan
     system: System
     folder: Path
+    resume: bool = False
+    """Whether runs that are in the folder already are kept or continued."""
 
     @property
     def steps(self) -> int:
@@ -50,10 +54,19 @@ class Job:
         return int(np.ceil(self.plan.duration / self.system.step)) + 1
 
 
-def prepare(scenario: Scenario, folder: str | Path, fmus: Path | None = None, progress: Progress | None = None) -> Job:
+def prepare(
+    scenario: Scenario,
+    folder: str | Path,
+    fmus: Path | None = None,
+    progress: Progress | None = None,
+    *,
+    resume: bool = False,
+    checkpoint_every: int | None = None,
+) -> Job:
     """Plan the program and estimate the cutting force along it.
 
-    `fmus`: folder of FMUs to run instead of the in-process components. Raises what the reader of the program, the
+    `fmus`: folder of FMUs to run instead of the in-process components; `resume` keeps finished runs in the folder and goes on with
+    interrupted ones; `checkpoint_every` [steps] instead of what the system file says. Raises what the reader of the program, the
     planner and the master raise; nothing is left half done in `folder` that a second call would trip over.
     """
     assert scenario.program is not None
@@ -79,17 +92,22 @@ def prepare(scenario: Scenario, folder: str | Path, fmus: Path | None = None, pr
     system = with_parameters(system, scenario.parameters)
     if fmus is not None:
         system = with_fmus(system, fmus)
-    job = Job(scenario, workpiece, planned, system, folder)
+    if checkpoint_every is not None:
+        system = replace(system, recording=replace(system.recording, checkpoint_every=checkpoint_every))
+    job = Job(scenario, workpiece, planned, system, folder, resume)
     np.save(pilot, _pilot(job, progress))
     return replace(job, system=system.with_parameters("path", {"pilot": str(pilot)}))
 
 
 def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool = False) -> tuple[Run, float]:
-    """Run one variant into its folder; returns the run and how many times faster than real time it was (recording included)."""
+    """Run one variant into its folder; returns the run and how many times faster than real time it was (recording included, compiling not).
+
+    The factor is NaN for a run that was finished before.
+    """
     system = replace(with_parameters(job.system, variant.parameters), name=f"{job.scenario.name}/{variant.name}")
     system = replace(system, recording=replace(system.recording, csv=csv))
     labels = {"program": job.plan.name, "robot": "KUKA KR 300 R2500 ultra", "condition": variant.name}
-    started = time.perf_counter()
+    watch = _Stopwatch()
     result = run(
         system,
         job.folder / variant.name,
@@ -99,8 +117,33 @@ def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool
         progress=_reporting(progress, variant.title, job.steps),
         labels=labels,
         overwrite=True,
+        observers=[watch],
+        resume=job.resume,
     )
-    return result, float(result.t[-1]) / (time.perf_counter() - started)
+    return result, watch.factor
+
+
+class _Stopwatch:
+    """Observer that compares the clock on the wall with that of the run, from the first step on (compiling is over by then)."""
+
+    def __init__(self) -> None:
+        self._ticks: list[tuple[float, float]] = []
+        self._last = math.nan
+        self.factor = math.nan
+
+    def begin(self, wiring: Wiring, step: float) -> None:
+        """Nothing to do."""
+
+    def observe(self, t: float, outputs: FloatArray) -> None:
+        """Note the times after initialisation and after the first step."""
+        if len(self._ticks) < 2:
+            self._ticks.append((t, time.perf_counter()))
+        self._last = t
+
+    def end(self, outcome: str, message: str) -> None:
+        """Work out the factor."""
+        if len(self._ticks) == 2 and self._last > self._ticks[1][0]:
+            self.factor = (self._last - self._ticks[1][0]) / (time.perf_counter() - self._ticks[1][1])
 
 
 def _pilot(job: Job, progress: Progress | None) -> FloatArray:
@@ -116,6 +159,7 @@ def _pilot(job: Job, progress: Progress | None) -> FloatArray:
         convert=convert,
         progress=_reporting(progress, "offline force", job.steps),
         overwrite=True,
+        resume=job.resume,
     )
     # the force is a mean over the step that ends at t: it belongs to the middle of that step
     tau = result["path.path_time"][1:] - 0.5 * offline.step

@@ -280,7 +280,7 @@ class TestRefused:
             def get_state(self) -> Any:
                 return object()
 
-        with pytest.raises(SlaveError, match="component 'a' cannot save its state beyond this process, .*: it holds a object"):
+        with pytest.raises(SlaveError, match=r"component 'a' cannot save its state beyond this process, .*: it holds a object"):
             run(oscillator(), tmp_path / "r", resolver=lambda source, name: Odd(name))
 
     @pytest.mark.parametrize("damage", ["cut", "no json", "schema", "blob"])

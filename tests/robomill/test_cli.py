@@ -159,3 +159,49 @@ def test_ctrl_c_leaves_a_readable_recording(cell):
     recorded = Run.load(live.parent)
     assert recorded.outcome == "interrupted"
     assert len(recorded) > 100
+
+
+class TestResume:
+    """`--resume` keeps what is finished and goes on with what is not."""
+
+    def signals(self, folder: Path, variant: str) -> dict[str, bytes]:
+        run = Run.load(folder / variant)
+        return {"t": run.t.tobytes(), **{name: column.tobytes() for name, column in run.columns.items()}}
+
+    def test_an_interrupted_scenario(self, cell, capsys, monkeypatch):
+        """The first of two variants is finished, the second was stopped in its middle."""
+        from robomill import milling
+
+        edit(cell / "part.toml", "[variants.cartesian]", "[variants.none]\nparameters.controller.mode = 0\n[variants.cartesian]")
+        assert main(["run", "part.toml", "--no-pictures", "--out", "whole"]) == 0
+        arguments = ["run", "part.toml", "--no-pictures", "--out", "parts", "--checkpoint-every", "100"]
+
+        def stop(progress: object, what: str, steps: int) -> object:
+            def report(done: int, total: int) -> None:
+                if what == "cartesian" and done == 250:
+                    raise KeyboardInterrupt
+
+            return report
+
+        with monkeypatch.context() as patch:
+            patch.setattr(milling, "_reporting", stop)
+            assert main(arguments) == 130
+        assert Run.load(cell / "parts/cartesian").outcome == "interrupted"
+        before = (cell / "parts/none/signals.parquet").stat().st_mtime_ns
+        assert main([*arguments, "--resume"]) == 0
+        assert (cell / "parts/none/signals.parquet").stat().st_mtime_ns == before
+        assert Run.load(cell / "parts/cartesian").info["resumed"] == [0.8]
+        for variant in ("none", "cartesian"):
+            assert self.signals(cell / "whole", variant) == self.signals(cell / "parts", variant)
+        figures = json.loads((cell / "parts/summary.json").read_text())["variants"]
+        whole = json.loads((cell / "whole/summary.json").read_text())["variants"]
+        assert figures["none"]["real_time_factor"] is None
+        for variant in figures:
+            assert {k: v for k, v in figures[variant].items() if k != "real_time_factor"} == {
+                k: v for k, v in whole[variant].items() if k != "real_time_factor"
+            }
+
+    def test_another_program(self, cell, capsys):
+        assert main(["run", "part.toml", "--no-pictures"]) == 0
+        edit(cell / "part.ngc", "Z-5.", "Z-4.")
+        assert "holds a run of another system: files: path.segments was" in refused(capsys, "run", "part.toml", "--resume")
