@@ -7,7 +7,7 @@ READY := .venv/ready
 
 run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictures in results/test_part
 	$(BIN)/robomill build
-	$(BIN)/robomill run scenarios/test_part.toml
+	$(BIN)/robomill run scenarios/test_part.toml --fmus
 
 test: $(READY) ## every test, the slow ones too
 	$(BIN)/python -m pytest -m "slow or not slow"

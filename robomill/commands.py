@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -41,7 +42,7 @@ _SHOWN = (
     ("p95_deviation_m", "95 %", 1e3, "mm", "{:.2f}"),
     ("peak_force_n", "peak force", 1.0, "N", "{:.0f}"),
     ("reaction_t50_s", "reaction", 1e3, "ms", "{:.0f}"),
-    ("real_time_factor", "speed", 1.0, "x real time", "{:.0f}"),
+    ("real_time_factor", "speed", 1.0, "x real", "{:.0f}"),
 )
 
 
@@ -89,10 +90,10 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     if options.json:
         print(json.dumps(summary, indent=1))
         return 0
-    console = Console()
+    console = _console()
     console.print(_table(scenario, results))
     for result in results:
-        console.print(f"{result.title}: largest deviation at the {result.figures['max_deviation_location']}", highlight=False)
+        console.print(f"{result.title}: largest deviation: {result.figures['max_deviation_location']}", highlight=False)
     for text in job.plan.reduced:
         console.print(f"note: {text}", highlight=False)
     console.print(
@@ -103,8 +104,8 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
 
 def _table(scenario: Scenario, results: Sequence[Result]) -> Table:
     """Our figures, and beside them those of the paper where it has them."""
-    table = Table(title=f"{scenario.title}\nin brackets: published", title_justify="left")
-    table.add_column("variant")
+    table = Table(title=f"{scenario.title}\nin brackets: published", title_justify="left", box=SIMPLE)
+    table.add_column("variant", no_wrap=True)
     for _, title, _, unit, _ in _SHOWN:
         table.add_column(f"{title}\n{unit}", justify="right")
     for r in results:
@@ -135,7 +136,7 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
     for name, size in magnitudes.items():
         mean = f"{1e3 * size.mean():.2f}" + (f" ({1e3 * published[name]:.2f})" if name in published else "")
         table.add_row(titles[name], mean, f"{1e3 * size.max():.2f}", f"{1e3 * size.min():.2f}")
-    console = Console()
+    console = _console()
     console.print(table)
     console.print(f"summary.json and the picture are in {folder}/", highlight=False)
     return 0
@@ -213,7 +214,7 @@ def check(options: Namespace) -> int:
         print(json.dumps({name: [asdict(r) for r in results] for name, results in reports.items()}, indent=1))
         return 1 if failed else 0
     colour = {"passed": "green", "failed": "red", "finding": "yellow", "skipped": "cyan"}
-    console = Console()
+    console = _console()
     for name, results in reports.items():
         table = Table(title=name, title_justify="left", show_header=False)
         for r in results:
@@ -255,6 +256,12 @@ def plan(options: Namespace) -> int:
     for note in planned.reduced:
         print(f"note: {note}")
     return 0
+
+
+def _console() -> Console:
+    """Standard output; wide enough for the tables where it is not a terminal."""
+    console = Console()
+    return console if console.is_terminal else Console(width=120)
 
 
 def _write(file: Path, content: Any) -> None:
