@@ -13,6 +13,7 @@ import importlib.util
 import os
 import shutil
 import sys
+import sysconfig
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -75,15 +76,15 @@ def prune(folder: Path, current: str, kept: int = KEPT) -> None:
 def source_files(module: str) -> dict[str, Path]:
     """Module name -> source file of `module` and of all that it imports, also inside functions and through others.
 
-    Followed are imports from `models`, `fmus` and the top-level package of `module` itself.
-    ModuleNotFoundError if one of them does not exist.
+    Followed are `models`, `fmus`, the top-level package of `module` itself and everything that is
+    not installed as a library. ModuleNotFoundError if one of them does not exist.
     """
-    packages = {"models", "fmus", module.partition(".")[0]}
+    own = {"models", "fmus", module.partition(".")[0]}
     found: dict[str, Path] = {}
     waiting = [module]
     while waiting:
         name = waiting.pop()
-        if name in found or name.partition(".")[0] not in packages:
+        if name in found:
             continue
         file = _file(name)
         if file is None:
@@ -93,11 +94,20 @@ def source_files(module: str) -> dict[str, Path]:
             waiting.append(name.rpartition(".")[0])
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import):
-                waiting += [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                waiting += [alias.name for alias in node.names if _followed(alias.name, own)]
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level and _followed(node.module, own):
                 waiting.append(node.module)
                 waiting += [n for alias in node.names if _file(n := f"{node.module}.{alias.name}")]
     return dict(sorted(found.items()))
+
+
+def _followed(module: str, own: set[str]) -> bool:
+    """Whether a module is one of `own`, or a source file that is not part of Python or of an installed library."""
+    top = module.partition(".")[0]
+    if top in own:
+        return True
+    file = None if top in sys.stdlib_module_names else _file(top)
+    return file is not None and not any(Path(sysconfig.get_path(kind)) in file.parents for kind in ("purelib", "platlib", "stdlib"))
 
 
 @cache

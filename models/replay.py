@@ -122,7 +122,7 @@ def from_specification(specification: dict[str, Any], rows: FloatArray) -> Repla
 
 @kernel
 def locate(s: Record, time: float) -> int:
-    """Find row and weight of a recorded time [s]; the status is 0, 1 outside of the recording, 2 empty, 3 disordered."""
+    """Find row and weight of a recorded time [s]; the status is 0, 1 outside of the recording, 2 empty."""
     rows = int(s.recording_rows)
     if rows == 0:
         return 2
@@ -142,8 +142,6 @@ def locate(s: Record, time: float) -> int:
     s.replay_weight = 0.0
     if low < rows - 1:
         before, after = s.recording[low, 0], s.recording[low + 1, 0]
-        if after <= before:
-            return 3
         if s.interpolation == LINEAR and time > before + SAME_TIME:
             s.replay_weight = (time - before) / (after - before)
     return 0
@@ -187,6 +185,10 @@ def _functions(outputs: list[Variable]) -> tuple[Callable[..., int], Callable[..
     look_up = kernel(look_up)
 
     def init(s: Record) -> int:
+        for row in range(int(s.recording_rows) - 1):
+            if s.recording[row + 1, 0] <= s.recording[row, 0]:
+                s.replay_row = row
+                return 3
         return look_up(s, s.time_offset)
 
     def step(s: Record, t: float, h: float) -> int:

@@ -1,0 +1,115 @@
+"""models.cache: compiled code is kept under the hash of the sources that it was made from."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from models.cache import _key, compiled_code, prune, source_files, user_folder
+
+MODEL = """
+from models.declaration import Model, Variable
+from helpers import gain
+
+def init(s):
+    return 0
+
+def step(s, t, h):
+    s.y = gain()
+    return 0
+
+MODEL = Model("edited", "A model with a helper elsewhere", (Variable("y", "output", "Out"),), init, step)
+"""
+RUN = """
+import edited
+from models.declaration import record
+_, step = edited.MODEL.compiled()
+data = edited.MODEL.new()
+step(record(data), 0.0, 1.0)
+print(float(data["y"][0]), sum(step.stats.cache_hits.values()))
+"""
+
+
+def test_an_edit_in_a_function_called_from_another_file_is_noticed(tmp_path: Path) -> None:
+    """Numba's own cache would go on with the old function."""
+    (tmp_path / "edited.py").write_text(MODEL, encoding="utf-8")
+    (tmp_path / "run.py").write_text(RUN, encoding="utf-8")
+    helper = "from models.declaration import kernel\n\n@kernel\ndef gain():\n    return {}\n"
+
+    def run(value: float) -> str:
+        (tmp_path / "helpers.py").write_text(helper.format(value), encoding="utf-8")
+        environment = {**os.environ, "ROBOMILL_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+        done = subprocess.run([sys.executable, "run.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip()
+
+    assert run(1.0) == "1.0 0"
+    assert run(1.0) == "1.0 1"
+    assert run(2.0) == "2.0 0"
+
+
+def test_numbas_folder_is_set_for_our_functions_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import numba
+
+    monkeypatch.setenv("ROBOMILL_CACHE_DIR", str(tmp_path))
+    before = numba.config.CACHE_DIR
+    with compiled_code(prune):
+        assert Path(numba.config.CACHE_DIR).parent == tmp_path / "numba"
+        assert Path(numba.config.CACHE_DIR).is_dir()
+    assert before == numba.config.CACHE_DIR
+
+
+def test_a_folder_that_cannot_be_made_leaves_numba_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import numba
+
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    monkeypatch.setenv("ROBOMILL_CACHE_DIR", str(tmp_path / "file"))
+    before = numba.config.CACHE_DIR
+    with compiled_code(prune):
+        assert before == numba.config.CACHE_DIR
+
+
+def test_folders_used_longest_ago_are_removed(tmp_path: Path) -> None:
+    for i, name in enumerate("abcde"):
+        (tmp_path / name).mkdir()
+        os.utime(tmp_path / name, (i, i))
+    prune(tmp_path, "a", kept=2)
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["a", "d", "e"]
+    prune(tmp_path / "missing", "a")
+
+
+def test_sources_are_those_imported_directly_through_others_and_inside_functions() -> None:
+    files = source_files("models.milling_force")
+    assert {"models", "models.milling_force", "models.workpiece", "models.elementary", "models.declaration", "models.cache"} <= set(files)
+    assert "models.sensor_chain" not in files
+    assert not [name for name in files if name.startswith(("numba", "numpy", "tests"))]
+    with pytest.raises(ModuleNotFoundError, match=r"no source file of module 'models\.nothing'"):
+        source_files("models.nothing")
+
+
+def test_the_key_depends_on_functions_and_compiler() -> None:
+    assert _key((prune,), "1") == _key((prune,), "1")
+    assert _key((prune,), "1") != _key((prune,), "2")
+
+
+@pytest.mark.parametrize(
+    ("platform", "variables", "expected"),
+    [
+        ("linux", {"XDG_CACHE_HOME": "/x"}, "/x/robomill"),
+        ("win32", {"LOCALAPPDATA": "/local"}, "/local/robomill"),
+        ("darwin", {"HOME": "/home/u"}, "/home/u/Library/Caches/robomill"),
+        ("linux", {"ROBOMILL_CACHE_DIR": "/own"}, "/own"),
+    ],
+)
+def test_the_users_cache_folder_is_where_the_platform_has_it(
+    monkeypatch: pytest.MonkeyPatch, platform: str, variables: dict[str, str], expected: str
+) -> None:
+    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.delenv("ROBOMILL_CACHE_DIR", raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert user_folder() == Path(expected)
