@@ -172,7 +172,7 @@ def _dynamic_checks(path: Path, folder: Path, timeout: float) -> list[Result]:
 # The other side: the process that runs the FMU
 
 
-class _Fmu:
+class Fmu:
     """An unpacked FMU and what the checks need to know about it."""
 
     def __init__(self, path: Path) -> None:
@@ -249,14 +249,14 @@ def _columns(file: Path, names: Sequence[str]) -> list[list[float]]:
     return [[float(row[i]) for i in positions] for row in rows[1:]]
 
 
-class _Call(Exception):  # noqa: N818  # its text says what failed
+class CallFailed(Exception):  # noqa: N818  # its text says what failed
     """An FMI call that did not return OK or warning."""
 
 
-class _Instance:
+class Instance:
     """One instance of the FMU; raw calls, every status looked at, its log kept."""
 
-    def __init__(self, fmu: _Fmu, name: str = "instance") -> None:
+    def __init__(self, fmu: Fmu, name: str = "instance") -> None:
         from fmpy import fmi2
 
         self.fmu, self.log = fmu, fmu.log
@@ -266,18 +266,18 @@ class _Instance:
         try:
             self.slave.instantiate(callbacks=fmu.callbacks, loggingOn=True)
         except Exception as error:
-            raise _Call(f"fmi2Instantiate: {error} {self.logged()}") from None
+            raise CallFailed(f"fmi2Instantiate: {error} {self.logged()}") from None
 
     def logged(self) -> str:
         """What it logged, in one line."""
         return " | ".join(" ".join(text.split()) for text in self.log[-3:]) or "(nothing logged)"
 
     def call(self, function: str, *arguments: Any) -> None:
-        """An FMI function of this instance. `_Call` unless it returns OK or warning."""
+        """An FMI function of this instance. `CallFailed` unless it returns OK or warning."""
         status = self.slave._functions[function](self.slave.component, *arguments)
         if status > 1:
             label = _LABELS[status] if 0 <= status < len(_LABELS) else str(status)
-            raise _Call(f"{function} returned {label}: {self.logged()}")
+            raise CallFailed(f"{function} returned {label}: {self.logged()}")
 
     def set(self, variables: Sequence[Any], values: Sequence[Any]) -> None:
         """Set variables, one call per type."""
@@ -347,7 +347,7 @@ def _encoded(text: Any) -> bytes:
     return str(text).encode()
 
 
-def _same(fmu: _Fmu, what: str, expected: Sequence[Sequence[float]], found: Sequence[Sequence[float]], first: int = 0) -> None:
+def _same(fmu: Fmu, what: str, expected: Sequence[Sequence[float]], found: Sequence[Sequence[float]], first: int = 0) -> None:
     """Bitwise equal trajectories, NaN equal to NaN; AssertionError names variable, step and both values."""
     for k, (a, b) in enumerate(zip(expected, found, strict=True)):
         for v, x, y in zip(fmu.outputs, a, b, strict=True):
@@ -355,8 +355,8 @@ def _same(fmu: _Fmu, what: str, expected: Sequence[Sequence[float]], found: Sequ
                 raise AssertionError(f"{what}: {v.name} differs first at step {first + k}: {x!r} and {y!r} (difference {y - x:.3g})")
 
 
-def _run(fmu: _Fmu) -> str:
-    instance = _Instance(fmu)
+def _run(fmu: Fmu) -> str:
+    instance = Instance(fmu)
     trajectory = instance.run()
     for k, row in enumerate(trajectory):
         for v, x in zip(fmu.outputs, row, strict=True):
@@ -368,25 +368,25 @@ def _run(fmu: _Fmu) -> str:
     return f"{len(fmu.rows)} steps of {fmu.h} s in {Path.cwd()}"
 
 
-def _repeat(fmu: _Fmu) -> str:
-    instance = _Instance(fmu)
+def _repeat(fmu: Fmu) -> str:
+    instance = Instance(fmu)
     _same(fmu, "first and second run", _expected(fmu), instance.run())
     instance.free()
     return "bitwise equal"
 
 
-def _expected(fmu: _Fmu) -> list[list[float]]:
+def _expected(fmu: Fmu) -> list[list[float]]:
     found: list[list[float]] | None = getattr(fmu, "trajectory", None)
     if found is None:
         raise _Skip("the first run failed")
     return found
 
 
-def _two_instances(fmu: _Fmu) -> str:
+def _two_instances(fmu: Fmu) -> str:
     if fmu.flags.canBeInstantiatedOnlyOncePerProcess:
         raise _Skip("canBeInstantiatedOnlyOncePerProcess is true")
     expected = _expected(fmu)
-    one, other = _Instance(fmu, "one"), _Instance(fmu, "other")
+    one, other = Instance(fmu, "one"), Instance(fmu, "other")
     found = [one.initialise()]
     other.initialise(fmu.moved(0, 1.0))
     for k in range(len(fmu.rows)):
@@ -399,9 +399,9 @@ def _two_instances(fmu: _Fmu) -> str:
     return "bitwise the same as alone"
 
 
-def _reset(fmu: _Fmu) -> str:
+def _reset(fmu: Fmu) -> str:
     expected = _expected(fmu)
-    instance = _Instance(fmu)
+    instance = Instance(fmu)
     instance.initialise()
     for k in range(min(5, len(fmu.rows))):
         instance.step(k)
@@ -411,12 +411,12 @@ def _reset(fmu: _Fmu) -> str:
     return "bitwise as fresh"
 
 
-def _state(fmu: _Fmu) -> str:
+def _state(fmu: Fmu) -> str:
     if not fmu.flags.canGetAndSetFMUstate:
         raise _Skip("canGetAndSetFMUstate is false")
     expected = _expected(fmu)
     split = len(fmu.rows) // 3
-    instance = _Instance(fmu)
+    instance = Instance(fmu)
     instance.initialise()
     for k in range(split):
         instance.step(k)
@@ -430,12 +430,12 @@ def _state(fmu: _Fmu) -> str:
     return f"returned to the state after step {split} twice, bitwise equal"
 
 
-def _serialised(fmu: _Fmu) -> str:
+def _serialised(fmu: Fmu) -> str:
     if not fmu.flags.canSerializeFMUstate:
         raise _Skip("canSerializeFMUstate is false")
     expected = _expected(fmu)
     split = len(fmu.rows) // 2
-    instance = _Instance(fmu)
+    instance = Instance(fmu)
     instance.initialise()
     for k in range(split):
         instance.step(k)
@@ -446,7 +446,7 @@ def _serialised(fmu: _Fmu) -> str:
     instance.call("fmi2SerializeFMUstate", saved, data, size)
     instance.call("fmi2FreeFMUstate", ctypes.byref(saved))
     instance.free()
-    fresh = _Instance(fmu, "fresh")
+    fresh = Instance(fmu, "fresh")
     fresh.initialise(fmu.moved(0, 2.0))
     pointer = ctypes.c_void_p()
     fresh.call("fmi2DeSerializeFMUstate", data, size, ctypes.byref(pointer))
@@ -458,7 +458,7 @@ def _serialised(fmu: _Fmu) -> str:
     return f"{size.value} bytes, carried over to another instance, bitwise equal"
 
 
-def _dependencies(fmu: _Fmu) -> str:
+def _dependencies(fmu: Fmu) -> str:
     declared = {u.variable.name: u.dependencies for u in fmu.md.outputs}
     if all(declared.get(v.name) is None for v in fmu.outputs):
         raise _Finding("no output declares its dependencies; importers must assume that it follows every input at once")
@@ -479,7 +479,7 @@ def _dependencies(fmu: _Fmu) -> str:
                 without_step = instance.get()
                 instance.restore(saved)
                 with_step = instance.step(k, row)
-            except _Call:  # an input that cannot be moved alone; after an error nothing more may be asked of the instance
+            except CallFailed:  # an input that cannot be moved alone; after an error nothing more may be asked of the instance
                 instance, saved = _advanced(fmu, k)
                 continue
             for v, x, y, z in zip(fmu.outputs, base, without_step, with_step, strict=True):
@@ -501,9 +501,9 @@ def _dependencies(fmu: _Fmu) -> str:
     return f"{followed} changes of outputs by moved inputs in step {k}, all declared"
 
 
-def _advanced(fmu: _Fmu, k: int) -> tuple[_Instance, Any]:
+def _advanced(fmu: Fmu, k: int) -> tuple[Instance, Any]:
     """An instance before step k and its state there."""
-    instance = _Instance(fmu)
+    instance = Instance(fmu)
     instance.initialise()
     for earlier in range(k):
         instance.step(earlier)
@@ -516,57 +516,57 @@ def _moved(v: Any, value: float, change: float) -> float:
     return 1.0 - value if v.type == "Boolean" else value + 1
 
 
-def _nan_input(fmu: _Fmu) -> str:
+def _nan_input(fmu: Fmu) -> str:
     reals = [v for v in fmu.inputs if v.type == "Real"]
     if not reals:
         raise _Skip("no Real input")
-    instance = _Instance(fmu)
+    instance = Instance(fmu)
     instance.initialise()
     instance.step(0)
     instance.log.clear()
     try:
         instance.set(reals[:1], [math.nan])
         instance.call("fmi2DoStep", ctypes.c_double(fmu.start + fmu.h), ctypes.c_double(fmu.h), 1)
-    except _Call as error:
+    except CallFailed as error:
         text = str(error)
     else:
         raise _Finding(f"NaN for input {reals[0].name} passes without an error")
     return _refused(fmu, instance, text, reals[0].name)
 
 
-def _refused(fmu: _Fmu, instance: _Instance, text: str, name: str) -> str:
+def _refused(fmu: Fmu, instance: Instance, text: str, name: str) -> str:
     """After an error: its text names the variable, the instance can be freed and another one works."""
     if not any(instance.log):
         raise AssertionError(f"an error, but no text: {text}")
     if name not in text:
         raise _Finding(f"refused with a text that does not name {name}: {text}")
     instance.free()
-    after = _Instance(fmu, "after")
+    after = Instance(fmu, "after")
     _same(fmu, "before and after an error in another instance", _expected(fmu)[:2], [after.initialise(), after.step(0)])
     after.free()
     return text
 
 
-def _bad_parameter(fmu: _Fmu) -> str:
+def _bad_parameter(fmu: Fmu) -> str:
     bounded = [v for v in fmu.parameters if v.type in ("Real", "Integer") and (v.min is not None or v.max is not None)]
     if not bounded:
         raise _Skip("no parameter has a min or max")
     chosen = bounded[0]
     value = float(chosen.min) - 1.0 - abs(float(chosen.min)) if chosen.min is not None else float(chosen.max) + 1.0 + abs(float(chosen.max))
-    instance = _Instance(fmu)
+    instance = Instance(fmu)
     try:
         instance.set([chosen], [value])
         instance.initialise()
         instance.step(0)
-    except _Call as error:
+    except CallFailed as error:
         text = str(error)
     else:
         raise _Finding(f"parameter {chosen.name} = {value:g} is outside of [{chosen.min}, {chosen.max}] and passes without an error")
     return _refused(fmu, instance, text, chosen.name)
 
 
-def _other_step(fmu: _Fmu) -> str:
-    instance = _Instance(fmu)
+def _other_step(fmu: Fmu) -> str:
+    instance = Instance(fmu)
     instance.initialise()
     h = 0.75 * fmu.h
     declared = "true" if fmu.flags.canHandleVariableCommunicationStepSize else "false"
@@ -574,7 +574,7 @@ def _other_step(fmu: _Fmu) -> str:
     try:
         instance.set(fmu.inputs, fmu.rows[0])
         instance.call("fmi2DoStep", ctypes.c_double(fmu.start), ctypes.c_double(h), 1)
-    except _Call as error:
+    except CallFailed as error:
         if fmu.flags.canHandleVariableCommunicationStepSize:
             raise AssertionError(f"{rule}, but a step of {h:g} s fails: {error}") from None
         if not any(instance.log):
@@ -586,14 +586,14 @@ def _other_step(fmu: _Fmu) -> str:
     return f"{rule}; a step of {h:g} s is taken"
 
 
-def _reference(fmu: _Fmu) -> str:
+def _reference(fmu: Fmu) -> str:
     if not fmu.reference_rows:
         raise _Skip("it carries no documentation/reference/in.csv and out.csv")
     _same(fmu, "reference results (documentation/reference/out.csv) and this run", fmu.reference_rows, _expected(fmu))
     return f"{len(fmu.reference_rows)} rows of {len(fmu.outputs)} outputs, bitwise equal"
 
 
-CHECKS: Mapping[str, Callable[[_Fmu], str]] = {
+CHECKS: Mapping[str, Callable[[Fmu], str]] = {
     "runs in a fresh process": _run,
     "repeated run": _repeat,
     "two instances": _two_instances,
@@ -612,7 +612,7 @@ def _child(path: Path, report: Path) -> None:
     """Run all checks and write a line when one begins and one with its result."""
     with report.open("w", encoding="utf-8", buffering=1) as stream:
         stream.write(json.dumps({"begun": "unpacking"}) + "\n")
-        fmu = _Fmu(path)
+        fmu = Fmu(path)
         for name, check in CHECKS.items():
             stream.write(json.dumps({"begun": name}) + "\n")
             outcome: Outcome = "passed"
@@ -623,7 +623,7 @@ def _child(path: Path, report: Path) -> None:
                 outcome, detail = "skipped", str(reason)
             except _Finding as finding:
                 outcome, detail = "finding", str(finding)
-            except (_Call, AssertionError) as error:
+            except (CallFailed, AssertionError) as error:
                 outcome, detail = "failed", str(error)
             except Exception:
                 outcome, detail = "failed", traceback.format_exc()

@@ -10,7 +10,7 @@ import pytest
 
 from fmus.components import COMPONENTS, NAMES
 from fmus.interface import Interface
-from robomill.conformance import _Fmu, _Instance
+from robomill.conformance import Fmu, Instance
 from tests import golden
 
 
@@ -24,7 +24,7 @@ def test_python_fmu_equals_compiled_equals_plain(
     plain = golden.run(model, rows, parameters, plain=True)
     compiled = golden.run(model, rows, parameters, plain=False)
     monkeypatch.chdir(tmp_path)
-    instance = _Instance(_Fmu(built(name)))
+    instance = Instance(Fmu(built(name)))
     trajectory = np.array(instance.run())
     instance.free()
     for face, found in (("compiled", compiled), ("Python FMU", trajectory)):

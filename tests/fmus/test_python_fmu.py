@@ -21,7 +21,7 @@ from fmus.components import COMPONENTS
 from fmus.in_process import InProcessSlave
 from fmus.python.builder import build
 from models.replay import replay_model
-from robomill.conformance import _Call, _Fmu, _Instance
+from robomill.conformance import CallFailed, Fmu, Instance
 from tests.fmus import demo
 
 Built = Callable[[str], Path]
@@ -29,23 +29,23 @@ REPOSITORY = Path(__file__).parents[2]
 
 
 @pytest.fixture
-def fmu(built: Built, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> _Fmu:
+def fmu(built: Built, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fmu:
     monkeypatch.chdir(tmp_path)
-    return _Fmu(built("demo"))
+    return Fmu(built("demo"))
 
 
 @pytest.fixture
-def instance(fmu: _Fmu) -> Iterator[_Instance]:
-    one = _Instance(fmu, "springs")
+def instance(fmu: Fmu) -> Iterator[Instance]:
+    one = Instance(fmu, "springs")
     yield one
     one.free()
 
 
-def reference(fmu: _Fmu, name: str) -> int:
+def reference(fmu: Fmu, name: str) -> int:
     return next(int(v.valueReference) for v in fmu.md.modelVariables if v.name == name)
 
 
-def set_real(instance: _Instance, name: str, value: float) -> None:
+def set_real(instance: Instance, name: str, value: float) -> None:
     instance.call("fmi2SetReal", (ctypes.c_uint * 1)(reference(instance.fmu, name)), 1, (ctypes.c_double * 1)(value))
 
 
@@ -96,7 +96,7 @@ def test_a_plain_import_of_a_bundled_module_cannot_be_renamed(tmp_path: Path, mo
     sys.modules.pop("awkward")
 
 
-def test_outputs_read_during_initialisation_follow_inputs_and_parameters(instance: _Instance) -> None:
+def test_outputs_read_during_initialisation_follow_inputs_and_parameters(instance: Instance) -> None:
     instance.call("fmi2SetupExperiment", 0, 0.0, 0.0, 0, 0.0)
     instance.call("fmi2EnterInitializationMode")
     instance.set(instance.fmu.inputs, [0.1, 0.2, 1.0, 0.0, 3.0])
@@ -107,7 +107,7 @@ def test_outputs_read_during_initialisation_follow_inputs_and_parameters(instanc
     assert instance.get()[0] == 20.0
 
 
-def test_tables_are_named_by_path(instance: _Instance, tmp_path: Path) -> None:
+def test_tables_are_named_by_path(instance: Instance, tmp_path: Path) -> None:
     np.save(tmp_path / "my curve.npy", [[0.0, 5.0]])
     curve = [v for v in instance.fmu.parameters if v.name == "curve"]
     instance.set(curve, [tmp_path / "my curve.npy"])
@@ -127,71 +127,71 @@ def test_tables_are_named_by_path(instance: _Instance, tmp_path: Path) -> None:
     ],
 )
 def test_a_bad_value_is_refused_with_a_text_in_log_and_stderr(
-    instance: _Instance, capfd: pytest.CaptureFixture[str], name: str, value: float, text: str
+    instance: Instance, capfd: pytest.CaptureFixture[str], name: str, value: float, text: str
 ) -> None:
-    with pytest.raises(_Call, match="fmi2SetReal returned fatal"):
+    with pytest.raises(CallFailed, match="fmi2SetReal returned fatal"):
         set_real(instance, name, value)
     assert text in instance.log[-1]
     assert text in capfd.readouterr().err
 
 
-def test_a_value_reference_that_does_not_exist_is_refused(instance: _Instance) -> None:
-    with pytest.raises(_Call, match="springs: value reference 999 does not exist; expected a real"):
+def test_a_value_reference_that_does_not_exist_is_refused(instance: Instance) -> None:
+    with pytest.raises(CallFailed, match="springs: value reference 999 does not exist; expected a real"):
         instance.call("fmi2GetReal", (ctypes.c_uint * 1)(999), 1, (ctypes.c_double * 1)())
 
 
-def test_a_failed_step_gives_the_models_message_and_the_instance_goes_on_from_a_state(instance: _Instance) -> None:
+def test_a_failed_step_gives_the_models_message_and_the_instance_goes_on_from_a_state(instance: Instance) -> None:
     instance.initialise()
     saved = instance.state()
     expected = instance.step(0)
     set_real(instance, "x[1]", 1.5)
     with pytest.raises(
-        _Call, match=r"fmi2DoStep returned fatal: .* springs \(demo\): x\[1\] = 1.5 m is too far at t = 0.004 s; at most 1 m"
+        CallFailed, match=r"fmi2DoStep returned fatal: .* springs \(demo\): x\[1\] = 1.5 m is too far at t = 0.004 s; at most 1 m"
     ):
         instance.call("fmi2DoStep", ctypes.c_double(0.004), ctypes.c_double(0.004), 1)
-    with pytest.raises(_Call, match=r"cannot go on after an error; reset it or restore a state\. The error was: "):
+    with pytest.raises(CallFailed, match=r"cannot go on after an error; reset it or restore a state\. The error was: "):
         instance.call("fmi2DoStep", ctypes.c_double(0.004), ctypes.c_double(0.004), 1)
     instance.restore(saved)
     assert instance.step(0) == expected
 
 
-def test_a_failed_initialisation_is_reported_where_it_happens(instance: _Instance) -> None:
+def test_a_failed_initialisation_is_reported_where_it_happens(instance: Instance) -> None:
     set_real(instance, "stiffness[1,1]", 13.0)
-    with pytest.raises(_Call, match=r"fmi2(GetReal|ExitInitializationMode) returned fatal: .*brings bad luck"):
+    with pytest.raises(CallFailed, match=r"fmi2(GetReal|ExitInitializationMode) returned fatal: .*brings bad luck"):
         instance.initialise()
     instance.call("fmi2Reset")
     assert instance.initialise()[1] != 0.0
 
 
-def test_a_step_before_the_end_of_initialisation_is_refused(instance: _Instance) -> None:
-    with pytest.raises(_Call, match="springs: a step before the end of initialisation"):
+def test_a_step_before_the_end_of_initialisation_is_refused(instance: Instance) -> None:
+    with pytest.raises(CallFailed, match="springs: a step before the end of initialisation"):
         instance.call("fmi2DoStep", ctypes.c_double(0.0), ctypes.c_double(0.004), 1)
 
 
-def test_fixed_parameters_stay_and_tunable_ones_may_change_after_initialisation(instance: _Instance) -> None:
+def test_fixed_parameters_stay_and_tunable_ones_may_change_after_initialisation(instance: Instance) -> None:
     instance.initialise()
-    with pytest.raises(_Call, match=r"parameter stiffness\[1,1\] is fixed"):
+    with pytest.raises(CallFailed, match=r"parameter stiffness\[1,1\] is fixed"):
         set_real(instance, "stiffness[1,1]", 5.0)
     set_real(instance, "drift", 1.0)
 
 
-def test_a_per_cent_sign_survives_a_logger_that_formats(instance: _Instance) -> None:
+def test_a_per_cent_sign_survives_a_logger_that_formats(instance: Instance) -> None:
     """The logger of FMI is printf-like: the text must not be a format with something to fill in."""
     curve = [v for v in instance.fmu.parameters if v.name == "curve"]
-    with pytest.raises(_Call):
+    with pytest.raises(CallFailed):
         instance.set(curve, ["/no/%s/such%n"])
     assert "/no/%%s/such%%n" in instance.log[-1]
 
 
-def test_bytes_that_are_no_state_are_refused(instance: _Instance) -> None:
+def test_bytes_that_are_no_state_are_refused(instance: Instance) -> None:
     instance.initialise()
     pointer = ctypes.c_void_p()
     instance.call("fmi2DeSerializeFMUstate", ctypes.create_string_buffer(b"abc", 3), 3, ctypes.byref(pointer))
-    with pytest.raises(_Call, match="springs: not a state of this FMU"):
+    with pytest.raises(CallFailed, match="springs: not a state of this FMU"):
         instance.restore(pointer)
 
 
-def test_an_unexpected_exception_comes_with_its_traceback(fmu: _Fmu) -> None:
+def test_an_unexpected_exception_comes_with_its_traceback(fmu: Fmu) -> None:
     from fmus.python.slave import slave_class
 
     slave = slave_class(demo.MODEL, "x")(instance_name="springs")
@@ -203,23 +203,23 @@ def test_an_unexpected_exception_comes_with_its_traceback(fmu: _Fmu) -> None:
     assert "springs: " in repr(error.value)
 
 
-def test_many_instances_one_after_the_other(fmu: _Fmu) -> None:
+def test_many_instances_one_after_the_other(fmu: Fmu) -> None:
     """The library gives up a reference to the module's globals with each: a dozen used to end in 'module has no attribute'."""
     expected = None
     for _ in range(40):
-        one = _Instance(fmu)
+        one = Instance(fmu)
         trajectory = [one.initialise(), one.step(0)]
         one.free()
         assert expected in (None, trajectory)
         expected = trajectory
 
 
-def test_errors_do_not_upset_the_memory_of_the_process(fmu: _Fmu) -> None:
+def test_errors_do_not_upset_the_memory_of_the_process(fmu: Fmu) -> None:
     """The library drops references it does not have after an exception; the garbage collector would crash on that."""
     for _ in range(10):
-        one = _Instance(fmu)
+        one = Instance(fmu)
         for _ in range(5):
-            with pytest.raises(_Call):
+            with pytest.raises(CallFailed):
                 set_real(one, "x[1]", float("nan"))
         gc.collect()
         assert len(one.initialise()) == 6
@@ -227,7 +227,7 @@ def test_errors_do_not_upset_the_memory_of_the_process(fmu: _Fmu) -> None:
         gc.collect()
 
 
-def test_nothing_of_the_fmu_stays_on_the_path_of_the_process(instance: _Instance) -> None:
+def test_nothing_of_the_fmu_stays_on_the_path_of_the_process(instance: Instance) -> None:
     instance.initialise()
     assert not [p for p in sys.path if "resources" in p]
 
@@ -241,10 +241,10 @@ def test_two_versions_of_a_component_in_one_process_do_not_share_code(
     monkeypatch.chdir(tmp_path)
     import newer  # type: ignore[import-not-found]  # written above
 
-    old = _Instance(_Fmu(built("demo")))
+    old = Instance(Fmu(built("demo")))
     (tmp_path / "2").mkdir()
     monkeypatch.chdir(tmp_path / "2")
-    new = _Instance(_Fmu(build(newer.MODEL, tmp_path / "newer.fmu")))
+    new = Instance(Fmu(build(newer.MODEL, tmp_path / "newer.fmu")))
     row = [0.001, 0.001, 1.0, 0.0, 3.0]
     old.initialise(row)
     new.initialise(row)
@@ -337,12 +337,12 @@ def test_a_replay_fmu_gives_the_recorded_outputs_of_the_component_it_stands_for(
         if slave.interface.outputs[s] and slave.interface.outputs[s][0].variable == v
     }
     columns = {n: c[:, 0] if c.shape[1] == 1 else c for n, c in columns.items()}
-    fmu = _Fmu(build(replay_model(model, 0.004 * np.arange(21), columns), tmp_path / "replay.fmu"))
+    fmu = Fmu(build(replay_model(model, 0.004 * np.arange(21), columns), tmp_path / "replay.fmu"))
     assert [v.name for v in fmu.outputs] == [p.name for p in slave.interface.outputs]
     assert [v.name for v in fmu.inputs] == [p.name for p in slave.interface.inputs]
-    replay = _Instance(fmu)
+    replay = Instance(fmu)
     found = [replay.initialise(), *(replay.step(k) for k in range(20))]
     assert found == rows.tolist()
-    with pytest.raises(_Call, match=r"time 0\.084 s lies outside the recording, which goes from 0\.0 s to 0\.08 s"):
+    with pytest.raises(CallFailed, match=r"time 0\.084 s lies outside the recording, which goes from 0\.0 s to 0\.08 s"):
         replay.step(20, fmu.rows[0])
     replay.free()
