@@ -6,7 +6,7 @@ import math
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from orchestration.rate import MultiRate
 from orchestration.recorder import Recorder
 from orchestration.replay import ReplaySlave
 from orchestration.results import Run
-from orchestration.slave import Port, PortData, Scalar, Slave, arrays, outputs
+from orchestration.slave import Port, PortData, Scalar, Slave, arrays, outputs, plain
 from orchestration.system import Component, System
 from orchestration.wiring import Wiring, wire
 
@@ -39,6 +39,8 @@ class Assembly:
     wiring: Wiring
     parameters: Mapping[str, Mapping[str, Scalar]]
     """Values per element as they were set, in the unit of the port."""
+    inputs: Mapping[str, Mapping[str, Scalar]] = field(default_factory=dict)
+    """Start values of inputs that were set, by component and element."""
 
     def __enter__(self) -> Assembly:
         return self
@@ -61,6 +63,7 @@ class Assembly:
             "rates": {c.name: c.rate if c.every == 1 else 1.0 / c.every for c in s.components if (c.rate, c.every) != (1, 1)},
             "sources": {c.name: c.source for c in s.components},
             "parameters": {name: dict(values) for name, values in self.parameters.items()},
+            "inputs": {name: dict(values) for name, values in self.inputs.items()},
         }
 
 
@@ -80,12 +83,16 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
             if isinstance(old, ReplaySlave):  # its inputs are whatever is connected to it
                 slaves[c.name] = old.with_inputs(_connected_inputs(system, c.name, {n: s.ports for n, s in slaves.items()}))
         parameters: dict[str, dict[str, Scalar]] = {}
+        starts: dict[str, dict[str, Scalar]] = {}
         for c in system.components:
             with _attributed(system, c):
                 parameters[c.name] = _configure(system, c, slaves[c.name], convert)
+                if c.inputs:
+                    starts[c.name] = prepare(c.name, slaves[c.name].ports, c.inputs, convert, causality="input")
             if (c.rate, c.every) != (1, 1):
                 slaves[c.name] = MultiRate(slaves[c.name], c.rate, c.every)
-        return Assembly(system, slaves, wire(system, {name: s.ports for name, s in slaves.items()}), parameters)
+        ports = {name: _started(s.ports, starts.get(name, {})) for name, s in slaves.items()}
+        return Assembly(system, slaves, wire(system, ports), parameters, starts)
     except BaseException:
         _close(slaves.values())
         raise
@@ -105,15 +112,18 @@ def run(
     observers: Sequence[Observer] = (),
     manipulators: Sequence[Manipulator] = (),
     resume: bool = False,
+    loop: str | None = None,
 ) -> Run:
     """Run `system` from `start` to `stop` [s] (default: the system's own) and return what was recorded.
 
-    With a `folder` the results stream to disk (refused if it holds a run, unless `overwrite`), without
-    one they stay in memory. With `resume` the run in the folder goes on from its checkpoint: a finished one is returned
-    as it is, one without a checkpoint begins anew, one of a system that has changed since is refused; observers see
-    only what comes after the checkpoint. `labels` are added to those of the system. Raises what `assemble` raises,
+    With a `folder` the results stream to disk (refused if it holds a run, unless `overwrite`), without one they stay in memory.
+    With `resume` the run in the folder goes on from its checkpoint: a finished one is returned as it is, one without a checkpoint
+    begins anew, one of a system that has changed since is refused; observers see only what comes after the checkpoint. `loop`
+    replaces that of the system (auto, compiled, python). `labels` are added to those of the system. Raises what `assemble` raises,
     and RunError or Interrupted from the run itself; the folder is complete and readable by then.
     """
+    if loop is not None:
+        system = replace(system, loop=loop)
     end = system.stop if stop is None else stop
     if end is None:
         if system.stop_when is None:
@@ -141,7 +151,9 @@ def run(
 
 def _master(assembly: Assembly, observers: Sequence[Observer], manipulators: Sequence[Manipulator], folder: Path | None) -> Master:
     s = assembly.system
-    return Master(assembly.slaves, assembly.wiring, s.step, s.algorithm, observers, manipulators, s.check_ranges, folder, s.iteration)
+    return Master(
+        assembly.slaves, assembly.wiring, s.step, s.algorithm, observers, manipulators, s.check_ranges, folder, s.iteration, s.loop
+    )
 
 
 def _saver(assembly: Assembly, recorder: Recorder) -> Saver:
@@ -175,6 +187,11 @@ def _open(system: System, c: Component, resolver: Resolver | None) -> Slave:
         return resolver(c.source, c.name)
     except LookupError as error:
         raise SlaveError(f"source {c.source!r}: {error.args[0] if error.args else error}") from None
+
+
+def _started(ports: Sequence[Port], starts: Mapping[str, Scalar]) -> Sequence[Port]:
+    """The ports, inputs with the start values that were set for them."""
+    return [replace(plain(p), start=starts[p.name]) if p.causality == "input" and p.name in starts else p for p in ports]
 
 
 def _configure(system: System, c: Component, slave: Slave, convert: Convert) -> dict[str, Scalar]:

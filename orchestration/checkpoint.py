@@ -28,7 +28,7 @@ from orchestration.system import TICK, System
 from orchestration.toml_text import dump
 
 SCHEMA = "robomill-checkpoint/1"
-_COMPARED = ("algorithm", "sources", "rates", "connections", "files", "parameters", "clock", "columns")
+_COMPARED = ("algorithm", "sources", "rates", "connections", "files", "parameters", "inputs", "clock", "columns")
 _REMEDY = "run it anew without resuming, or into another folder"
 
 
@@ -192,11 +192,20 @@ def continuation(folder: Path, now: Mapping[str, Any], stop: float, stop_when: s
 
 def _check_same(folder: Path, stored: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     """OrchestrationError that says what has changed since the run in `folder` was begun: run.toml as it is and as it would be."""
-    now = tomllib.loads(dump(now))
+    stored, now = _by_content(stored), _by_content(tomllib.loads(dump(now)))
     for key in _COMPARED:
         difference = _difference(key, stored.get(key), now.get(key))
         if difference:
             raise OrchestrationError(f"{folder} holds a run of another system: {difference}; {_REMEDY}")
+
+
+def _by_content(info: Mapping[str, Any]) -> dict[str, Any]:
+    """run.toml without the paths of files whose content it knows: the same file may stand elsewhere now."""
+    known = info.get("files", {})
+    parameters = {
+        name: {k: v for k, v in values.items() if f"{name}.{k}" not in known} for name, values in info.get("parameters", {}).items()
+    }
+    return {**info, "parameters": parameters}
 
 
 def _difference(path: str, old: Any, new: Any) -> str:

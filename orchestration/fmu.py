@@ -20,6 +20,7 @@ from fmpy import fmi2
 
 from orchestration.errors import SlaveError
 from orchestration.fmu_description import open_fmu
+from orchestration.native import BlockData
 from orchestration.parameters import prepare
 from orchestration.slave import FloatArray, ParameterValue, Port, Scalar, inputs, outputs
 
@@ -62,6 +63,7 @@ class _Group:
         self.references = np.array([references[ports[i].name] for i in positions], dtype=np.uint32)
         self.buffer: npt.NDArray[Any] = np.zeros(self.count, dtype=_BUFFER[kind])
         self.function = function
+        self.place_of_each = tuple(positions)
         self.arguments = (self.references.ctypes.data, self.count, self.buffer.ctypes.data)
 
 
@@ -199,6 +201,18 @@ class FmuSlave:
                 self._failed(f"fmi2Get{group.kind.capitalize()}", status)
             out[group.place] = group.buffer
 
+    def native(self) -> NativeFmu:
+        """Addresses for compiled code (see `orchestration.native`); the instance has made its first step."""
+        return NativeFmu(self)
+
+    def failure(self, call: str, status: int) -> SlaveError:
+        """The error of a call that returned `status`; after a fatal one no further call is made."""
+        try:
+            self._failed(call, status)
+        except SlaveError as error:
+            return error
+        raise AssertionError("unreachable")
+
     def get_state(self) -> Any:
         """The state as (phase, bytes), or (phase, pointer) where the FMU cannot serialise it."""
         if not self.description.can_save_state:
@@ -274,3 +288,32 @@ class FmuSlave:
         if not shown:
             return "; it logged nothing"
         return "; it says:\n" + "\n".join("  " + line for text in shown for line in text.splitlines())
+
+
+class NativeFmu:
+    """The C functions of an FMU's instance, by address."""
+
+    limit = _WARNING
+
+    def __init__(self, slave: FmuSlave) -> None:
+        self._slave = slave
+        self.instance = slave._component.value or 0
+        self.step = _address(slave._do_step)
+        self.inputs = [_block(g) for g in slave._inputs]
+        self.outputs = [_block(g) for g in slave._outputs]
+
+    def failed(self, what: str, block: int, status: int, t: float, h: float) -> SlaveError:
+        """The error of the call, with the FMU's messages."""
+        if what == "step":
+            return self._slave.failure(f"fmi2DoStep(t = {t:.9g}, h = {h:.9g})", status)
+        group = (self._slave._inputs if what == "inputs" else self._slave._outputs)[block]
+        return self._slave.failure(f"fmi2{'Set' if what == 'inputs' else 'Get'}{group.kind.capitalize()}", status)
+
+
+def _block(group: _Group) -> BlockData:
+    kind = "float64" if group.kind == "real" else "int32"
+    return BlockData(kind, _address(group.function), group.references.ctypes.data, group.buffer.ctypes.data, group.place_of_each)
+
+
+def _address(function: Any) -> int:
+    return ctypes.cast(function, ctypes.c_void_p).value or 0

@@ -24,6 +24,11 @@ class Guard:
         self._high = np.array([_MAX if p.maximum is None or not check_ranges else p.maximum for p in ports])
         self._above, self._below = np.zeros(len(ports), bool), np.zeros(len(ports), bool)
 
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Least and largest allowed value of each output; the largest finite numbers where there is no bound."""
+        return self._low, self._high
+
     def ok(self, values: FloatArray) -> bool:
         """Whether all outputs are finite and in range."""
         np.greater_equal(values, self._low, out=self._above)

@@ -16,7 +16,7 @@ import numpy as np
 
 from orchestration.errors import SlaveError, describe
 from orchestration.isolation import CALL, FAILED, OK, STEP, TIMES
-from orchestration.slave import FloatArray, PortData, Slave
+from orchestration.slave import FloatArray, PortData, Slave, plain
 
 
 class _Kept:
@@ -48,10 +48,7 @@ class Server:
         from orchestration.fmu import FmuSlave
 
         self.slave = FmuSlave(file, name)
-        return [
-            PortData(p.name, p.causality, p.type, p.unit, p.start, p.minimum, p.maximum, p.description, p.dependencies)
-            for p in self.slave.ports
-        ]
+        return [plain(p) for p in self.slave.ports]
 
     def share(self, file: str, n_in: int, n_out: int) -> None:
         """Map the signals."""

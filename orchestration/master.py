@@ -8,25 +8,38 @@ from __future__ import annotations
 
 import math
 import signal
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from orchestration import native
 from orchestration.acceleration import DEFAULT, Iteration
 from orchestration.checkpoint import Snapshot, alike
 from orchestration.errors import Interrupted, IterationError, OrchestrationError, RunError, WiringError, describe, unknown
 from orchestration.guard import Guard
 from orchestration.iteration import Iterated
 from orchestration.slave import FloatArray, Slave
-from orchestration.system import ALGORITHMS, TICK, ticks
+from orchestration.system import ALGORITHMS, LOOPS, TICK, ticks
 from orchestration.wiring import Wiring
 
 Progress = Callable[[int, int], object]
 """Called after each step with (steps done, steps in all)."""
+
+
+if TYPE_CHECKING:
+    from orchestration.chunks import CompiledLoop
+
+_FIRST_CHUNK = 8
+_CHUNK_TIME = 0.05  # s of wall clock between two looks at Ctrl-C and progress
+_ROW_BYTES = 2_000_000  # of a chunk's rows: what stays in the cache until the recorder has it
+_WORTH_NUMBA = 20_000  # steps that repay importing Numba, where nobody else has
+_MAX_TICKS = 2**53  # whole numbers that float64 holds exactly
 
 
 class Observer(Protocol):
@@ -37,7 +50,10 @@ class Observer(Protocol):
         ...
 
     def observe(self, t: float, outputs: FloatArray) -> None:
-        """All outputs at time `t` [s], in the order of the bus. The array is reused: copy what is kept."""
+        """All outputs at time `t` [s], in the order of the bus. The array is reused: copy what is kept.
+
+        An observer may also have `observe_rows(rows)`, rows of t [s] and all outputs: called instead for many steps at once.
+        """
         ...
 
     def end(self, outcome: str, message: str) -> None:
@@ -72,9 +88,11 @@ class Master:
         check_ranges: bool = True,
         folder: Path | None = None,
         iteration: Iteration = DEFAULT,
+        loop: str = "auto",
     ) -> None:
-        if algorithm not in ALGORITHMS:
-            raise ValueError(unknown("algorithm", algorithm, ALGORITHMS))
+        for what, value, allowed in (("algorithm", algorithm, ALGORITHMS), ("loop", loop, LOOPS)):
+            if value not in allowed:
+                raise ValueError(unknown(what, value, allowed))
         self.wiring, self.algorithm, self.folder = wiring, algorithm, folder
         self._slaves = {name: slaves[name] for name in wiring.order}
         self._observers, self._manipulators = tuple(observers), tuple(manipulators)
@@ -92,6 +110,8 @@ class Master:
         self._current = ""  # component being called, for messages
         self._advance = self._jacobi if algorithm == "jacobi" else self._gauss_seidel
         self._plan = [(name, s, self._gather[name], self._u[name], self._y[name]) for name, s in self._slaves.items()]
+        self._wanted_loop, self._chunk_steps = loop, _FIRST_CHUNK
+        self._compiled: CompiledLoop | None = None
         self._iterated: Iterated | None = None
         if algorithm == "iterated":
             self._iterated = Iterated(wiring, iteration, self._plan, self._bus, lambda name: setattr(self, "_current", name))
@@ -251,14 +271,65 @@ class Master:
 
     def _loop(self, total: float, progress: Progress | None, watched: int | None, save: tuple[int, Saver] | None = None) -> None:
         in_all = int(total) if math.isfinite(total) else 0
+        # each component makes its first step, which leaves initialisation, in Python
+        compiled_from = self._done + max(getattr(s, "every", 1) for s in self._slaves.values()) if self._is_compiled(total) else math.inf
         while self._done < total and not (watched is not None and self._fresh[watched] != 0.0):
             if self._stop_requested:
                 raise KeyboardInterrupt
             if save is not None and self._done % save[0] == 0:
                 save[1](self)
-            self.step()
+            if self._done >= compiled_from:
+                self._chunk(min(total - self._done, save[0] - self._done % save[0] if save is not None else math.inf), watched)
+            else:
+                self.step()
             if progress is not None:
                 progress(self._done, in_all)
+
+    def _is_compiled(self, total: float) -> bool:
+        """Whether the loop is to be the compiled one; OrchestrationError if it must be and cannot."""
+        if self._wanted_loop == "python":
+            return False
+        obstacle = native.obstacle(self._slaves)
+        if self._iterated is not None:
+            obstacle = "algorithm = 'iterated' goes back and forth in Python"
+        elif self._manipulators:
+            obstacle = "manipulators are called before each step"
+        elif math.isfinite(total) and self._start_ticks + total * self._step_ticks > _MAX_TICKS:
+            obstacle = "its times are too large to be counted exactly"
+        if obstacle is not None and self._wanted_loop == "compiled":
+            raise OrchestrationError(f"loop = 'compiled' is not possible: {obstacle}; use loop = 'auto' or 'python'")
+        worth_it = self._wanted_loop == "compiled" or "numba" in sys.modules or _WORTH_NUMBA <= total < math.inf
+        return obstacle is None and worth_it
+
+    def _chunk(self, room: float, watched: int | None) -> None:
+        """Many steps by compiled code, at most `room`; then the observers."""
+        began = time.perf_counter()
+        if self._compiled is None:
+            from orchestration.chunks import CompiledLoop  # it needs Numba, which takes half a second to import
+
+            capacity = min(max(_ROW_BYTES // (8 + self._fresh.nbytes), 16), 4096)
+            jacobi = self.algorithm == "jacobi"
+            self._compiled = CompiledLoop(self._slaves, self.wiring, jacobi, self._bus, self._guard.bounds, capacity)
+        steps = int(min(room, self._chunk_steps))
+        k = -1 if watched is None else watched
+        chunk = self._compiled.advance(steps, self._start_ticks, self._step_ticks, self._done, k, self._gather)
+        self._done += len(chunk.rows)
+        for o in self._observers:
+            hand_over = getattr(o, "observe_rows", None)
+            if hand_over is not None:
+                hand_over(chunk.rows)
+            else:
+                for row in chunk.rows:
+                    o.observe(float(row[0]), row[1:])
+        if chunk.failed is not None:
+            self._current, error = chunk.failed
+            raise self._failure(error, f"in the step from t = {self.time:.9g} s", self._guard.problem(self._fresh)) from error
+        if not chunk.in_range:
+            raise self._violation((self._start_ticks + (self._done + 1) * self._step_ticks) / TICK)
+        elapsed = time.perf_counter() - began
+        self._chunk_steps = (
+            max(self._chunk_steps // 2, 1) if elapsed > 2 * _CHUNK_TIME else self._chunk_steps * (1 + (elapsed < _CHUNK_TIME))
+        )
 
     def override(self, name: str, value: float) -> None:
         """Give the input `component.port` a value from now on, instead of what it is connected to."""

@@ -32,6 +32,11 @@ class Memory:
         self._t.append(t)
         self._rows.append(outputs.copy())
 
+    def observe_rows(self, rows: FloatArray) -> None:
+        """Keep a copy of many rows at once: t [s] and the outputs."""
+        self._t.extend(rows[:, 0].tolist())
+        self._rows.extend(rows[:, 1:].copy())
+
     def end(self, outcome: str, message: str) -> None:
         """Remember how it ended."""
         self._outcome, self._message = outcome, message

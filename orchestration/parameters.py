@@ -41,12 +41,13 @@ def quantity(text: str, wanted: str, convert: Convert) -> float:
     return value if unit == wanted else convert(value, unit, wanted)
 
 
-def expand(ports: Sequence[Port], values: Mapping[str, Any]) -> dict[str, Any]:
+def expand(ports: Sequence[Port], values: Mapping[str, Any], causality: str = "parameter") -> dict[str, Any]:
     """One entry per element from a mapping of element, scalar and whole-array names; values are not looked at.
 
-    Raises ValueError for unknown names, inputs and outputs, shapes that do not fit, an element given twice.
+    `causality` is what may be set. Raises ValueError for unknown names, ports of another causality, shapes
+    that do not fit, an element given twice.
     """
-    parameters = [p for p in ports if p.causality == "parameter"]
+    parameters = [p for p in ports if p.causality == causality]
     elements, whole = {p.name for p in parameters}, arrays(parameters)
     result: dict[str, Any] = {}
     for name, value in values.items():
@@ -57,13 +58,17 @@ def expand(ports: Sequence[Port], values: Mapping[str, Any]) -> dict[str, Any]:
         else:
             other = [p for p in ports if name in (p.name, p.name.partition("[")[0])]
             if other:
-                raise ValueError(f"{name!r} is an {other[0].causality}, not a parameter")
-            raise ValueError(unknown("parameter", name, whole))
+                raise ValueError(f"{name!r} is {_a(other[0].causality)}, not {_a(causality)}")
+            raise ValueError(unknown(causality, name, whole))
         for element, v in found.items():
             if element in result:
-                raise ValueError(f"parameter {element!r} is given twice: by element and within its array")
+                raise ValueError(f"{causality} {element!r} is given twice: by element and within its array")
             result[element] = v
     return result
+
+
+def _a(noun: str) -> str:
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
 def _elements(name: str, members: Sequence[Port], value: Any) -> dict[str, Any]:
@@ -80,15 +85,21 @@ def _elements(name: str, members: Sequence[Port], value: Any) -> dict[str, Any]:
 
 
 def prepare(
-    component: str, ports: Sequence[Port], values: Mapping[str, Any], convert: Convert = same_unit_only, folder: Path | None = None
+    component: str,
+    ports: Sequence[Port],
+    values: Mapping[str, Any],
+    convert: Convert = same_unit_only,
+    folder: Path | None = None,
+    causality: str = "parameter",
 ) -> dict[str, Scalar]:
     """Checked value per element, in the unit of the port, ready for `Slave.configure`.
 
-    `folder` is the one that `{file = ...}` is relative to. SlaveError names component, parameter,
+    `folder` is the one that `{file = ...}` is relative to; `causality` is what is set (parameters, or start
+    values of inputs). SlaveError names component, parameter,
     value, what is expected (unit, type, bounds) and, for unknown names, what there is.
     """
     try:
-        elements = expand(ports, values)
+        elements = expand(ports, values, causality)
     except ValueError as error:
         raise SlaveError(f"component {component!r}: {error}") from None
     by_name = {p.name: p for p in ports}
@@ -97,7 +108,7 @@ def prepare(
         try:
             result[name] = _scalar(by_name[name], value, convert, folder)
         except ValueError as error:
-            raise SlaveError(f"component {component!r}: parameter {name!r}: {error}") from None
+            raise SlaveError(f"component {component!r}: {causality} {name!r}: {error}") from None
     return result
 
 

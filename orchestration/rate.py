@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from orchestration.native import native_of
 from orchestration.slave import FloatArray, ParameterValue, Port, Slave, outputs
 from orchestration.system import TICK
 
@@ -25,7 +26,8 @@ class MultiRate:
     def __init__(self, inside: Slave, rate: int = 1, every: int = 1) -> None:
         self.inside, self.rate, self.every = inside, rate, every
         self._held: FloatArray = np.zeros(len(outputs(inside.ports)))
-        self._count, self._began = 0, 0.0
+        self.count, self.began = 0, 0.0
+        """Steps of the system in the current interval, and when it began [s]."""
         self._stepped = False
 
     @property
@@ -41,7 +43,7 @@ class MultiRate:
     @property
     def due(self) -> bool:
         """Whether the slave inside steps in the coming step of the system."""
-        return self._count == self.every - 1
+        return self.count == self.every - 1
 
     def configure(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Pass the parameters on."""
@@ -49,7 +51,7 @@ class MultiRate:
 
     def initialise(self, start: float, stop: float, step: float) -> None:
         """`step` [s] is that of the system; the slave inside is told its own."""
-        self._count, self._stepped = 0, False
+        self.count, self._stepped = 0, False
         self.inside.initialise(start, stop, round(step * TICK) * self.every // self.rate / TICK)
 
     def leave_initialisation(self) -> None:
@@ -65,14 +67,14 @@ class MultiRate:
         """From `t` to `t + h` [s]: k steps, or the k-th part of one."""
         self._stepped = True
         ticks, now = round(h * TICK), round(t * TICK)
-        if self._count == 0:
-            self._began = t
-        self._count += 1
-        if self._count < self.every:
+        if self.count == 0:
+            self.began = t
+        self.count += 1
+        if self.count < self.every:
             return
-        self._count = 0
+        self.count = 0
         if self.every > 1:
-            self.inside.step(self._began, ticks * self.every / TICK)
+            self.inside.step(self.began, ticks * self.every / TICK)
         else:
             part = ticks // self.rate
             for i in range(self.rate):
@@ -80,18 +82,27 @@ class MultiRate:
 
     def get_outputs(self, out: FloatArray) -> None:
         """Outputs of the slave inside after its last step."""
-        if self._count == 0:
+        if self.count == 0:
             self.inside.get_outputs(self._held)
         out[:] = self._held
 
     def get_state(self) -> Any:
         """The state inside, the outputs that are held and where in the interval it is."""
-        return self.inside.get_state(), self._held.copy(), self._count, self._began, self._stepped
+        return self.inside.get_state(), self._held.copy(), self.count, self.began, self._stepped
 
     def set_state(self, state: Any) -> None:
         """Go back to a state from `get_state`."""
-        inner, held, self._count, self._began, self._stepped = state
+        inner, held, self.count, self.began, self._stepped = state
         self.inside.set_state(inner)
+        self._held[:] = held
+
+    def native(self) -> Any:
+        """Addresses of the slave inside (see `orchestration.native`): compiled code counts by itself."""
+        return native_of(self.inside)
+
+    def take_over(self, count: int, began: float, held: FloatArray) -> None:
+        """Go on from where compiled code has stepped to: `count` and `began` [s] of the interval, the outputs that are held."""
+        self.count, self.began, self._stepped = count, began, True
         self._held[:] = held
 
     def close(self) -> None:

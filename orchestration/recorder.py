@@ -122,15 +122,34 @@ class Recorder:
         if self._count == self.chunk or time.monotonic() - self._flushed > _MAX_AGE:
             self.flush()
 
+    def observe_rows(self, rows: FloatArray) -> None:
+        """Keep many rows, t [s] and all outputs; as many as make a chunk or more are written at once."""
+        kept = rows[-self._seen % self.every :: self.every]
+        self._seen += len(rows)
+        if self._chosen is not None:
+            kept = kept.take(np.concatenate([[0], 1 + self._chosen]), axis=1)
+        if self._count + len(kept) > self.chunk:
+            self.flush()
+        if len(kept) > self.chunk:
+            self._write(kept)
+        else:
+            self._buffer[self._count : self._count + len(kept)] = kept
+            self._count += len(kept)
+        if self._count == self.chunk or time.monotonic() - self._flushed > _MAX_AGE:
+            self.flush()
+
     def flush(self) -> None:
         """Write the rows kept so far to disk."""
         if self._count:
-            data = np.ascontiguousarray(self._buffer[: self._count].T)
-            arrays = [pa.array(_cast(column, f.type)) for column, f in zip(data, self._schema, strict=True)]
-            self._writer.write_batch(pa.record_batch(arrays, schema=self._schema))
-            self._stream.flush()
+            self._write(self._buffer[: self._count])
             self._count = 0
         self._flushed = time.monotonic()
+
+    def _write(self, rows: FloatArray) -> None:
+        data = np.ascontiguousarray(rows.T)
+        arrays = [pa.array(_cast(column, f.type)) for column, f in zip(data, self._schema, strict=True)]
+        self._writer.write_batch(pa.record_batch(arrays, schema=self._schema))
+        self._stream.flush()
 
     def end(self, outcome: str, message: str) -> None:
         """Write what is left, turn the stream into signals.parquet, complete run.toml."""

@@ -157,6 +157,11 @@ class Slave(Protocol):
         ...
 
 
+def plain(p: Port) -> PortData:
+    """A port as plain data."""
+    return PortData(p.name, p.causality, p.type, p.unit, p.start, p.minimum, p.maximum, p.description, p.dependencies)
+
+
 def base_name(name: str) -> str:
     """Name of the array that an element belongs to: `q[1]` -> `q`; a scalar's own name stays."""
     return name[: name.rindex("[")] if name.endswith("]") and "[" in name else name

@@ -9,6 +9,7 @@
     [components.drive]
     source = "robot_drive"              # in process, or "dist/robot_drive.fmu", or "replay:runs/42"
     parameters = {backlash = "20 urad", "stiffness_scale[2]" = 0.9}
+    inputs = {m_T_B = ["2 N.m", 0, 0]}  # start values of inputs, which open inputs keep
     isolate = false                     # true: an FMU in its own process (orchestration/isolation.py)
     time_limit = "60 s"                 # of wall clock for one call, if isolated
     rate = 1                            # steps in each step of the system; or every = n: one step in n (orchestration/rate.py)
@@ -40,6 +41,7 @@ from orchestration.parameters import Convert, quantity, same_unit_only
 from orchestration.toml_text import find_line
 
 ALGORITHMS = ("jacobi", "gauss-seidel", "iterated")
+LOOPS = ("auto", "compiled", "python")
 TICK = 1_000_000_000
 """Ticks per second: time is counted in whole nanoseconds."""
 
@@ -57,8 +59,17 @@ _TOP = {
     "connections": list,
     "recording": dict,
     "iteration": dict,
+    "loop": str,
 }
-_COMPONENT = {"source": str, "parameters": dict, "isolate": bool, "time_limit": (int, float, str), "rate": int, "every": int}
+_COMPONENT = {
+    "source": str,
+    "parameters": dict,
+    "inputs": dict,
+    "isolate": bool,
+    "time_limit": (int, float, str),
+    "rate": int,
+    "every": int,
+}
 _CONNECTION = {"from": str, "to": str, "delayed": bool}
 _RECORDING = {"columns": list, "every": int, "csv": bool, "chunk": int, "checkpoint_every": int}
 _ITERATION = {
@@ -89,6 +100,8 @@ class Component:
     """Steps that it makes in each step of the system (see `orchestration.rate`)."""
     every: int = 1
     """Steps of the system for each of which it makes one, over all of them."""
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    """Start values of inputs, as written: what open ones keep, and delayed ones have until the first step."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +158,8 @@ class System:
     """Whether an output outside its declared minimum and maximum ends the run."""
     iteration: Iteration = DEFAULT
     """How loops are iterated, with algorithm "iterated"."""
+    loop: str = "auto"
+    """How the master runs: `compiled`, `python`, or `auto`, compiled where that is possible; the numbers are the same."""
     file: Path | None = None
 
     def __post_init__(self) -> None:
@@ -152,6 +167,8 @@ class System:
         ticks(self.step, "step")
         if self.algorithm not in ALGORITHMS:
             raise SystemFileError(f"algorithm {self.algorithm!r} is unknown; available: {', '.join(ALGORITHMS)}")
+        if self.loop not in LOOPS:
+            raise SystemFileError(f"loop {self.loop!r} is unknown; available: {', '.join(LOOPS)}")
         if self.recording.every < 1 or self.recording.chunk < 1:
             raise SystemFileError(f"recording: every and chunk are at least 1; found {self.recording.every} and {self.recording.chunk}")
         if self.recording.checkpoint_every < 0:
@@ -211,6 +228,8 @@ class System:
 
 def ticks(seconds: float, what: str) -> int:
     """Seconds as a whole number of nanoseconds; SystemFileError if it is not one, or not positive."""
+    if not abs(seconds) < 1e9:  # NaN, infinite, or so many that a float does not count nanoseconds
+        raise SystemFileError(f"{what} = {seconds!r} s is not a number of seconds below 1e9")
     count = round(seconds * TICK)
     if count <= 0 or abs(seconds * TICK - count) > 1e-6 * max(1.0, count * 1e-6):
         raise SystemFileError(f"{what} = {seconds!r} s is not a positive whole number of nanoseconds")
@@ -280,6 +299,7 @@ class _Loader:
                 labels=MappingProxyType(table.get("labels", {})),
                 require_connected=table.get("require_connected", False),
                 check_ranges=table.get("check_ranges", True),
+                loop=table.get("loop", "auto"),
                 iteration=Iteration(**self.check(table.get("iteration", {}), _ITERATION, (), "iteration", "iteration")),
                 file=self.file,
             )
@@ -314,6 +334,7 @@ class _Loader:
             self.seconds(table.get("time_limit", 60.0), *path, "time_limit"),
             table.get("rate", 1),
             table.get("every", 1),
+            MappingProxyType(table.get("inputs", {})),
         )
 
     def connection(self, index: int, table: Any) -> Connection:

@@ -1,0 +1,99 @@
+"""What a slave shows of itself so that compiled code can step it: addresses of C functions and buffers.
+
+A slave that can be stepped this way has a method `native()` that returns a `Native` (by structure; nothing
+needs to be imported). It is asked for after the first step of a run and valid until the slave is initialised again or closed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+
+class Block(Protocol):
+    """Inputs, or outputs, of one type that are moved by one call."""
+
+    @property
+    def kind(self) -> str:
+        """Type of an element of the buffer: `float64`, `int32` or `int64`."""
+        ...
+
+    @property
+    def function(self) -> int:
+        """Address of `int f(void *instance, const unsigned references[], size_t n, T buffer[])`; 0 = the buffer is the variable itself."""
+        ...
+
+    @property
+    def references(self) -> int:
+        """Address of the value references."""
+        ...
+
+    @property
+    def buffer(self) -> int:
+        """Address of the buffer."""
+        ...
+
+    @property
+    def places(self) -> Sequence[int]:
+        """Positions of the elements among the inputs (outputs) of the slave."""
+        ...
+
+
+class Native(Protocol):
+    """Addresses of a slave. Statuses above `limit`, or below zero, are errors."""
+
+    @property
+    def instance(self) -> int:
+        """First argument of every call."""
+        ...
+
+    @property
+    def step(self) -> int:
+        """Address of `int f(void *instance, double t, double h, int)`, t and h in s."""
+        ...
+
+    @property
+    def inputs(self) -> Sequence[Block]:
+        """All inputs."""
+        ...
+
+    @property
+    def outputs(self) -> Sequence[Block]:
+        """All outputs."""
+        ...
+
+    @property
+    def limit(self) -> int:
+        """Largest status that is no error."""
+        ...
+
+    def failed(self, what: str, block: int, status: int, t: float, h: float) -> Exception:
+        """The error for a call of the given kind (`inputs`, `step`, `outputs`; number of the block) that returned `status`."""
+        ...
+
+
+@dataclass(frozen=True)
+class BlockData:
+    """A `Block` as plain data."""
+
+    kind: str
+    function: int
+    references: int
+    buffer: int
+    places: tuple[int, ...]
+
+
+def native_of(slave: Any) -> Native | None:
+    """The native face of a slave, None if it has none."""
+    method = getattr(slave, "native", None)
+    found: Native | None = method() if method is not None else None
+    return found
+
+
+def obstacle(slaves: Mapping[str, Any]) -> str | None:
+    """Why these slaves cannot be stepped by compiled code: the first that has no native face; None if they can."""
+    for name, slave in slaves.items():
+        if native_of(slave) is None:
+            return f"component {name!r} ({type(slave).__name__}) can only be called from Python"
+    return None
