@@ -6,9 +6,11 @@ import tomllib
 
 import pytest
 
+from orchestration.assembly import run
 from orchestration.errors import SystemFileError
 from orchestration.system import Connection, Recording, System
 from orchestration.toml_text import dump, find_line
+from tests.orchestration.mocks import gain
 from tests.tolerances import EXACT
 
 GOOD = """\
@@ -172,3 +174,26 @@ class TestTomlText:
         assert dump({"a": None, "b": 1}) == "b = 1\n"
         with pytest.raises(TypeError, match="object cannot be written as TOML"):
             dump({"a": object()})
+
+
+class TestInputs:
+    """Start values of inputs."""
+
+    def load(self, tmp_path, inputs):
+        (tmp_path / "s.toml").write_text(f'name = "s"\nstep = 0.1\nstop = 0.3\n[components.g]\nsource = "mock"\ninputs = {inputs}\n')
+        return System.load(tmp_path / "s.toml")
+
+    def test_open_inputs_keep_them(self, tmp_path):
+        made = self.load(tmp_path, '{u = "2500 mm"}')
+        result = run(made, tmp_path / "r", resolver=lambda source, name: gain(name, 2.0), convert=lambda v, u, w: v / 1000)
+        assert result["g.y"].tolist() == [5.0, 5.0, 5.0, 5.0]
+        assert result.info["inputs"] == {"g": {"u": 2.5}}
+        assert result.info["warnings"] == ["input g.u is not connected: it keeps its start value 2.5"]
+
+    def test_refused(self, tmp_path):
+        for inputs, text in (
+            ("{v = 1}", r"s.toml:4: component 'g': unknown input 'v'.*available: u"),
+            ("{y = 1}", "'y' is an output, not an input"),
+        ):
+            with pytest.raises(SystemFileError, match=text):
+                run(self.load(tmp_path, inputs), resolver=lambda source, name: gain(name))
