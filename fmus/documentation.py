@@ -24,7 +24,7 @@ td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: 
 def index_html(interface: Interface, backend: str, notes: Iterable[str] = (), page: str | None = None, fmi: str = "2.0") -> str:
     """The page: what the FMU is, `page` (Markdown) or docs/components/<name>.md if there is one, ports, parameters, `notes` on use."""
     model = interface.model
-    body = [f"<h1>{escape(model.name)}</h1>", f"<p>{escape(model.description)}.</p>"]
+    body = [f"<h1>{escape(model.name)}</h1>", f"<p>{escape(model.description.rstrip('.'))}.</p>"]
     body.append(
         f"<p>FMI {fmi} co-simulation FMU ({escape(backend)}), made by robomill. SI units; the display units are for reading only.</p>"
     )
@@ -32,7 +32,8 @@ def index_html(interface: Interface, backend: str, notes: Iterable[str] = (), pa
     if page is None and file.is_file():
         page = file.read_text(encoding="utf-8")
     if page:
-        body.append(_html(page))
+        first, _, rest = page.partition("\n")
+        body.append(_html(rest if first.startswith("# ") else page))
     for title, ports in (("Inputs", interface.inputs), ("Outputs", interface.outputs), ("Parameters", interface.parameters)):
         if ports:
             body += [f"<h2>{title}</h2>", _table(interface, ports)]

@@ -4,7 +4,7 @@ What that library (0.7) does with it, and what follows from that:
 
 - A callback returns normally = OK. There is no way to return `fmi2Error` or a warning.
 - `do_step` may return False = `fmi2Discard` plus `fmi2Terminated`: "this slave wants to end here".
-  FMPy and PyFMI take that as a regular end and return the results so far. An error must not look like that.
+  FMPy takes that as a regular end and returns the results so far. An error must not look like that.
 - An exception = `fmi2Fatal`, and only its `repr` reaches the importer. The library then also gives
   up its references to instance, class and log, and once more when the instance is freed: a crash.
   So `failure` gives it one more of each beforehand, and an instance survives its errors.

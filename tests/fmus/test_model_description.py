@@ -121,6 +121,7 @@ def test_components_that_count_cycles_say_that_they_need_their_step(name: str, e
 
 def test_the_documentation_has_ports_parameters_and_the_page_without_raw_markup() -> None:
     html = index_html(Interface(demo.MODEL), "test", ["a < b"], page="# Equations\n\n| a | b |\n|---|---|\n| 1 | 2 |\n\n<script>x</script>")
+    assert html.count("<h1>") == 1
     assert "<td>1</td>" in html
     assert "<script>" not in html
     assert "Springs &lt;with&gt; a table &amp; an effect" in html

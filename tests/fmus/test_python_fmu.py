@@ -14,8 +14,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import fmpy
 import numpy as np
 import pytest
+from fmpy.fmi1 import FMICallException
 
 from fmus.components import COMPONENTS
 from fmus.in_process import InProcessSlave
@@ -346,3 +348,12 @@ def test_a_replay_fmu_gives_the_recorded_outputs_of_the_component_it_stands_for(
     with pytest.raises(CallFailed, match=r"time 0\.084 s lies outside the recording, which goes from 0\.0 s to 0\.08 s"):
         replay.step(20, fmu.rows[0])
     replay.free()
+
+
+def test_a_failed_run_is_no_short_run_for_fmpy(built: Built, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With fmi2Discard, fmpy.simulate_fmu would return the rows up to the error and say nothing."""
+    monkeypatch.chdir(tmp_path)
+    inputs = np.array([(0.0, 0.0), (0.02, 2.0), (0.04, 2.0)], dtype=[("time", float), ("x[1]", float)])
+    assert len(fmpy.simulate_fmu(str(built("demo")), stop_time=0.04)) == 11
+    with pytest.raises(FMICallException, match="fmi2DoStep failed with status 4"):
+        fmpy.simulate_fmu(str(built("demo")), stop_time=0.04, input=inputs)
