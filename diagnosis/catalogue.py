@@ -1,0 +1,259 @@
+"""The catalogue of candidate effects: which parameters of which component switch an effect on, how large it may be, how likely.
+
+A TOML file::
+
+    [[effect]]
+    name = "backlash"
+    component = "drive"                 # name in the system; "logging" for what is wrong with the log itself
+    description = "..."
+    source = "..."
+    unit = "rad"
+    minimum = 2e-6                      # bounds of the fit [unit]
+    maximum = 1e-3
+    sign = "positive"                   # or "both"
+    prior = {kind = "log-normal", scale = 6e-5, spread = 0.8}    # or {kind = "normal", scale = ...}
+    locations = [{name = "joint 1", parameters = ["backlash[1]"]}, ...]
+
+    [[nuisance]]                        # what the nominal model does not know exactly: believed to this standard deviation
+    component = "drive"
+    parameters = ["loop_frequency"]
+    nominal = 40.8                      # where the value is not zero by default; the standard deviation is scale [unit]
+    scale = 0.4
+
+    [[quiet]]                           # set in every simulation of the diagnosis: noise off
+    component = "sensor"
+    parameters = {noise_f = 0}
+
+Parameters of "logging" are `lag PATTERN` [s], `gain PATTERN` [1], `offset PATTERN` [unit of the channel], with a pattern on
+`component.port[element]` as in the recording section of a system file.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+LOGGING = "logging"
+"""Component that stands for the log itself."""
+OBSERVATIONS = ("lag", "gain", "offset")
+"""What can be wrong with a logged channel."""
+
+Address = tuple[str, str]
+"""(component, parameter element)."""
+
+_EFFECT = {"name", "component", "description", "source", "locations", "minimum", "maximum", "prior", "unit", "sign"}
+_LOCATION = {"name", "parameters"}
+_NUISANCE = {"component", "parameters", "scale", "nominal"}
+_QUIET = {"component", "parameters"}
+
+
+class CatalogueError(ValueError):
+    """A catalogue that cannot be used; the text names file, entry, what was found and what is expected."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Size of an effect before the data: normal about zero, or log-normal about `scale`."""
+
+    kind: str
+    scale: float
+    spread: float = 0.8
+    """Standard deviation of the logarithm (log-normal only)."""
+
+    def log_density(self, value: float) -> float:
+        """Log of the density at `value` [per unit]; -inf where it is impossible."""
+        if self.kind == "normal":
+            return -0.5 * (value / self.scale) ** 2 - math.log(self.scale * math.sqrt(2.0 * math.pi))
+        if value <= 0.0:
+            return -math.inf
+        u = math.log(value / self.scale) / self.spread
+        return -0.5 * u * u - math.log(value * self.spread * math.sqrt(2.0 * math.pi))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at a location: what is fitted and ranked."""
+
+    effect: str
+    component: str
+    location: str
+    parameters: tuple[str, ...]
+    minimum: float
+    maximum: float
+    prior: Prior
+    unit: str
+    both_signs: bool
+    locations: int
+    """How many locations the effect has: its prior probability is shared among them."""
+
+    @property
+    def name(self) -> str:
+        """`backlash @ joint 2`."""
+        return f"{self.effect} @ {self.location}"
+
+    @property
+    def addresses(self) -> tuple[Address, ...]:
+        """Component and parameter of each number that is fitted."""
+        return tuple((self.component, p) for p in self.parameters)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and largest value of the parameters [unit]."""
+        return (-self.maximum if self.both_signs else 0.0), self.maximum
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """A calibrated number that is only known to a standard deviation `scale` [unit]; `nominal` is its value in the model."""
+
+    address: Address
+    scale: float
+    nominal: float = 0.0
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """All candidates, nuisance numbers, and what is switched off in simulations."""
+
+    file: Path
+    candidates: tuple[Candidate, ...]
+    nuisances: tuple[Nuisance, ...] = ()
+    quiet: Mapping[str, Mapping[str, Any]] | None = None
+    descriptions: Mapping[str, tuple[str, str]] | None = None
+    """effect -> (description, source)."""
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects, each once."""
+        return tuple(dict.fromkeys(c.effect for c in self.candidates))
+
+    @staticmethod
+    def load(path: str | Path) -> Catalogue:
+        """Read a catalogue file; CatalogueError or FileNotFoundError says what is wrong."""
+        file = Path(path)
+        if not file.is_file():
+            raise FileNotFoundError(f"no catalogue {file}")
+        try:
+            table = tomllib.loads(file.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise CatalogueError(f"{file}: not valid TOML: {error}") from None
+        return _Reader(file).catalogue(table)
+
+
+class _Reader:
+    """The checks; every message begins with the file and the entry."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+
+    def fail(self, where: str, text: str) -> CatalogueError:
+        return CatalogueError(f"{self.file}: {where}: {text}")
+
+    def keys(self, where: str, table: Any, allowed: set[str], required: set[str]) -> dict[str, Any]:
+        if not isinstance(table, dict):
+            raise self.fail(where, f"expected a table, found {table!r}")
+        for key in table:
+            if key not in allowed:
+                near = difflib.get_close_matches(key, allowed, 1)
+                raise self.fail(
+                    where, f"unknown key {key!r}{f', did you mean {near[0]!r}' if near else ''}; known: {', '.join(sorted(allowed))}"
+                )
+        missing = sorted(required - set(table))
+        if missing:
+            raise self.fail(where, f"missing: {', '.join(missing)}")
+        return table
+
+    def number(self, where: str, key: str, value: Any, *, positive: bool = True) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or (positive and value <= 0.0):
+            raise self.fail(where, f"{key} = {value!r}; expected a {'positive ' if positive else ''}number in SI units")
+        return float(value)
+
+    def text(self, where: str, key: str, value: Any) -> str:
+        if not isinstance(value, str) or not value:
+            raise self.fail(where, f"{key} = {value!r}; expected a text")
+        return value
+
+    def names(self, where: str, component: str, value: Any) -> tuple[str, ...]:
+        if not isinstance(value, list) or not value or not all(isinstance(v, str) and v for v in value):
+            raise self.fail(where, f"parameters = {value!r}; expected a list of names, such as ['backlash[2]']")
+        for name in value:
+            kind, _, pattern = name.partition(" ")
+            if component == LOGGING and (kind not in OBSERVATIONS or not pattern):
+                raise self.fail(where, f"parameter {name!r} of the log; expected 'KIND PATTERN' with KIND one of {', '.join(OBSERVATIONS)}")
+        return tuple(value)
+
+    def catalogue(self, table: dict[str, Any]) -> Catalogue:
+        self.keys("the file", table, {"effect", "nuisance", "quiet"}, {"effect"})
+        candidates: list[Candidate] = []
+        descriptions: dict[str, tuple[str, str]] = {}
+        for i, entry in enumerate(self.listed("effect", table["effect"])):
+            found = self.effect(f"[[effect]] {i + 1}", entry)
+            name = found[0].effect
+            if name in descriptions:
+                raise self.fail(f"effect {name!r}", "is there twice")
+            descriptions[name] = (entry["description"], entry["source"])
+            candidates += found
+        nuisances: list[Nuisance] = []
+        for i, entry in enumerate(self.listed("nuisance", table.get("nuisance", []))):
+            where = f"[[nuisance]] {i + 1}"
+            self.keys(where, entry, _NUISANCE, {"component", "parameters", "scale"})
+            component = self.text(where, "component", entry["component"])
+            scale = self.number(where, "scale", entry["scale"])
+            nominal = self.number(where, "nominal", entry.get("nominal", 0.0), positive=False)
+            nuisances += [Nuisance((component, p), scale, nominal) for p in self.names(where, component, entry["parameters"])]
+        quiet: dict[str, dict[str, Any]] = {}
+        for i, entry in enumerate(self.listed("quiet", table.get("quiet", []))):
+            where = f"[[quiet]] {i + 1}"
+            self.keys(where, entry, _QUIET, _QUIET)
+            quiet.setdefault(self.text(where, "component", entry["component"]), {}).update(
+                self.keys(where, entry["parameters"], set(entry["parameters"]), set())
+            )
+        return Catalogue(self.file, tuple(candidates), tuple(nuisances), quiet, descriptions)
+
+    def listed(self, key: str, value: Any) -> list[Any]:
+        if not isinstance(value, list):
+            raise self.fail(key, f"expected [[{key}]] entries, found {value!r}")
+        return value
+
+    def effect(self, where: str, entry: Any) -> list[Candidate]:
+        if isinstance(entry, dict) and isinstance(entry.get("name"), str):
+            where = f"effect {entry['name']!r}"
+        self.keys(where, entry, _EFFECT, _EFFECT)
+        component = self.text(where, "component", entry["component"])
+        sign = entry["sign"]
+        if sign not in ("positive", "both"):
+            raise self.fail(where, f"sign = {sign!r}; expected 'positive' or 'both'")
+        low, high = (self.number(where, key, entry[key]) for key in ("minimum", "maximum"))
+        if low >= high:
+            raise self.fail(where, f"minimum = {low} is not below maximum = {high} (both are magnitudes)")
+        prior = self.prior(where, entry["prior"])
+        for key in ("description", "source", "unit"):
+            self.text(where, key, entry[key])
+        made, seen = [], set()
+        locations = self.listed("locations", entry["locations"])
+        if not locations:
+            raise self.fail(where, "has no locations")
+        for place in locations:
+            self.keys(f"{where}, locations", place, _LOCATION, _LOCATION)
+            name = self.text(where, "name of a location", place["name"])
+            if name in seen:
+                raise self.fail(where, f"location {name!r} is there twice")
+            seen.add(name)
+            parameters = self.names(f"{where}, location {name!r}", component, place["parameters"])
+            made.append(
+                Candidate(entry["name"], component, name, parameters, low, high, prior, entry["unit"], sign == "both", len(locations))
+            )
+        return made
+
+    def prior(self, where: str, value: Any) -> Prior:
+        self.keys(f"{where}, prior", value, {"kind", "scale", "spread"}, {"kind", "scale"})
+        if value["kind"] not in ("normal", "log-normal"):
+            raise self.fail(where, f"prior kind {value['kind']!r}; expected 'normal' or 'log-normal'")
+        return Prior(
+            value["kind"], self.number(where, "prior scale", value["scale"]), self.number(where, "prior spread", value.get("spread", 0.8))
+        )

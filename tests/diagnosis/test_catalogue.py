@@ -1,0 +1,94 @@
+"""The catalogue: what it says, and what it refuses."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from scipy.integrate import quad
+
+from diagnosis.catalogue import Catalogue, CatalogueError, Prior
+from fmus.components import COMPONENTS
+from orchestration.system import System
+from robomill.binding import convert
+from tests.tolerances import physics
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+ENTRY = """
+[[effect]]
+name = "lag"
+component = "a"
+description = "d"
+source = "s"
+unit = "s"
+minimum = 0.1
+maximum = 1.0
+sign = "positive"
+prior = {kind = "log-normal", scale = 0.3}
+locations = [{name = "x", parameters = ["p[1]"]}, {name = "y", parameters = ["p[2]"]}]
+"""
+
+
+class TestShipped:
+    def test_every_effect_of_the_models_is_in_it_with_its_unit_and_within_its_bounds(self) -> None:
+        catalogue = Catalogue.load(SCENARIOS / "catalogue.toml")
+        cell = System.load(SCENARIOS / "milling_cell.toml", convert)
+        listed = {}
+        for candidate in catalogue.candidates:
+            for component, parameter in candidate.addresses:
+                listed[component, parameter.partition("[")[0]] = candidate
+        for part in cell.components:
+            for variable in COMPONENTS[part.source].variables:
+                if variable.effect:
+                    candidate = listed[part.name, variable.name]
+                    assert candidate.unit == variable.unit
+                    assert variable.minimum <= candidate.bounds[0] < candidate.bounds[1] <= variable.maximum
+
+    def test_nominal_values_of_nuisances_are_those_of_the_cell(self) -> None:
+        catalogue = Catalogue.load(SCENARIOS / "catalogue.toml")
+        cell = System.load(SCENARIOS / "milling_cell.toml", convert)
+        (loop,) = (n for n in catalogue.nuisances if n.address == ("drive", "loop_frequency"))
+        assert cell.component("drive").parameters["loop_frequency"] == f"{loop.nominal} rad/s"
+
+
+def test_locations_become_candidates(tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_text(ENTRY)
+    x, y = Catalogue.load(tmp_path / "c.toml").candidates
+    assert (x.name, y.addresses, x.bounds, x.locations) == ("lag @ x", (("a", "p[2]"),), (0.0, 1.0), 2)
+
+
+@pytest.mark.parametrize("prior", [Prior("normal", 0.3), Prior("log-normal", 0.3, 0.7)])
+def test_priors_are_densities(prior: Prior) -> None:
+    total, error = quad(
+        lambda v: math.exp(prior.log_density(v)), -5.0 if prior.kind == "normal" else 0.0, 50.0, points=[0.1, 1.0], limit=200
+    )
+    assert total == pytest.approx(1.0, abs=physics(1.0, absolute=10 * error + 1e-6))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("maximum", "maximun", "effect 'lag': unknown key 'maximun', did you mean 'maximum'"),
+        ('unit = "s"\n', "", "effect 'lag': missing: unit"),
+        ('"positive"', '"negative"', "effect 'lag': sign = 'negative'; expected 'positive' or 'both'"),
+        ("0.1", "2.0", "minimum = 2.0 is not below maximum = 1.0"),
+        ("scale = 0.3", "scale = -1", "prior scale = -1; expected a positive number"),
+        ('"log-normal"', '"uniform"', "prior kind 'uniform'; expected 'normal' or 'log-normal'"),
+        ('name = "y"', 'name = "x"', "location 'x' is there twice"),
+        ('["p[1]"]', "[]", "location 'x': parameters = []; expected a list of names"),
+        ('component = "a"', 'component = "logging"', "expected 'KIND PATTERN' with KIND one of lag, gain, offset"),
+        ("[[effect]]", "[[effect", "not valid TOML"),
+    ],
+)
+def test_what_is_wrong_is_said(tmp_path: Path, old: str, new: str, text: str) -> None:
+    (tmp_path / "c.toml").write_text(ENTRY.replace(old, new, 1))
+    with pytest.raises(CatalogueError) as error:
+        Catalogue.load(tmp_path / "c.toml")
+    assert text in str(error.value)
+
+
+def test_an_effect_is_there_once(tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_text(ENTRY + ENTRY)
+    with pytest.raises(CatalogueError, match="effect 'lag': is there twice"):
+        Catalogue.load(tmp_path / "c.toml")
