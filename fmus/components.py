@@ -8,8 +8,16 @@ from importlib.util import find_spec
 
 from models.declaration import Model
 
-NAMES = ("path_interpolator", "robot_drive", "robot_compliance", "milling_force", "sensor_chain", "compensation_controller")
-"""In the order of the signal flow; each is `MODEL` in `models/<name>.py`."""
+NAMES = (
+    "path_interpolator",
+    "robot_drive",
+    "robot_compliance",
+    "milling_force",
+    "sensor_chain",
+    "compensation_controller",
+    "inverse_dynamics",
+)
+"""In the order of the signal flow, then what stands beside it; each is `MODEL` in `models/<name>.py`."""
 
 
 class _Components(Mapping[str, Model]):

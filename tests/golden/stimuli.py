@@ -93,6 +93,20 @@ def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
             },
             {"mode": 2, "pilot": True, "ki": [0.5, 0.5, 0.5], "dead_band": 5.0},
         ),
+        "inverse_dynamics": (
+            {"q": _axes(), "f_T_B": _force(), "m_T_B": _moment()},
+            {
+                "differentiate": True,
+                "payload_mass_error": 30.0,
+                "friction_coulomb": [100.0, 120.0, 90.0, 20.0, 20.0, 10.0],
+                "friction_load": [0.05, 0.0, 0.02, 0.0, 0.01, 0.0],
+                "torque_ripple_cos": [0.6, -0.5, 0.4, 0.05, 0.04, 0.03],
+                "joint_compliance": [2e-7, 1.4e-7, 2.5e-7, 1e-6, 1e-6, 2e-6],
+                "backlash": [3e-5, 0.0, 3e-5, 0.0, 3e-5, 0.0],
+                "torque_lag": 0.009,
+                "encoder_lag": 0.003,
+            },
+        ),
     }[name]
 
 
