@@ -64,6 +64,19 @@ class EndMill:
         return max(2.0 * math.tan(self.helix) / self.diameter, LEAST_LAG)
 
 
+@dataclass(frozen=True)
+class CutResolution:
+    """How milling_force looks at the cut (models/data/process); the fields are parameters of that component."""
+
+    spacing: float = field(metadata=quantity("m", 1e-5))
+    substeps: float = field(metadata=quantity("1", 1.0))
+    edge_onset: float = field(metadata=quantity("m", 0.0))
+    bottom_edge: float = field(metadata=quantity("1", 0.0, 1.0))
+    contact_zone: float = field(metadata=quantity("m", 1e-6))
+    contact_time: float = field(metadata=quantity("s", 0.0))
+    size_reference: float = field(metadata=quantity("m", 1e-7))
+
+
 # ---------------------------------------------------------------- closed forms (analysis, identification, tests)
 def immersion(diameter: float, width: float, mode: str) -> tuple[float, float]:
     """Entry and exit angle [rad] for a radial width of cut [m]; mode "slot", "up" or "down" (FACTS 3.2).

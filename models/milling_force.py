@@ -12,6 +12,7 @@ from models import workpiece
 from models.cutting import (
     LEAST_LAG,
     MAX_TEETH,
+    CutResolution,
     CuttingCoefficients,
     EndMill,
     at_angle,
@@ -39,6 +40,7 @@ LEAST_TILT_COSINE = 0.984807753012208
 
 _K = load(CuttingCoefficients, "materials/aw2017")
 _MILL = load(EndMill, "tools/endmill_d16_z3")
+_CUT = load(CutResolution, "process/milling")
 
 
 def _parameter(
@@ -95,7 +97,7 @@ VARIABLES = (
     Variable(
         "block_size", "parameter", "size of the block along x, y, z of P", "m", (3,), (0.100, 0.060, 0.030), minimum=0.0, display_unit="mm"
     ),
-    _parameter("spacing", "largest distance of dexels; the cells fill the block exactly", "m", 2e-4, 1e-5),
+    _parameter("spacing", "largest distance of dexels; the cells fill the block exactly", "m", _CUT.spacing, 1e-5),
     _parameter("diameter", "diameter of the cutter", "m", _MILL.diameter, 1e-4),
     Variable("teeth", "parameter", "number of teeth", kind="integer", start=_MILL.teeth, minimum=1, maximum=MAX_TEETH),
     _parameter("helix", "helix angle; right-hand, pulls the tool into the work", "rad", _MILL.helix, 0.0, 1.2),
@@ -107,21 +109,25 @@ VARIABLES = (
     _parameter("Kre", "radial edge coefficient", "N/m", _K.Kre, 0.0, tunable=True),
     _parameter("Kae", "axial edge coefficient", "N/m", _K.Kae, 0.0, tunable=True),
     _parameter(
-        "edge_onset", "feed per tooth at which the edge forces are fully there; they grow linearly from a standstill", "m", 5e-6, 0.0
+        "edge_onset",
+        "feed per tooth at which the edge forces are fully there; they grow linearly from a standstill",
+        "m",
+        _CUT.edge_onset,
+        0.0,
     ),
-    _parameter("bottom_edge", "share of the radius, from outside, that the edges of the end face span", "1", 1.0, 0.0, 1.0),
-    _parameter("contact_zone", "gap under the end face over which its contact fades out", "m", 1e-4, 1e-6),
-    _parameter("contact_time", "time constant with which the end face bites", "s", 0.06, 0.0),
+    _parameter("bottom_edge", "share of the radius, from outside, that the edges of the end face span", "1", _CUT.bottom_edge, 0.0, 1.0),
+    _parameter("contact_zone", "gap under the end face over which its contact fades out", "m", _CUT.contact_zone, 1e-6),
+    _parameter("contact_time", "time constant with which the end face bites", "s", _CUT.contact_time, 0.0),
     Variable(
         "substeps",
         "parameter",
         "instants per step at which f_peak is looked for (the mean does not depend on it)",
         kind="integer",
-        start=24,
+        start=_CUT.substeps,
         minimum=1,
         maximum=10000,
     ),
-    _parameter("size_reference", "chip thickness at which the size effect changes nothing", "m", 2.5e-5, 1e-7),
+    _parameter("size_reference", "chip thickness at which the size effect changes nothing", "m", _CUT.size_reference, 1e-7),
     _parameter("runout_angle", "direction of the runout, clockwise from tooth 1", "rad", 0.0),
     _effect("cutting_coefficient_error", "relative error of Ktc, Krc, Kac", "1", -0.9, 2.0, tunable=True),
     _effect("tool_wear", "relative growth of the edge coefficients Kte, Kre, Kae by wear", "1", -0.9, 10.0, tunable=True),
