@@ -55,6 +55,7 @@ class CompiledLoop:
         self._slaves, self._wiring, self._jacobi, self._bus, self._bounds = slaves, wiring, jacobi, bus, bounds
         self._natives = [_native(slave) for slave in slaves.values()]
         self._rows = np.zeros((capacity, 1 + wiring.n_outputs))
+        self.capacity = capacity
         self._report, self._ticks = np.zeros(5, np.int64), np.zeros(3, np.int64)
         self._inputs: list[tuple[int, str, Block]] = []
         blocks: list[list[int]] = []
@@ -71,7 +72,7 @@ class CompiledLoop:
             for block in native.outputs:
                 blocks.append(_row(block, len(places)))
                 places += [wiring.output_slice[name].start + i for i in block.places]
-            parts.append([native.instance, native.step, native.limit, *bounds_of, len(blocks), rate, every, 0, 0])
+            parts.append([native.instance, native.step, native.limit, *bounds_of, len(blocks), rate, every, 0, 0, 0])
         self._parts = np.array(parts, dtype=np.int64)
         self._blocks = np.array(blocks, dtype=np.int64).reshape(len(blocks), 7)
         self._places = np.array(places, dtype=np.int64)
@@ -86,6 +87,7 @@ class CompiledLoop:
         """
         self._prepare(gather)
         self._ticks[:] = start, step, done
+        self._parts[:, compiled.EACH] = step * self._parts[:, compiled.EVERY] // self._parts[:, compiled.RATE]
         made = compiled.advance(
             min(steps, len(self._rows)),
             self._ticks,

@@ -20,12 +20,14 @@ intrinsic: Callable[[Callable[..., Any]], Any] = numba_intrinsic
 
 TICK = 1_000_000_000  # as in `system`; Numba's cache does not notice constants of other modules
 
+OPTIONS = {"error_model": "numpy", "_nrt": False}
+"""Without counting references to the tables at every use: that took longer than the calls themselves."""
 DONE, STOPPED, FAILED, VIOLATED = range(4)
 """Outcomes in the first place of the report."""
 KINDS = ("float64", "int32", "int64")
 """Types of the buffers, by their number in the column KIND."""
 # Columns of the table of components (parts) and of the table of blocks
-INSTANCE, STEP, LIMIT, SETS, SETS_END, GETS, GETS_END, RATE, EVERY, COUNT, BEGAN = range(11)
+INSTANCE, STEP, LIMIT, SETS, SETS_END, GETS, GETS_END, RATE, EVERY, COUNT, BEGAN, EACH = range(12)
 KIND, FUNCTION, REFERENCES, N, BUFFER, FIRST, DIRECT = range(7)
 
 
@@ -85,7 +87,7 @@ _load_i32, _store_i32 = _memory(types.int32, ir.IntType(32))
 _load_i64, _store_i64 = _memory(types.int64, ir.IntType(64))
 
 
-@njit(inline="always")
+@njit(inline="always", **OPTIONS)
 def _set(blocks: Any, b: int, bus: Any, gather: Any, instance: int) -> Any:
     """Inputs of block `b` from the bus; returns the status."""
     n, buffer, first = blocks[b, N], blocks[b, BUFFER], blocks[b, FIRST]
@@ -104,7 +106,7 @@ def _set(blocks: Any, b: int, bus: Any, gather: Any, instance: int) -> Any:
     return _call_values(blocks[b, FUNCTION], instance, blocks[b, REFERENCES], n, buffer)
 
 
-@njit(inline="always")
+@njit(inline="always", **OPTIONS)
 def _get(blocks: Any, b: int, bus: Any, gather: Any, instance: int, limit: int) -> Any:
     """Outputs of block `b` to the bus; returns the status."""
     n, buffer, first = blocks[b, N], blocks[b, BUFFER], blocks[b, FIRST]
@@ -125,14 +127,17 @@ def _get(blocks: Any, b: int, bus: Any, gather: Any, instance: int, limit: int) 
     return status
 
 
-@njit(inline="always")
-def _call_part(phase: int, c: int, ticks: Any, now: int, parts: Any, blocks: Any, gather: Any, bus: Any, report: Any) -> bool:
+@njit(inline="always", **OPTIONS)
+def _call_part(
+    phase: int, c: int, ticks: Any, now: int, t: float, h: float, parts: Any, blocks: Any, gather: Any, bus: Any, report: Any
+) -> bool:
     """One phase (0 inputs, 1 step, 2 outputs) of component `c`; False if a call failed, with `report` saying which."""
     instance, limit = parts[c, INSTANCE], parts[c, LIMIT]
     if phase == 1:
-        each = ticks[1] * parts[c, EVERY] // parts[c, RATE]
+        each = parts[c, EACH]
         for i in range(parts[c, RATE]):
-            status = _call_step(parts[c, STEP], instance, (parts[c, BEGAN] + i * each) / TICK, each / TICK)
+            begin = t if parts[c, BEGAN] + i * each == now else (parts[c, BEGAN] + i * each) / TICK
+            status = _call_step(parts[c, STEP], instance, begin, h if each == ticks[1] else each / TICK)
             if status < 0 or status > limit:
                 report[0], report[1], report[2], report[3], report[4] = FAILED, c, phase, i, status
                 return False
@@ -147,7 +152,7 @@ def _call_part(phase: int, c: int, ticks: Any, now: int, parts: Any, blocks: Any
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, **OPTIONS)
 def advance(
     steps: int, ticks: Any, jacobi: bool, delayed: bool, watched: int, parts: Any, blocks: Any, gather: Any, bus: Any,
     low: Any, high: Any, rows: Any, report: Any,
@@ -157,8 +162,10 @@ def advance(
     `ticks`: [start, step, done so far]. `report`: [outcome, component, phase, block, status].
     """
     n = len(low)
+    h = ticks[1] / TICK
     for k in range(steps):
         now = ticks[0] + (ticks[2] + k) * ticks[1]
+        t = now / TICK
         if delayed:
             for i in range(n):
                 bus[n + i] = bus[i]
@@ -170,7 +177,7 @@ def advance(
             for c in range(len(parts)):
                 if parts[c, COUNT] == parts[c, EVERY] - 1:
                     for phase in range(sweep if jacobi else 0, sweep + 1 if jacobi else 3):
-                        if not _call_part(phase, c, ticks, now, parts, blocks, gather, bus, report):
+                        if not _call_part(phase, c, ticks, now, t, h, parts, blocks, gather, bus, report):
                             return k
         for c in range(len(parts)):
             parts[c, COUNT] = 0 if parts[c, COUNT] == parts[c, EVERY] - 1 else parts[c, COUNT] + 1

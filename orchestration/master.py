@@ -327,9 +327,10 @@ class Master:
         if not chunk.in_range:
             raise self._violation((self._start_ticks + (self._done + 1) * self._step_ticks) / TICK)
         elapsed = time.perf_counter() - began
-        self._chunk_steps = (
-            max(self._chunk_steps // 2, 1) if elapsed > 2 * _CHUNK_TIME else self._chunk_steps * (1 + (elapsed < _CHUNK_TIME))
-        )
+        if elapsed > 2 * _CHUNK_TIME:
+            self._chunk_steps = max(steps // 2, 1)
+        elif elapsed < _CHUNK_TIME and steps == self._chunk_steps:
+            self._chunk_steps = min(2 * steps, self._compiled.capacity)
 
     def override(self, name: str, value: float) -> None:
         """Give the input `component.port` a value from now on, instead of what it is connected to."""
