@@ -1,0 +1,310 @@
+"""Make a benchmark: cases for the diagnosis, truth in a sealed folder, both reproducible bit for bit from (cases, seed, tier).
+
+DIR/benchmark.json                 what it is, and the hash of every file of every case
+DIR/cases/0001/system.toml         the nominal system
+DIR/cases/0001/runs/training-1 ... six repeats, training-held-1, -2, and two of each held-out condition
+DIR/sealed/0001.json, 0001/*.npy   the truth; DIR/sealed/manifest.json their hashes, whose own hash is in benchmark.json
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+
+from blind import bad_logs, outside
+from blind.conditions import Condition, draw, known, planned
+from blind.effects import BY_KEY, EFFECTS, Instance
+from blind.effects import draw as draw_effect
+from blind.outside import Changes, Columns
+from blind.world import (
+    NOISE,
+    STEP,
+    SYSTEM,
+    TRACKER,
+    Machine,
+    draw_machine,
+    jittered,
+    measure,
+    nominal,
+    simulate,
+    simulate_nominal,
+)
+from models.declaration import FloatArray
+from orchestration.recorder import SCHEMA, frame_of
+from orchestration.results import RUN, SIGNALS
+from orchestration.slave import PortData
+from orchestration.toml_text import dump
+
+VERSION = 1
+"""Of the generator: numbers change only with it."""
+TIERS = ("T0", "T1")
+PROPORTIONS: Mapping[str, float] = {"null": 0.20, "single": 0.38, "double": 0.15, "triple": 0.04, "outside": 0.15, "bad_log": 0.08}
+"""Of DIAGNOSIS.md."""
+REPEATS, HELD_REPEATS, OTHER_REPEATS = 6, 2, 2
+WINDOW = 125
+"""Rows of the windows (0.5 s) in which detectability is looked at."""
+Progress = Callable[[str, int, int], object]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a case is about, before anything is simulated."""
+
+    number: int
+    kind: str
+    subject: tuple[str, ...] = ()
+    """Keys of effects, name of the outside kind or of the fault of the log."""
+
+
+def plans(cases: int, seed: int) -> list[Plan]:
+    """Kinds in the proportions, effects and kinds in turn from a shuffled list, all in random order: the number says nothing."""
+    if cases < 1:
+        raise ValueError(f"--cases {cases}: expected at least 1")
+    random = np.random.default_rng([VERSION, seed])
+    exact = {kind: share * cases for kind, share in PROPORTIONS.items()}
+    counts = {kind: int(value) for kind, value in exact.items()}
+    for kind in sorted(exact, key=lambda k: counts[k] - exact[k])[: cases - sum(counts.values())]:
+        counts[kind] += 1
+    effects, kinds, faults = _Deck([*BY_KEY], random), _Deck([*outside.KINDS], random), _Deck([*bad_logs.KINDS], random)
+    subjects: list[tuple[str, tuple[str, ...]]] = [("null", ())] * counts["null"]
+    subjects += [("single", (effects.next(),)) for _ in range(counts["single"])]
+    for kind, size in (("double", 2), ("triple", 3)):
+        subjects += [(kind, tuple(str(k) for k in random.choice([*BY_KEY], size, replace=False))) for _ in range(counts[kind])]
+    subjects += [("outside", (kinds.next(),)) for _ in range(counts["outside"])]
+    subjects += [("bad_log", (faults.next(),)) for _ in range(counts["bad_log"])]
+    order = random.permutation(len(subjects))
+    return [Plan(i + 1, *subjects[j]) for i, j in enumerate(order)]
+
+
+class _Deck:
+    """Cards dealt in random order, shuffled anew when they are used up."""
+
+    def __init__(self, cards: Sequence[str], random: np.random.Generator) -> None:
+        self._cards, self._random, self._left = list(cards), random, list[str]()
+
+    def next(self) -> str:
+        if not self._left:
+            self._left = [self._cards[i] for i in self._random.permutation(len(self._cards))]
+        return self._left.pop()
+
+
+def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progress | None = None) -> dict[str, Any]:
+    """Make a benchmark in `folder` and return what benchmark.json says. Cases that are complete are kept, so it can be interrupted.
+
+    ValueError: an unknown tier, or a folder that holds another benchmark.
+    """
+    if tier not in TIERS:
+        raise ValueError(f"tier {tier!r}: expected one of {', '.join(TIERS)}")
+    folder = Path(folder)
+    what = {"schema": "robomill-blind/1", "version": VERSION, "cases": cases, "seed": seed, "tier": tier}
+    head = folder / "request.json"
+    if head.is_file():
+        if json.loads(head.read_text(encoding="utf-8")) != what:
+            raise ValueError(f"{folder} holds another benchmark ({head.read_text(encoding='utf-8').strip()}); choose another folder")
+    elif folder.exists() and any(folder.iterdir()):
+        raise ValueError(f"{folder} is not empty and holds no benchmark; choose another folder")
+    (folder / "sealed").mkdir(parents=True, exist_ok=True)
+    head.write_text(json.dumps(what) + "\n", encoding="utf-8")
+    for plan in plans(cases, seed):
+        if progress is not None:
+            progress("make", plan.number - 1, cases)
+        if not (folder / "sealed" / f"{plan.number:04d}.json").is_file():
+            make_case(folder, plan, seed, tier)
+    if progress is not None:
+        progress("make", cases, cases)
+    manifest = hashes(folder / "sealed", exclude=("manifest.json",))
+    text = json.dumps(manifest, indent=0, sort_keys=True) + "\n"
+    (folder / "sealed" / "manifest.json").write_text(text, encoding="utf-8")
+    result = {**what, "truth": hashlib.sha256(text.encode()).hexdigest(), "files": hashes(folder / "cases")}
+    (folder / "benchmark.json").write_text(json.dumps(result, indent=0, sort_keys=True) + "\n", encoding="utf-8")
+    return result
+
+
+def hashes(folder: Path, exclude: Sequence[str] = ()) -> dict[str, str]:
+    """SHA-256 of every file below a folder, by relative path."""
+    files = sorted(f for f in folder.rglob("*") if f.is_file() and f.name not in exclude)
+    return {f.relative_to(folder).as_posix(): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
+
+
+def make_case(folder: Path, plan: Plan, seed: int, tier: str) -> None:
+    """Simulate, write and seal one case. Its truth is written last."""
+    random = np.random.default_rng([VERSION, seed, plan.number])
+    conditions = draw(random)
+    machine = draw_machine(random)
+    truth, effects, changes, fault = _subject(plan, tier, random)
+    place = folder / "cases" / f"{plan.number:04d}"
+    shutil.rmtree(place, ignore_errors=True)
+    (place / "runs").mkdir(parents=True)
+    shutil.copyfile(SYSTEM, place / "system.toml")
+    parameters, parametric = _formulation(effects, random)
+    everything = outside.merged([changes, *parametric])
+    for c, count, held in (
+        (conditions[0], REPEATS + HELD_REPEATS, False),
+        (conditions[1], OTHER_REPEATS, True),
+        (conditions[2], OTHER_REPEATS, True),
+    ):
+        for i in range(count):
+            held_out = held or i >= REPEATS
+            t, columns, ports = simulate(c, machine, parameters, everything, random)
+            columns = measure(columns, tier, random)
+            stamped = jittered(t, random)
+            if fault is not None:
+                fault.apply(columns, t)
+            number = i + 1 if held or i < REPEATS else i + 1 - REPEATS
+            name = c.name.replace(" ", "-") + ("-held" if held_out and not held else "")
+            labels = {"condition": c.name, "repeat": number, "held_out": held_out, "tier": tier, "kind": "milling"}
+            write_run(place / "runs" / f"{name}-{number}", stamped, columns, ports, c, labels)
+    truth |= {"case": plan.number, "tier": tier, "conditions": [vars(c) for c in conditions]}
+    truth |= _oracle(folder / "sealed" / f"{plan.number:04d}", conditions, machine, parameters, everything, effects, tier)
+    text = json.dumps(truth, indent=1) + "\n"
+    (folder / "sealed" / f"{plan.number:04d}.json").write_text(text, encoding="utf-8")
+
+
+def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[dict[str, Any], list[Instance], Changes, bad_logs.BadLog | None]:
+    """Truth, catalogue effects, out-of-catalogue changes and fault of the log of a case."""
+    truth: dict[str, Any] = {"kind": plan.kind, "effects": []}
+    effects: list[Instance] = []
+    changes, fault = Changes(), None
+    if plan.kind in ("single", "double", "triple"):
+        effects = [draw_effect(BY_KEY[key], random) for key in plan.subject]
+    elif plan.kind == "outside":
+        kind = outside.KINDS[plan.subject[0]]
+        value, changes = kind.draw(random)
+        truth["outside"] = {"name": kind.name, "component": kind.component, "value": value, "unit": kind.unit}
+    elif plan.kind == "bad_log":
+        fault = bad_logs.draw(plan.subject[0], tier, random)
+        truth["bad_log"] = {"kind": fault.kind, "channel": fault.channel, "value": fault.value, "unit": fault.unit}
+        if random.random() < 0.5:  # a bad log with something real in it must be stopped just the same
+            effects = [draw_effect(EFFECTS[int(random.integers(len(EFFECTS)))], random)]
+    truth["effects"] = [
+        {"component": e.effect.component, "effect": e.effect.name, "parameter": e.parameter, "index": e.index, "value": e.value}
+        | {"unit": e.effect.unit}
+        for e in effects
+    ]
+    return truth, effects, changes, fault
+
+
+def _formulation(effects: Sequence[Instance], random: np.random.Generator) -> tuple[list[Instance], list[Changes]]:
+    """Effects that are switched on by their parameter, and those that get another formulation (every second one where there is one).
+
+    Never two inserts at one place, so only one of the hysteresis kind."""
+    parameters: list[Instance] = []
+    changes: list[Changes] = []
+    for e in effects:
+        other = random.random() < 0.5
+        if other and e.effect.name == "gear_hysteresis":
+            torque = (94.0, 94.0, 94.0, 20.0, 18.0, 11.0)[e.index - 1]
+            changes.append(outside.bouc_wen(e.index - 1, e.value, torque))
+        elif other and e.effect.name == "friction_coulomb":
+            changes.append(outside.dahl(e.index - 1, e.value))
+        else:
+            parameters.append(e)
+    return parameters, changes
+
+
+def write_run(
+    folder: Path, t: FloatArray, columns: Columns, ports: Mapping[str, PortData], c: Condition, labels: Mapping[str, Any]
+) -> None:
+    """A measured run as `orchestration.results.Run.load` reads it, without a date: the same bytes each time."""
+    folder.mkdir(parents=True)
+    np.save(folder / "segments.npy", planned(c).table)
+    described = {n: {"port": n, "unit": ports[n].unit or "", "frame": frame_of(ports[n].name), "type": ports[n].type} for n in columns}
+    noise = {array: values[0] for array, values in NOISE.items() if any(n.partition("[")[0] == array for n in columns)}
+    info = {
+        "schema": SCHEMA,
+        "outcome": "finished",
+        "message": "",
+        "kind": "measured",
+        "program": "program",
+        "robot": "KUKA KR 300 R2500 ultra",
+        "tool": "end mill D16 z3",
+        "workpiece": "AW-2017",
+        "system": "milling_cell",
+        "clock": {"column": "t", "unit": "s", "step": STEP, "every": 1},
+        "labels": dict(labels),
+        "instruments": noise,  # white noise by data sheet; the rest is for the repeats to show
+        "parameters": known(c, "segments.npy"),
+        "columns": described,
+    }
+    text = dump(info)
+    (folder / RUN).write_text(text, encoding="utf-8")
+    fields = [pa.field("t", pa.float64(), metadata={"unit": "s", "description": "time"})]
+    fields += [pa.field(n, pa.float32(), metadata={k: d[k] for k in ("unit", "frame")}) for n, d in described.items()]
+    schema = pa.schema(fields, metadata={"robomill": text})
+    pyarrow.parquet.write_table(pa.table([t, *(v.astype(np.float32) for v in columns.values())], schema=schema), folder / SIGNALS, compression="zstd")
+
+
+def _oracle(
+    sealed: Path,
+    conditions: Sequence[Condition],
+    machine: Machine,
+    parameters: Sequence[Instance],
+    changes: Changes,
+    effects: Sequence[Instance],
+    tier: str,
+) -> dict[str, Any]:
+    """What only the generator can know: how far the effects stand out, the noise-free gaps, and what adopting the truth would close.
+
+    `<condition>.npy` in `sealed`: float32[n, 6], noise-free minus nominal, tool tip [m] and compensated force [N].
+    """
+    sealed.mkdir(parents=True, exist_ok=True)
+    _, with_them, _ = simulate(conditions[0], machine, parameters, changes, None)
+    _, without, _ = simulate(conditions[0], machine, (), Changes(), None)
+    groups = detectability(with_them, without, nominal(conditions[0]).columns, tier)
+    ceilings: dict[str, Any] = {}
+    for c in conditions[1:]:
+        _, clean, _ = simulate(c, machine, parameters, changes, None)
+        gap = difference(clean, nominal(c).columns)
+        np.save(sealed / f"{c.name.replace(' ', '-')}.npy", gap.astype(np.float32))
+        if effects:
+            after = difference(clean, simulate_nominal(c, effects).columns)
+            ceilings[c.name] = {"tool tip": closure(gap[:, :3], after[:, :3]), "force": closure(gap[:, 3:], after[:, 3:])}
+    return {"detectability": max(groups.values()), "detectability_by_array": groups, "ceiling": ceilings}
+
+
+def difference(a: Mapping[str, FloatArray], b: Mapping[str, FloatArray]) -> FloatArray:
+    """Tool tip [m] and compensated force [N] of a minus those of b, (n, 6)."""
+    names = [f"{array}[{i}]" for array in (TRACKER, "sensor.f_T_T") for i in (1, 2, 3)]
+    n = min(len(a[names[0]]), len(b[names[0]]))
+    return np.stack([a[k][:n] - b[k][:n] for k in names], axis=1)
+
+
+def closure(before: FloatArray, after: FloatArray) -> float:
+    """1 - G_after/G_before, mean squares; NaN-free: 0 where there was no gap."""
+    n = min(len(before), len(after))
+    g = float(np.mean(before[:n] ** 2))
+    return 0.0 if g == 0.0 else 1.0 - float(np.mean(after[:n] ** 2)) / g
+
+
+def detectability(
+    with_them: Mapping[str, FloatArray], without: Mapping[str, FloatArray], nominal_columns: Mapping[str, FloatArray], tier: str
+) -> dict[str, float]:
+    """By measured array: the largest ratio, over its elements and windows of 0.5 s, of the rms change by the effects to the rms of what
+
+    is there without them: the gap between this machine and the nominal one, and the noise that six repeats leave.
+    """
+    noise = {array: np.sqrt(w * w / REPEATS + c * c / REPEATS + o * o / REPEATS) for array, (w, c, o) in NOISE.items()}
+    noise |= {"sensor.f_S_raw": 0.5, "sensor.m_S_raw": 0.05, "sensor.f_T_T": 0.3, "sensor.m_T_T": 0.03}  # offsets of six repeats left over
+    noise |= {"controller.correction_B": 1e-6, "controller.correction_q": 1e-6}
+    result: dict[str, float] = {}
+    for name, y0 in without.items():
+        array = name.partition("[")[0]
+        if array not in noise or (tier == "T0" and array == TRACKER):
+            continue
+        n = min(len(y0), len(with_them[name]), len(nominal_columns[name]))
+        change, gap = with_them[name][:n] - y0[:n], y0[:n] - nominal_columns[name][:n]
+        floor = float(np.sqrt(np.mean(gap**2)))
+        for k in range(0, max(n - WINDOW, 1), WINDOW):
+            local = np.sqrt(np.mean(gap[k : k + WINDOW] ** 2))
+            below = np.sqrt(0.5 * (local**2 + floor**2) + noise[array] ** 2)
+            result[array] = max(result.get(array, 0.0), float(np.sqrt(np.mean(change[k : k + WINDOW] ** 2)) / below))
+    return result

@@ -1,0 +1,269 @@
+"""The generator's world: the same components, but neither the integration nor the numbers that the diagnosis has.
+
+Against the inverse crime: the communication step is 2 ms (drive, sensor and controller keep their 4 ms cycle and see the mean force of
+it), all calibrated parameters are off by a little, noise is coloured and inside the loop, timestamps jitter, and some effects
+have another formulation than the catalogue's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from blind.conditions import Condition, known, planned
+from blind.effects import Instance
+from blind.insert import Function, Insert, insert, resolver
+from blind.outside import Changes, Columns
+from models.declaration import FloatArray
+from orchestration.assembly import run
+from orchestration.results import Run
+from orchestration.slave import PortData, Slave
+from orchestration.system import Connection, System
+from robomill.binding import convert, resolve
+from robomill.milling import with_parameters
+
+STEP = 0.004
+FINE = 2
+"""Communication steps of the generator in one of the recording."""
+SYSTEM = Path(__file__).parent.parent / "scenarios" / "milling_cell.toml"
+MEASURED = (
+    "path.p_BT_B",
+    "path.quat_BT",
+    "path.q_ref",
+    "path.v_BT_B",
+    "path.spindle_speed",
+    "path.block",
+    "path.path_time",
+    "drive.q_motor",
+    "drive.torque_motor",
+    "sensor.f_S_raw",
+    "sensor.m_S_raw",
+    "sensor.f_T_T",
+    "sensor.m_T_T",
+    "controller.correction_B",
+    "controller.correction_q",
+    "milling.spindle_torque",
+)
+"""Columns of both tiers."""
+TRACKER = "compliance.p_BT_B"
+"""Only at tier T1."""
+NOISE: Mapping[str, tuple[float, float, float]] = {
+    TRACKER: (6e-6, 4e-6, 3e-6),
+    "drive.q_motor": (1e-6, 0.5e-6, 0.0),
+    "drive.torque_motor": (0.05, 0.05, 0.02),
+    "milling.spindle_torque": (0.03, 0.03, 0.01),
+}
+"""White part, coloured part (AR(1), 0.2 s) and offset of the run: standard deviations in the unit of the column."""
+SENSOR_COLOURED = (0.4, 0.04)
+"""AR(1) noise, 0.1 s, in force [N] and moment [N m] before the sensor: inside the loop."""
+
+_RELATIVE = {
+    "compliance": {"stiffness": 0.01},
+    "drive": {"loop_frequency": 0.01, "loop_damping": 0.01, "body_mass": 0.003, "rotor_inertia": 0.005, "counterbalance_gas": 0.002},
+    "milling": {"Ktc": 0.01, "Krc": 0.01, "Kac": 0.01, "Kte": 0.01, "Kre": 0.01, "Kae": 0.01},
+    "sensor": {"filter_cutoff": 0.005},
+}
+_ABSOLUTE = {
+    "compliance": {"p_FT_F": 5e-6},
+    "drive": {"payload_mass": 0.2},
+    "sensor": {"load_mass": 0.02, "offset_f": 0.2, "offset_m": 0.03, "load_cog_S": 1e-4},
+}
+"""Standard deviations of the perturbation of every calibrated parameter: relative, and in the unit of the parameter."""
+
+
+@dataclass(frozen=True)
+class Machine:
+    """One machine as it really is: perturbed parameters, component -> parameter -> values."""
+
+    parameters: Mapping[str, Mapping[str, Any]]
+
+
+@cache
+def nominal_system() -> System:
+    """The cell as everybody knows it."""
+    return System.load(SYSTEM, convert)
+
+
+@cache
+def _nominal_value(component: str, parameter: str) -> FloatArray:
+    """What the nominal cell has: the value of its system file, else the start of the component."""
+    system = nominal_system()
+    c = next(c for c in system.components if c.name == component)
+    slave = resolve(c.source, c.name)
+    try:
+        ports = [p for p in slave.ports if p.causality == "parameter" and p.name.partition("[")[0] == parameter]
+        values = np.array([float(p.start or 0.0) for p in ports])
+    finally:
+        slave.close()
+    written = c.parameters.get(parameter)
+    if isinstance(written, str):
+        number, _, unit = written.partition(" ")
+        return np.array([convert(float(number), unit, ports[0].unit or "1")])
+    return values if written is None else np.atleast_1d(np.asarray(written, dtype=np.float64))
+
+
+def draw_machine(random: np.random.Generator) -> Machine:
+    """A machine: every calibrated parameter off by a little, normally distributed."""
+    found: dict[str, dict[str, Any]] = {}
+    for table, relative in ((_RELATIVE, True), (_ABSOLUTE, False)):
+        for component, entries in table.items():
+            for name, sigma in entries.items():
+                value = _nominal_value(component, name)
+                off = sigma * random.standard_normal(value.shape)
+                new = value * (1.0 + off) if relative else value + off
+                found.setdefault(component, {})[name] = float(new[0]) if len(new) == 1 else [float(v) for v in new]
+    return Machine(found)
+
+
+def _segments(c: Condition, folder: Path) -> str:
+    file = folder / "segments.npy"
+    np.save(file, planned(c).table)
+    return str(file)
+
+
+def with_effects(system: System, effects: Sequence[Instance]) -> System:
+    """The system with effects switched on by their parameters."""
+    for e in effects:
+        system = system.with_parameters(e.effect.component, {e.parameter: e.value})
+    return system
+
+
+@lru_cache(maxsize=64)
+def nominal(c: Condition) -> Run:
+    """The nominal simulation of a condition, without noise."""
+    return simulate_nominal(c, ())
+
+
+def simulate_nominal(c: Condition, effects: Sequence[Instance]) -> Run:
+    """What the nominal cell, coupled as its file says, does with effects switched on; no noise."""
+    with TemporaryDirectory() as folder:
+        system = with_parameters(nominal_system(), known(c, _segments(c, Path(folder))))
+        system = with_parameters(system, {"sensor": {"noise_f": 0.0, "noise_m": 0.0, "walk_f": 0.0, "walk_m": 0.0}})
+        return run(with_effects(system, effects), None, resolver=resolve, convert=convert)
+
+
+def simulate(
+    c: Condition, machine: Machine, effects: Sequence[Instance], changes: Changes, random: np.random.Generator | None
+) -> tuple[FloatArray, Columns, Mapping[str, PortData]]:
+    """True times [s], columns and their ports every 4 ms. Without `random`: no noise, nothing that varies from run to run."""
+    with TemporaryDirectory() as folder:
+        system = with_parameters(nominal_system(), known(c, _segments(c, Path(folder))))
+        system = with_parameters(system, machine.parameters)
+        if random is None:
+            noise = {"sensor": {"noise_f": 0.0, "noise_m": 0.0, "walk_f": 0.0, "walk_m": 0.0}}
+        else:
+            place = [v + 5e-6 * float(random.standard_normal()) for v in c.position]
+            noise = {"sensor": {"seed": int(random.integers(1, 2**31))}, "controller": {"seed": int(random.integers(1, 2**31))}}
+            system = with_parameters(system, {"milling": {"p_BP_B": place}})
+        system = with_effects(with_parameters(system, noise), effects)
+        system, inserts = _fine(system, changes, random)
+        result = run(system, None, resolver=resolver(inserts, resolve), convert=convert)
+    t = result.t[::FINE].copy()
+    columns = {name: values[::FINE].copy() for name, values in result.columns.items()}
+    if changes.after is not None:
+        changes.after(columns, t, STEP)
+    return t, columns, result.ports
+
+
+_WRENCH = {"f": (3, "N"), "m": (3, "N.m")}
+
+
+def _fine(system: System, changes: Changes, random: np.random.Generator | None) -> tuple[System, dict[str, Callable[[], Slave]]]:
+    """The system at the fine step, with the mean force before the sensor and the inserts of `changes`."""
+    slow = ("drive", "sensor", "controller")
+    system = replace(
+        system,
+        step=STEP / FINE,
+        components=tuple(replace(c, every=FINE) if c.name in slow else c for c in system.components),
+    )
+    inserts: dict[str, Callable[[], Slave]] = {}
+    force = {"milling.f_T_B": ("f", "f_out"), "milling.m_T_B": ("m", "m_out")}
+    if changes.cut is not None:
+        system = insert(system, "cut", force, ("compliance", "drive", "sensor"))
+        inserts["cut"] = _slave("cut", _WRENCH, {"f_out": (3, "N"), "m_out": (3, "N.m")}, changes.cut)
+        force = {"cut.f_out": ("f", "f_out"), "cut.m_out": ("m", "m_out")}
+    seed = None if random is None else int(random.integers(2**31))
+    system = insert(system, "felt", force, ("sensor",))
+    inserts["felt"] = _slave("felt", _WRENCH, {"f_out": (3, "N"), "m_out": (3, "N.m")}, _felt(changes.sense, seed))
+    if changes.link is not None:
+        source = "cut.f_out" if changes.cut is not None else "milling.f_T_B"
+        system = insert(system, "link", {"drive.q_link": ("q", "q_out")}, ("compliance",), (Connection(source, "link.f", True),))
+        inserts["link"] = _slave("link", {"q": (6, "rad"), "f": (3, "N")}, {"q_out": (6, "rad")}, changes.link)
+    return system, inserts
+
+
+def _slave(name: str, inputs: Any, outputs: Any, make: Callable[[], Function]) -> Callable[[], Slave]:
+    return lambda: Insert(name, inputs, outputs, make)
+
+
+def _felt(sense: Callable[[], Function] | None, seed: int | None) -> Callable[[], Function]:
+    """What reaches the sensor: the mean over its cycle, changed by `sense`, plus coloured noise."""
+
+    def make() -> Function:
+        inner = sense() if sense is not None else None
+        past = [np.zeros(6)] * FINE
+        random = None if seed is None else np.random.default_rng(seed)
+        state = np.zeros(6)
+        scale = np.repeat(SENSOR_COLOURED, 3)
+
+        def felt(t: float, h: float, u: FloatArray) -> FloatArray:
+            past.append(u.copy())
+            del past[0]
+            y = sum(past[1:], past[0]) / FINE if h > 0.0 else u.copy()
+            if inner is not None:
+                y = inner(t, h, y)
+            if random is not None and h > 0.0:
+                decay = math.exp(-h / 0.1)
+                state[:] = decay * state + math.sqrt(1.0 - decay * decay) * scale * random.standard_normal(6)
+                y = y + state
+            return y
+
+        return felt
+
+    return make
+
+
+def coloured(n: int, tau: float, random: np.random.Generator) -> FloatArray:
+    """AR(1) noise of unit variance, (n,), correlation time tau [s] at the recording step."""
+    decay = math.exp(-STEP / tau)
+    white = random.standard_normal(n)
+    result = np.empty(n)
+    state = float(random.standard_normal())
+    for k in range(n):
+        state = decay * state + math.sqrt(1.0 - decay * decay) * white[k]
+        result[k] = state
+    return result
+
+
+def measure(columns: Columns, tier: str, random: np.random.Generator) -> Columns:
+    """The measured columns with the noise of the instruments. Draws are those of T1 at both tiers, so the cases are the same."""
+    result: Columns = {}
+    for array in (*MEASURED, TRACKER):
+        for name, values in columns.items():
+            if name.partition("[")[0] != array:
+                continue
+            white, colour, offset = NOISE.get(array, (0.0, 0.0, 0.0))
+            if white > 0.0:
+                n = len(values)
+                noise = white * random.standard_normal(n) + colour * coloured(n, 0.2, random) + offset * random.standard_normal()
+                result[name] = values + noise
+            else:
+                result[name] = values.copy()
+    if tier == "T0":
+        result = {n: v for n, v in result.items() if n.partition("[")[0] != TRACKER}
+    return result
+
+
+def jittered(t: FloatArray, random: np.random.Generator) -> FloatArray:
+    """Timestamps as a logger writes them: drift of 20 ppm, jitter of 0.1 ms (white, below half a step), starting at zero."""
+    drift = 2e-5 * float(random.standard_normal())
+    jitter = np.clip(1e-4 * random.standard_normal(len(t)), -1e-3, 1e-3)
+    stamped: FloatArray = t * (1.0 + drift) + jitter
+    return stamped - stamped[0]
