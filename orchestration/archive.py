@@ -15,17 +15,17 @@ MAX_FILES = 20_000
 MAX_XML = 256 * 1024**2
 
 
-def unpack(file: Path, target: Path, max_total: int = MAX_TOTAL, max_files: int = MAX_FILES) -> list[str]:
-    """Unpack the zip archive `file` into the folder `target` and return the names of its files.
+def unpack(file: Path, target: Path, max_total: int = MAX_TOTAL, max_files: int = MAX_FILES, kind: str = "FMU") -> list[str]:
+    """Unpack the zip archive `file` into the folder `target` and return the names of its files. `kind` of archive, for messages.
 
     SlaveError for: no such file, not a zip archive, damaged or encrypted, an entry that would leave
     the folder (absolute, drive letter, backslash, `..`), a symbolic link or other special file, more
     than `max_files` entries, more than `max_total` bytes unpacked.
     """
     if not file.exists():
-        raise SlaveError(f"{file}: no such file{_siblings(file)}")
+        raise SlaveError(f"{file}: no such file{_siblings(file, kind)}")
     if not zipfile.is_zipfile(file):
-        raise SlaveError(f"{file}: not a zip archive, so not an FMU ({_kind(file)})")
+        raise SlaveError(f"{file}: not a zip archive, so not an {kind} ({_kind(file)})")
     try:
         with zipfile.ZipFile(file) as archive:
             entries = archive.infolist()
@@ -92,8 +92,8 @@ def _kind(file: Path) -> str:
         return f"{size} bytes, begins with {stream.read(8)!r}"
 
 
-def _siblings(file: Path) -> str:
+def _siblings(file: Path, kind: str) -> str:
     if not file.parent.is_dir():
         return f"; the folder {file.parent} does not exist either"
-    names = sorted(p.name for p in file.parent.glob("*.fmu"))
-    return f"; FMUs in that folder: {', '.join(names) or 'none'}"
+    names = sorted(p.name for p in file.parent.glob(f"*.{kind.lower()}"))
+    return f"; {kind}s in that folder: {', '.join(names) or 'none'}"

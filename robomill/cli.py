@@ -20,7 +20,7 @@ def parser() -> argparse.ArgumentParser:
     commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     run = _command(commands, "run", "run a scenario in all its variants, or a system file once", "robomill run scenarios/groove.toml")
-    run.add_argument("file", type=Path, help="scenario or system file (TOML)")
+    run.add_argument("file", type=Path, help="scenario or system file (TOML), or an SSP package (.ssp)")
     run.add_argument("--out", type=Path, help="folder for the results (default: results/NAME)")
     run.add_argument("--variant", action="append", metavar="NAME", help="only this variant; may be repeated")
     run.add_argument(
@@ -31,7 +31,8 @@ def parser() -> argparse.ArgumentParser:
         metavar="FOLDER",
         help="run the FMUs in FOLDER (dist) instead of the models in process",
     )
-    run.add_argument("--stop", type=float, metavar="S", help="stop time in s (system files)")
+    run.add_argument("--stop", type=float, metavar="S", help="stop time in s (system files and packages)")
+    run.add_argument("--step", type=float, metavar="S", help="communication step in s (system files and packages)")
     run.add_argument("--csv", action="store_true", help="also write signals.csv")
     run.add_argument("--checkpoint-every", type=int, metavar="STEPS", help="save each so many steps all that --resume goes on from")
     run.add_argument(
@@ -44,6 +45,8 @@ def parser() -> argparse.ArgumentParser:
     build = _command(commands, "build", "write every FMU", "robomill build --out dist")
     build.add_argument("--out", type=Path, default=Path("dist"), help="folder for the FMUs (default: dist)")
     build.add_argument("--component", action="append", metavar="NAME", help="only this component; may be repeated")
+    build.add_argument("--ssp", type=Path, metavar="FILE", help="also write this system, or this scenario in all its variants, as SSP 1.0")
+    build.add_argument("--variant", action="append", metavar="NAME", help="with --ssp: only this variant; may be repeated")
     build.add_argument("--replay", type=Path, metavar="RUN", help="a replay FMU of --component from this recorded run")
     build.add_argument(
         "--as", dest="recorded_as", metavar="NAME", help="name of the component in the recorded run, where it differs (path, drive, ...)"

@@ -29,8 +29,9 @@ from models.trajectory import Placement
 from models.trajectory import plan as plan_path
 from orchestration.assembly import run as run_once
 from orchestration.results import Run
+from orchestration.ssp_import import open_ssp
 from orchestration.system import System
-from robomill import conformance, milling, static_loads
+from robomill import conformance, milling, ssp, static_loads
 from robomill.binding import convert, resolve, with_fmus
 from robomill.evaluation import Result, evaluate
 from robomill.scenario import Scenario, ScenarioError, load_scenario
@@ -47,7 +48,10 @@ _SHOWN = (
 
 
 def run(options: Namespace) -> int:
-    """`robomill run`: a scenario of any kind, or a plain system file."""
+    """`robomill run`: a scenario of any kind, a plain system file, or an SSP package."""
+    if options.file.suffix == ".ssp":
+        with open_ssp(options.file, options.step) as package:
+            return _run_system(package.system, options, package.start)
     if not options.file.is_file():
         load_scenario(options.file)  # says what there is
     try:
@@ -55,7 +59,7 @@ def run(options: Namespace) -> int:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
         is_scenario = False  # the system loader names the line
     if not is_scenario:
-        return _run_system(options)
+        return _run_system(System.load(options.file, convert), options)
     scenario = _chosen(load_scenario(options.file), options.variant)
     folder = options.out or RESULTS / scenario.name
     folder.mkdir(parents=True, exist_ok=True)
@@ -142,8 +146,9 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
     return 0
 
 
-def _run_system(options: Namespace) -> int:
-    system = System.load(options.file, convert)
+def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
+    if options.step is not None:
+        system = replace(system, step=options.step)
     if options.fmus is not None:
         system = with_fmus(system, options.fmus)
     if options.csv:
@@ -156,6 +161,7 @@ def _run_system(options: Namespace) -> int:
             system,
             folder,
             stop=options.stop,
+            start=start,
             resolver=resolve,
             convert=convert,
             progress=lambda done, total: report(system.name, done, total),
@@ -171,8 +177,11 @@ def _run_system(options: Namespace) -> int:
 
 
 def build(options: Namespace) -> int:
-    """`robomill build`: FMUs of all or some components, or a replay FMU of one of them."""
-    names = options.component or list(COMPONENTS)
+    """`robomill build`: FMUs of all or some components, a replay FMU of one of them, or whole systems as SSP packages."""
+    packages: list[System] = []
+    if options.ssp is not None:
+        packages = ssp.systems(options.ssp, options.out / "tables" / options.ssp.stem, options.variant)
+    names = options.component or (ssp.used(packages) if packages else list(COMPONENTS))
     models = [component(name) for name in names]
     if options.replay is not None:
         if len(names) != 1 or not options.component:
@@ -185,10 +194,11 @@ def build(options: Namespace) -> int:
             report(f"build {model.name}", i, len(models))
             files.append(build_fmu(model, options.out))
         report("build", len(models), len(models))
+        written = ssp.write(packages, options.out, options.out, report)
     if options.json:
-        print(json.dumps({"fmus": [str(f) for f in files]}))
+        print(json.dumps({"fmus": [str(f) for f in files], "packages": [str(f) for f in written]}))
     else:
-        for f in files:
+        for f in (*files, *written):
             print(f"{f}  {f.stat().st_size / 1024:.0f} kB")
     return 0
 

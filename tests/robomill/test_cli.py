@@ -205,3 +205,29 @@ class TestResume:
         assert main(["run", "part.toml", "--no-pictures"]) == 0
         edit(cell / "part.ngc", "Z-5.", "Z-4.")
         assert "holds a run of another system: files: path.segments was" in refused(capsys, "run", "part.toml", "--resume")
+
+
+class TestPackages:
+    """`robomill build --ssp` and `robomill run X.ssp`."""
+
+    @pytest.mark.slow
+    def test_round_trip_of_a_scenario(self, cell, capsys):
+        """The package, unpacked and run through FMUs, gives the numbers of the scenario run in process."""
+        assert main(["run", "part.toml", "--no-pictures", "--out", "here"]) == 0
+        capsys.readouterr()
+        assert main(["build", "--ssp", "part.toml", "--json"]) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert told["packages"] == ["dist/part_cartesian.ssp"]
+        assert len(told["fmus"]) == 6
+        assert main(["run", "dist/part_cartesian.ssp", "--out", "there"]) == 0
+        here, there = Run.load(cell / "here/cartesian"), Run.load(cell / "there")
+        assert set(here.columns) == set(there.columns)
+        assert here.t.tobytes() == there.t.tobytes()
+        for name in here.columns:
+            assert here[name].tobytes() == there[name].tobytes(), name
+
+    def test_refused(self, cell, capsys):
+        (cell / "x.ssp").write_text("hello")
+        assert "x.ssp: not a zip archive, so not an SSP" in refused(capsys, "run", "x.ssp")
+        assert "y.ssp: no such file; SSPs in that folder: x.ssp" in refused(capsys, "run", "y.ssp")
+        assert "no variant none; variants: cartesian" in refused(capsys, "build", "--ssp", "part.toml", "--variant", "none")
