@@ -11,6 +11,7 @@ import datetime
 import re
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -71,6 +72,7 @@ class Recorder:
             aside = set_aside(self.folder, -(-self._seen // self.every))
         self._write_info("running", "")
         self._schema = pa.schema(fields, metadata={"robomill": dump(self._info)})
+        self._kinds = list(self._schema.types)
         self._stream = (self.folder / LIVE).open("wb")
         self._writer = pa.ipc.new_stream(self._stream, self._schema)
         self._writer.write_batch(pa.record_batch([[]] * len(fields), schema=self._schema))  # without a batch there is no schema in the file
@@ -85,6 +87,8 @@ class Recorder:
         self._buffer = np.empty((self.chunk, 1 + len(chosen)))
         self._rows = [row[1:] for row in self._buffer]
         self._count = 0
+        self._background = ThreadPoolExecutor(1, "recorder")
+        self._pending: Future[None] | None = None
         self._flushed = time.monotonic()
 
     def _clear(self) -> None:
@@ -131,7 +135,7 @@ class Recorder:
         if self._count + len(kept) > self.chunk:
             self.flush()
         if len(kept) > self.chunk:
-            self._write(kept)
+            self._write(kept)  # while the next steps are made
         else:
             self._buffer[self._count : self._count + len(kept)] = kept
             self._count += len(kept)
@@ -143,12 +147,24 @@ class Recorder:
         if self._count:
             self._write(self._buffer[: self._count])
             self._count = 0
+        self._wait()
         self._flushed = time.monotonic()
 
     def _write(self, rows: FloatArray) -> None:
-        data = np.ascontiguousarray(rows.T)
-        arrays = [pa.array(_cast(column, f.type)) for column, f in zip(data, self._schema, strict=True)]
-        self._writer.write_batch(pa.record_batch(arrays, schema=self._schema))
+        """Begin to write rows, in the background; what went wrong with those before is raised."""
+        columns = rows.T.copy()
+        self._wait()
+        self._pending = self._background.submit(self._put, columns)
+
+    def _wait(self) -> None:
+        """Until everything given to `_write` is on disk."""
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            pending.result()
+
+    def _put(self, data: FloatArray) -> None:
+        arrays = [pa.array(_cast(column, kind)) for column, kind in zip(data, self._kinds, strict=True)]
+        self._writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=self._schema))
         self._stream.flush()
 
     def end(self, outcome: str, message: str) -> None:
@@ -156,6 +172,7 @@ class Recorder:
         try:
             self.flush()
         finally:
+            self._background.shutdown()
             self._writer.close()
             self._stream.close()
             finalise(self.folder)
