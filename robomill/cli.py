@@ -44,6 +44,16 @@ def parser() -> argparse.ArgumentParser:
 
     build = _command(commands, "build", "write every FMU", "robomill build --out dist")
     build.add_argument("--out", type=Path, default=Path("dist"), help="folder for the FMUs (default: dist)")
+    build.add_argument(
+        "--backend",
+        choices=("python", "native"),
+        default="python",
+        help="python: needs Python, NumPy and Numba on the other side; native: needs nothing (default: python)",
+    )
+    build.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version (3: native only; default: 2)")
+    build.add_argument(
+        "--platform", action="append", choices=("linux64", "win64", "darwin64"), help="native only; may be repeated (default: linux64)"
+    )
     build.add_argument("--component", action="append", metavar="NAME", help="only this component; may be repeated")
     build.add_argument("--ssp", type=Path, metavar="FILE", help="also write this system, or this scenario in all its variants, as SSP 1.0")
     build.add_argument("--variant", action="append", metavar="NAME", help="with --ssp: only this variant; may be repeated")
@@ -67,6 +77,18 @@ def parser() -> argparse.ArgumentParser:
     )
     plan.add_argument("--turn", type=float, default=0.0, metavar="DEG", help="workpiece turned about z, degrees")
     plan.add_argument("--out", type=Path, metavar="FILE.npy", help="write the segment table for the path component")
+
+    bring = _command(
+        commands,
+        "import",
+        "bring a foreign log in as a run folder (CSV, npz, MAT, MDF4, RSI)",
+        "robomill import data/kuka_kr300_recordings/map.toml data/kuka_kr300_recordings/recording_A.npz --out runs/A",
+    )
+    bring.add_argument("mapping", type=Path, metavar="MAP.toml", help="which column is which port, unit, frame, clock: docs/import.md")
+    bring.add_argument("log", type=Path, metavar="LOG", help="the log")
+    bring.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder for the run")
+    bring.add_argument("--label", action="append", default=[], metavar="KEY=VALUE", help="a label beside those of the mapping, or instead")
+    bring.add_argument("--overwrite", action="store_true", help="replace a run that is in the folder")
     return main_parser
 
 
@@ -81,9 +103,11 @@ def _command(commands: Any, name: str, text: str, example: str) -> argparse.Argu
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; errors that a user can mend become one message on stderr and exit status 2."""
     options = parser().parse_args(arguments)
-    from robomill import commands
+    from robomill import commands, import_command
 
-    action = {"run": commands.run, "build": commands.build, "check": commands.check, "plan": commands.plan}[options.command]
+    action = {"run": commands.run, "build": commands.build, "check": commands.check, "plan": commands.plan, "import": import_command.run}[
+        options.command
+    ]
     try:
         return action(options)
     except (Interrupted, KeyboardInterrupt) as error:
