@@ -20,7 +20,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from fmus.components import COMPONENTS, component
-from fmus.python.builder import build as build_fmu
+from fmus.python.builder import build as build_python
 from models import gcode, point_path
 from models.declaration import Model
 from models.reachability import check_reachable
@@ -192,7 +192,7 @@ def build(options: Namespace) -> int:
     with _progress(options.json) as report:
         for i, model in enumerate(models):
             report(f"build {model.name}", i, len(models))
-            files.append(build_fmu(model, options.out))
+            files.append(_build(model, options))
         report("build", len(models), len(models))
         written = ssp.write(packages, options.out, options.out, report)
     if options.json:
@@ -201,6 +201,17 @@ def build(options: Namespace) -> int:
         for f in (*files, *written):
             print(f"{f}  {f.stat().st_size / 1024:.0f} kB")
     return 0
+
+
+def _build(model: Model, options: Namespace) -> Path:
+    """One FMU with the backend that was asked for."""
+    if options.backend == "native":
+        from fmus.native.builder import build as build_native  # needs LLVM: a second to load
+
+        return build_native(model, options.out, fmi=options.fmi, platforms=tuple(options.platform or ["linux64"]))
+    if options.fmi != 2 or options.platform:
+        raise ValueError("--fmi 3 and --platform go with --backend native; Python FMUs are FMI 2 for linux64 and win64")
+    return build_python(model, options.out)
 
 
 def _replay_model(recorded: Run, component_name: str, recorded_as: str) -> Model:
