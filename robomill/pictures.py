@@ -50,7 +50,7 @@ def _save(figure: Figure, file: Path) -> Path:
 def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
     """Colour maps nominal minus actual workpiece (Figs. 10-13), from above.
 
-    Walls are folded outwards, top edge outermost: a wall 10 mm high is a band 10 mm wide beside its floor.
+    Walls are folded outwards about their top edge: a wall 10 mm high is a band 10 mm wide beside the groove.
     """
     columns = 1 if len(results) == 1 else 2
     rows = -(-len(results) // columns)
