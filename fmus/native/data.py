@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
 import string
-from _string import formatter_field_name_split
 from collections.abc import Iterable
 from typing import Any
 
@@ -100,7 +100,8 @@ def _message(model: Model, message: str) -> list[str]:
             parts.append(f"{{{_text(text)}, 0, 0, 0, 0}}")
             continue
         if conversion or not _allowed(spec or ""):
-            raise NativeBuildError(f"model {model.name!r}: error message {message!r}: {field!r} has a format that C does not know: {spec!r}")
+            where = f"model {model.name!r}: error message {message!r}"
+            raise NativeBuildError(f"{where}: {field!r} has a format that C does not know: {spec!r}")
         style = f"%{spec}" if spec else ""
         if field == "t":
             parts.append(f"{{{_text(text)}, 't', {_text(style)}, 0, 0}}")
@@ -118,11 +119,11 @@ def _allowed(spec: str) -> bool:
 
 def _place(model: Model, message: str, field: str) -> tuple[str, int, int]:
     """Kind, first word and number of elements (0 = a single value) of what a placeholder names."""
-    name, rest = formatter_field_name_split(field)
-    index = tuple(i for _, i in rest)
+    name = field.partition("[")[0]
+    index = tuple(int(i) for i in re.findall(r"\[(\d+)\]", field))
     fields: Any = model.dtype.fields
-    dtype = fields[name][0] if name in fields else None
-    if dtype is None or len(index) > len(dtype.shape) or not all(isinstance(i, int) for i in index):
+    dtype = fields[name][0] if name in fields and re.fullmatch(r"\w+(\[\d+\])*", field) else None
+    if dtype is None or len(index) > len(dtype.shape):
         raise NativeBuildError(f"model {model.name!r}: error message {message!r}: no such field: {field!r}")
     if any(not 0 <= i < n for i, n in zip(index, dtype.shape, strict=False)):
         raise NativeBuildError(f"model {model.name!r}: error message {message!r}: {field!r} is out of range")

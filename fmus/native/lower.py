@@ -159,8 +159,8 @@ def _lower(model: Model) -> tuple[str, tuple[Any, Any]]:
         dispatcher: Any = numba.njit(**COMPILER_OPTIONS)(function)
         dispatcher.compile(signature)
         compiled = dispatcher.overloads[dispatcher.signatures[0]]
-        returned = compiled.signature.return_type
-        if not (isinstance(returned, numba.types.Integer) and returned.bitwidth == 64):
+        returned: Any = compiled.signature.return_type
+        if getattr(returned, "bitwidth", 0) != 64 or not isinstance(returned, numba.types.Integer):
             raise NativeBuildError(f"{function.__name__} returns {returned}; expected a status, an integer")
         texts.append((name, compiled.fndesc.llvm_func_name, dispatcher.inspect_llvm(dispatcher.signatures[0])))
         functions.append(dispatcher)
@@ -188,10 +188,13 @@ def portable(modules: list[tuple[str, str, str]]) -> str:
     machine = llvm.Target.from_default_triple().create_target_machine()
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
+    passes.add_strip_symbols_pass()
     passes.run(whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=0)))
     missing = sorted({f.name for f in whole.functions if f.is_declaration and f.name.startswith(FORBIDDEN)})
     if missing:
         raise NativeBuildError(f"the code calls {', '.join(missing)}, which only exist inside Python")
+    for name in public:  # seen by the C sources beside it, not by other FMUs in the same process
+        whole.get_function(name).visibility = "hidden"
     counts = {"function": 0, "global": 0}
     for value in (*whole.functions, *whole.global_variables):
         if not value.is_declaration and value.name not in public:

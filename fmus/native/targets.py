@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from fmus.native.lower import NativeBuildError
 
@@ -47,7 +48,7 @@ PLATFORMS: Mapping[str, Platform] = {
     "linux64": Platform(
         ".so",
         (Slice("x86_64-unknown-linux-gnu", "x86-64-v2", "x86_64-linux-gnu.2.17", fmi3="x86_64-linux"),),
-        ("-fPIC", "-Wl,-z,noexecstack"),
+        ("-fPIC", "-Wl,-z,noexecstack", "-Wl,-Bsymbolic"),
     ),
     "win64": Platform(".dll", (Slice("x86_64-pc-windows-gnu", "x86-64-v2", "x86_64-windows-gnu", fmi3="x86_64-windows"),)),
     "darwin64": Platform(
@@ -59,12 +60,36 @@ PLATFORMS: Mapping[str, Platform] = {
         ("-fPIC",),
     ),
 }
-_COMMON = ("-std=c11", "-O2", "-g0", "-shared", "-fvisibility=hidden", "-fno-sanitize=undefined", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
+_COMMON = (
+    "-std=c11",
+    "-O2",
+    "-g0",
+    "-shared",
+    "-fvisibility=hidden",
+    "-fno-sanitize=undefined",
+    "-ffp-contract=off",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+)
 _FAT_MAGIC, _FAT_ALIGNMENT = 0xCAFEBABE, 14
 
 
 def object_code(code: str, target: Slice) -> bytes:
     """The object file of the LLVM assembly for a processor, optimised."""
+    machine, module = _optimised(code, target)
+    emitted: bytes = machine.emit_object(module)
+    return emitted
+
+
+def machine_code(code: str, target: Slice) -> str:
+    """The same as assembly language, to read."""
+    machine, module = _optimised(code, target)
+    return str(machine.emit_assembly(module))
+
+
+def _optimised(code: str, target: Slice) -> tuple[Any, Any]:
+    """LLVM's machine and optimised module."""
     import llvmlite.binding as llvm
 
     llvm.initialize_all_targets()
@@ -74,11 +99,9 @@ def object_code(code: str, target: Slice) -> bytes:
     )
     module = llvm.parse_assembly(f'target triple = "{target.triple}"\ntarget datalayout = "{machine.target_data}"\n{code}')
     module.name = "model"
-    options = llvm.create_pipeline_tuning_options(speed_level=3)
-    builder = llvm.create_pass_builder(machine, options)
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=3))
     builder.getModulePassManager().run(module, builder)
-    emitted: bytes = machine.emit_object(module)
-    return emitted
+    return machine, module
 
 
 def uses_zig(platforms: Sequence[str]) -> bool:
@@ -91,7 +114,8 @@ def compiler(zig: bool) -> str:
     if zig:
         if importlib.util.find_spec("ziglang") is None:
             raise NativeBuildError(
-                "cross linking needs the package ziglang, which is not installed: pip install ziglang; linux64 alone is linked by gcc on Linux"
+                "cross linking needs the package ziglang, which is not installed: pip install ziglang; "
+                "linux64 alone is linked by gcc on Linux"
             )
         return f"zig {version('ziglang')}"
     done = subprocess.run(["gcc", "-dumpfullversion"], capture_output=True, text=True, check=True)

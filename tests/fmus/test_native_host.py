@@ -148,7 +148,7 @@ def test_a_c_program_without_python_gets_the_numbers_of_the_model(
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", runs.VARIANTS)
 @pytest.mark.parametrize("fmi", [2, 3])
-@pytest.mark.parametrize("name", ("demo", *NAMES))
+@pytest.mark.parametrize("name", ["demo", *NAMES])
 def test_every_component_in_a_c_program(
     name: str, fmi: Literal[2, 3], variant: str, built_native: Callable[..., Path], here: Host, tmp_path: Path
 ) -> None:
@@ -173,7 +173,7 @@ def test_the_c_program_sees_errors(built_native: Callable[..., Path], here: Host
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ("demo", *NAMES))
+@pytest.mark.parametrize("name", ["demo", *NAMES])
 def test_win64_gives_the_same_bits_under_wine(name: str, built_native: Callable[..., Path], under_wine: Host, tmp_path: Path) -> None:
     file = built_native(name, 2, ("win64",))
     for variant in runs.VARIANTS:

@@ -298,13 +298,23 @@ static int exit_initialisation(Instance *I) {
     return OK;
 }
 
+static int refuse_step(const Instance *I, double t, double h) {
+    Text text = begin(I);
+    put(&text, "step from t = ");
+    put_number(&text, t, "", 17);
+    put(&text, " s of h = ");
+    put_number(&text, h, "", 17);
+    put(&text, " s: expected a finite time and a positive step");
+    return report(I, &text);
+}
+
 static int step(Instance *I, double t, double h) {
     if (!I->running)
         FAIL(I, "a step before the end of initialisation");
     if (I->failed)
         FAIL(I, "cannot go on after an error; reset it or restore a state. The error was: %s", I->failure.text);
     if (!(h > 0.0) || !isfinite(h) || !isfinite(t))
-        FAIL(I, "step from t = %.9g s of h = %.9g s: expected a finite time and a positive step", t, h);
+        return refuse_step(I, t, h);
     int64_t status = 0;
     void *exception = NULL;
     I->failed = true;
@@ -360,12 +370,12 @@ static Instance *create(const char *name, const char *token, Logger2 *logger2, L
 
 /* Values */
 
-static const char *const KINDS[] = {"real", "integer", "boolean", "string"};
+static const char *const KINDS[] = {"a real", "an integer", "a boolean", "a string"};
 
 static int no_variable(const Instance *I, uint32_t reference, const char *is, int found, int kind) {
     if (found < 0)
-        FAIL(I, "value reference %u does not exist; expected a %s", reference, KINDS[kind]);
-    FAIL(I, "value reference %u is %s, a %s; expected a %s", reference, is, KINDS[found], KINDS[kind]);
+        FAIL(I, "value reference %u does not exist; expected %s", reference, KINDS[kind]);
+    FAIL(I, "value reference %u is %s, %s; expected %s", reference, is, KINDS[found], KINDS[kind]);
 }
 
 /* The variable that a value reference belongs to; NULL after a report. `whole`: only that of its first element counts (FMI 3.0). */
@@ -431,6 +441,23 @@ static int set(Instance *I, const Variable *V, uint32_t word, Word value) {
         return refuse(I, V, word, value, " is above its maximum %.9g%s", V->maximum);
     I->record[word] = value;
     I->stale = true;
+    return OK;
+}
+
+static int get_strings(const Instance *I, const uint32_t references[], size_t n, const char *values[]) {
+    for (size_t i = 0; i < n; i++) {
+        uint32_t index;
+        TRY(find_table(I, references[i], &index));
+        values[i] = I->paths[index];
+    }
+    return OK;
+}
+static int set_strings(Instance *I, const uint32_t references[], size_t n, const char *const values[]) {
+    for (size_t i = 0; i < n; i++) {
+        uint32_t index;
+        TRY(find_table(I, references[i], &index));
+        TRY(load_table(I, index, values[i] ? values[i] : ""));
+    }
     return OK;
 }
 
@@ -597,21 +624,9 @@ ACCESS2(Real, double, REAL, real, value)
 ACCESS2(Integer, int, INTEGER, integer, value)
 ACCESS2(Boolean, int, BOOLEAN, integer, value != 0)
 
-EXPORT int fmi2GetString(Instance *I, const uint32_t references[], size_t n, const char *values[]) {
-    for (size_t i = 0; i < n; i++) {
-        uint32_t index;
-        TRY(find_table(I, references[i], &index));
-        values[i] = I->paths[index];
-    }
-    return OK;
-}
+EXPORT int fmi2GetString(Instance *I, const uint32_t references[], size_t n, const char *values[]) { return get_strings(I, references, n, values); }
 EXPORT int fmi2SetString(Instance *I, const uint32_t references[], size_t n, const char *const values[]) {
-    for (size_t i = 0; i < n; i++) {
-        uint32_t index;
-        TRY(find_table(I, references[i], &index));
-        TRY(load_table(I, index, values[i] ? values[i] : ""));
-    }
-    return OK;
+    return set_strings(I, references, n, values);
 }
 
 #define STATES(GET, SET, FREE, SIZE, SERIALISE, DESERIALISE) \
@@ -646,7 +661,9 @@ EXPORT int fmi3SetDebugLogging(Instance *I, bool on, size_t n, const char *const
     return (void)I, (void)on, (void)n, (void)categories, OK;
 }
 EXPORT int fmi3EnterInitializationMode(Instance *I, bool defined, double tolerance, double start, bool stop_defined, double stop) {
-    return fmi2SetupExperiment(I, defined, tolerance, start, stop_defined, stop);
+    (void)defined, (void)tolerance, (void)stop_defined, (void)stop;
+    *time_of(I) = start;
+    return OK;
 }
 EXPORT int fmi3ExitInitializationMode(Instance *I) { return exit_initialisation(I); }
 EXPORT int fmi3Terminate(Instance *I) { return (void)I, OK; }
@@ -661,7 +678,7 @@ EXPORT int fmi3DoStep(Instance *I, double t, double h, bool no_set_state, bool *
 }
 
 static int wrong_count(const Instance *I, size_t found, size_t expected) {
-    FAIL(I, "the variables have %llu values or more, found room for %llu", (unsigned long long)expected, (unsigned long long)found);
+    FAIL(I, "expected room for %llu values or more, found %llu", (unsigned long long)expected, (unsigned long long)found);
 }
 
 #define ACCESS3(NAME, TYPE, KIND, FIELD) \
@@ -697,10 +714,10 @@ ACCESS3(Int64, int64_t, INTEGER, integer)
 ACCESS3(Boolean, bool, BOOLEAN, integer)
 
 EXPORT int fmi3GetString(Instance *I, const uint32_t references[], size_t n, const char *values[], size_t room) {
-    return n == room ? fmi2GetString(I, references, n, values) : wrong_count(I, room, n);
+    return n == room ? get_strings(I, references, n, values) : wrong_count(I, room, n);
 }
 EXPORT int fmi3SetString(Instance *I, const uint32_t references[], size_t n, const char *const values[], size_t room) {
-    return n == room ? fmi2SetString(I, references, n, values) : wrong_count(I, room, n);
+    return n == room ? set_strings(I, references, n, values) : wrong_count(I, room, n);
 }
 
 #define NO_ACCESS(NAME) MISSING(fmi3Get##NAME) MISSING(fmi3Set##NAME)
