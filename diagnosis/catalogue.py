@@ -20,7 +20,11 @@ A TOML file::
     nominal = 40.8                      # where the value is not zero by default; the standard deviation is scale [unit]
     scale = 0.4
 
-    [[quiet]]                           # set in every simulation of the diagnosis: noise off
+    [[seed]]                            # where the simulation has noise of its own: another value is another repeat
+    component = "sensor"
+    parameter = "seed"
+
+    [[quiet]]                           # set in every simulation of the diagnosis
     component = "sensor"
     parameters = {noise_f = 0}
 
@@ -50,6 +54,7 @@ _EFFECT = {"name", "component", "description", "source", "locations", "minimum",
 _LOCATION = {"name", "parameters"}
 _NUISANCE = {"component", "parameters", "scale", "nominal"}
 _QUIET = {"component", "parameters"}
+_SEED = {"component", "parameter"}
 
 
 class CatalogueError(ValueError):
@@ -124,6 +129,8 @@ class Catalogue:
     candidates: tuple[Candidate, ...]
     nuisances: tuple[Nuisance, ...] = ()
     quiet: Mapping[str, Mapping[str, Any]] | None = None
+    seeds: tuple[Address, ...] = ()
+    """Parameters that make a simulation another repeat of itself."""
     descriptions: Mapping[str, tuple[str, str]] | None = None
     """effect -> (description, source)."""
 
@@ -188,7 +195,7 @@ class _Reader:
         return tuple(value)
 
     def catalogue(self, table: dict[str, Any]) -> Catalogue:
-        self.keys("the file", table, {"effect", "nuisance", "quiet"}, {"effect"})
+        self.keys("the file", table, {"effect", "nuisance", "quiet", "seed"}, {"effect"})
         candidates: list[Candidate] = []
         descriptions: dict[str, tuple[str, str]] = {}
         for i, entry in enumerate(self.listed("effect", table["effect"])):
@@ -213,7 +220,12 @@ class _Reader:
             quiet.setdefault(self.text(where, "component", entry["component"]), {}).update(
                 self.keys(where, entry["parameters"], set(entry["parameters"]), set())
             )
-        return Catalogue(self.file, tuple(candidates), tuple(nuisances), quiet, descriptions)
+        seeds = []
+        for i, entry in enumerate(self.listed("seed", table.get("seed", []))):
+            where = f"[[seed]] {i + 1}"
+            self.keys(where, entry, _SEED, _SEED)
+            seeds.append((self.text(where, "component", entry["component"]), self.text(where, "parameter", entry["parameter"])))
+        return Catalogue(self.file, tuple(candidates), tuple(nuisances), quiet, tuple(seeds), descriptions)
 
     def listed(self, key: str, value: Any) -> list[Any]:
         if not isinstance(value, list):

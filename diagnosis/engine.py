@@ -1,0 +1,487 @@
+"""The diagnosis: runs and a nominal system in, where / which / how far out."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from diagnosis import closure, gate
+from diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue
+from diagnosis.estimation import Fit, probabilities
+from diagnosis.measured import Condition, DataError, sort_by_condition
+from diagnosis.search import NOMINAL, Search
+from diagnosis.simulation import Laboratory, Report, Simulator, decimate, setting
+from orchestration.assembly import Resolver, run
+from orchestration.parameters import Convert, same_unit_only
+from orchestration.recorder import frame_of
+from orchestration.results import Run
+from orchestration.slave import FloatArray, base_name
+from orchestration.system import System
+
+SCHEMA = "robomill-diagnosis/1"
+ROWS = 1500
+"""Samples that a diagnosis works on, over all conditions: longer logs are averaged in blocks."""
+CLOSING = 4
+"""Simulations with different noise that the closure is measured with."""
+TEMPERATURE = 2.0
+"""By which evidence is divided: noise is not exactly what it is taken for."""
+IDENTIFIED = 0.8
+"""Probability from which one answer is given."""
+UNEXPLAINED = 0.25
+"""Share of the gap that an adequate model may leave."""
+SIGNIFICANT = 6.0
+"""Deviations of noise above which a gap is there."""
+
+
+@dataclass(frozen=True)
+class Menu:
+    """What the engine is told about the domain: names for groups of channels, and runs that could be made next."""
+
+    titles: Mapping[str, str] = field(default_factory=dict)
+    """array or column -> what people call it."""
+    experiments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """kind of run -> names of the effects that show in it."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The result as data, and what the report draws."""
+
+    result: dict[str, Any]
+    adopted: dict[Address, float]
+    fits: tuple[Fit, ...] = ()
+    channels: tuple[str, ...] = ()
+    curves: Mapping[str, dict[str, FloatArray]] = field(default_factory=dict)
+    """condition -> t, measured (mean), nominal, adopted; [samples, channels]."""
+
+
+def diagnose(
+    system: System,
+    runs: Sequence[Run],
+    catalogue: Catalogue,
+    *,
+    held_out: Sequence[Run] = (),
+    resolver: Resolver | None = None,
+    convert: Convert = same_unit_only,
+    workers: int = 1,
+    report: Report | None = None,
+    menu: Menu = Menu(),
+    repair: bool = False,
+) -> Diagnosis:
+    """Where, which, how far. DataError where the runs do not fit the system; a bad log is an answer, not an error.
+
+    `held_out` runs are only looked at to measure the closure; runs labelled `held_out` count as such. `repair`: a clock that is
+    found to be late is corrected, and the rest is diagnosed.
+    """
+    began = time.monotonic()
+    held = [*held_out, *(r for r in runs if r.info.get("labels", {}).get("held_out") is True)]
+    used = [r for r in runs if not any(r is h for h in held)]
+    if not used:
+        raise DataError("no run to diagnose: all of them are held out")
+    conditions = [*sort_by_condition(used, system), *sort_by_condition(held, system, held_out=True)]
+    n = sum(not c.held_out for c in conditions)
+    channels, ranges = _channels(system, conditions, resolver, convert, catalogue)
+    decimation = max(1, math.ceil(sum(len(c.grid) for c in conditions[:n]) / ROWS))
+    nominal = {u.address: u.nominal for u in catalogue.nuisances if u.nominal}
+    laboratory = Laboratory(system, conditions, channels, resolver, convert, catalogue.quiet or {}, nominal, decimation, catalogue.seeds)
+    groups = [[decimate(c.matrix(r, channels), decimation) for r in c.runs] for c in conditions]
+    with Simulator(laboratory, workers, report) as simulator:
+        findings = _gate(laboratory, simulator, groups, n, channels, ranges)
+        if any(f.fatal for f in findings):
+            return Diagnosis(_result("bad_log", findings, began, simulator.count), {})
+        search = Search(catalogue, simulator, groups[:n])
+        fits = search.run()
+        return _Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu, repair, began).diagnosis()
+
+
+def _channels(
+    system: System, conditions: Sequence[Condition], resolver: Resolver | None, convert: Convert, catalogue: Catalogue
+) -> tuple[list[str], dict[str, tuple[float | None, float | None]]]:
+    """Measured real outputs that the system has too, and the range of each."""
+    probe = Laboratory(system, conditions, (), resolver, convert, catalogue.quiet or {})
+    step = system.step
+    short = Condition("", conditions[0].parameters, conditions[0].runs, np.array([0.0, step]))
+    probe.conditions = [short]
+    simulated = run(probe.configured(0), None, stop=2 * step, resolver=resolver, convert=convert)
+    common = [c for c, p in simulated.ports.items() if p.type == "real" and all(c in r.columns for k in conditions for r in k.runs)]
+    if not common:
+        has = ", ".join(sorted({base_name(c) for k in conditions for r in k.runs for c in r.columns}))
+        outputs = ", ".join(dict.fromkeys(map(base_name, simulated.columns)))
+        raise DataError(f"no measured column is an output of the system; measured: {has}; outputs: {outputs}")
+    return common, {c: (simulated.ports[c].minimum, simulated.ports[c].maximum) for c in common}
+
+
+def _gate(
+    laboratory: Laboratory,
+    simulator: Simulator,
+    groups: Sequence[Sequence[FloatArray]],
+    n: int,
+    channels: Sequence[str],
+    ranges: Mapping[str, tuple[float | None, float | None]],
+) -> list[gate.Finding]:
+    found: list[gate.Finding] = []
+    step = laboratory.system.step * laboratory.decimation
+    base = simulator.repeated(range(n), (), NOMINAL, "nominal")
+    for i in range(n):
+        condition, group = laboratory.conditions[i], base[i]
+        assert group is not None
+        simulated = np.mean(group, axis=0)
+        noise = np.std(np.stack(groups[i]) - np.mean(groups[i], axis=0), axis=(0, 1)) if len(groups[i]) > 1 else np.zeros(len(channels))
+        noise = noise + 1e-9 * np.abs(simulated).max(axis=0)
+        for r, x in zip(condition.runs, groups[i], strict=True):
+            found += gate.raw(r, channels, ranges)
+            found += gate.against_simulation(r, x, simulated, channels, step, noise)
+        found += gate.repeats(condition, groups[i], channels)
+    unique: dict[tuple[str, str], gate.Finding] = {}
+    for f in found:
+        old = unique.get((f.channel, f.kind))
+        if old is None or (f.fatal and not old.fatal):
+            unique[f.channel, f.kind] = f
+    return list(unique.values())
+
+
+def _result(verdict: str, findings: Sequence[gate.Finding], began: float, simulations: int) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "verdict": verdict,
+        "gate": {"usable": verdict != "bad_log", "findings": [asdict(f) for f in findings]},
+        "where": [],
+        "which": [],
+        "how_far": [],
+        "next_run": None,
+        "effort": {"seconds": round(time.monotonic() - began, 1), "simulations": simulations},
+    }
+
+
+class _Conclusion:
+    """From fits to the answer."""
+
+    def __init__(
+        self,
+        laboratory: Laboratory,
+        simulator: Simulator,
+        search: Search,
+        fits: list[Fit],
+        groups: Sequence[Sequence[FloatArray]],
+        n: int,
+        findings: list[gate.Finding],
+        menu: Menu,
+        repair: bool,
+        began: float,
+    ) -> None:
+        self.laboratory, self.simulator, self.search, self.fits, self.groups, self.n = laboratory, simulator, search, fits, groups, n
+        self.findings, self.menu, self.repair, self.began = findings, menu, repair, began
+        self.weights = probabilities(fits, search.candidates, TEMPERATURE)
+        self.best = fits[int(self.weights.argmax())]
+
+    def marginal(self) -> dict[Candidate, float]:
+        """Probability of each candidate: of all models that it is in."""
+        total: dict[Candidate, float] = {}
+        for f, p in zip(self.fits, self.weights, strict=True):
+            for c in f.model:
+                total[c] = total.get(c, 0.0) + float(p)
+        return dict(sorted(total.items(), key=lambda item: -item[1]))
+
+    def diagnosis(self) -> Diagnosis:
+        """Verdict, then all that belongs to it."""
+        before, noise = self.search.gap(self.fits[0])
+        after, _ = self.search.gap(self.best)
+        share = after / before if before > 0.0 else 0.0
+        marginal = self.marginal()
+        clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] > 0.5]
+        if not self.best.model or before < 2.0 * noise:
+            verdict = "none"
+        elif after > SIGNIFICANT * noise and share > UNEXPLAINED:
+            verdict = "unknown"
+        elif clocks and not self.repair:
+            verdict = "bad_log"
+        elif all(marginal[c] >= IDENTIFIED for c in self.best.model):
+            verdict = "identified"
+        else:
+            verdict = "ambiguous"
+        for c in clocks:
+            value = self.best.values[c.addresses[0]]
+            text = f"the clock of the {c.location} is late by {1e3 * value:.1f} ms"
+            self.findings.append(gate.Finding(c.parameters[0].partition(" ")[2], "lag", value, "s", text, not self.repair, self.repair))
+        result = _result(verdict, self.findings, self.began, 0)
+        result["gap"] = {
+            "before": before,
+            "after": after,
+            "noise": noise,
+            "unexplained": share,
+            "noise_is_a_guess": self.search.evidence.whitening.guessed,
+        }
+        adopted = dict(self.best.values) if verdict in ("identified", "ambiguous", "unknown") else {}
+        if verdict == "none":
+            result["smallest_visible"] = self.smallest()
+            result["which"] = self.which(marginal)
+            result["probability_none"] = float(self.weights[0])
+        else:
+            result["which"] = self.which(marginal)
+            result["where"] = self.where()
+            result["how_far"] = self.how_far(adopted)
+            result["next_run"] = self.next_run(marginal) if verdict in ("ambiguous", "unknown") else None
+            result["predictive"] = {f.name: f.predictive for f in self.fits if f.predictive}
+        if verdict == "unknown":
+            result["unknown"] = self.describe()
+        result["effort"] = {"seconds": round(time.monotonic() - self.began, 1), "simulations": self.simulator.count}
+        return Diagnosis(result, adopted, tuple(self.fits), tuple(self.laboratory.channels), self.curves(adopted))
+
+    def which(self, marginal: Mapping[Candidate, float]) -> list[dict[str, Any]]:
+        """Every candidate above 1 %."""
+        listed = []
+        sets = self.confusable()
+        for c, p in marginal.items():
+            if p < 0.01:
+                continue
+            fit = max((f for f in self.fits if c in f.model), key=lambda f: float(self.weights[self.fits.index(f)]))
+            parameters = {}
+            for a, name in zip(c.addresses, c.parameters, strict=True):
+                # the evidence is tempered, and so are the intervals
+                half = 1.645 * fit.deviations[a] * math.sqrt(TEMPERATURE)
+                parameters[name] = {"value": fit.values[a], "interval": [fit.values[a] - half, fit.values[a] + half], "unit": c.unit}
+            listed.append(
+                {
+                    "effect": c.effect,
+                    "component": c.component,
+                    "location": c.location,
+                    "probability": p,
+                    "parameters": parameters,
+                    "confusable_with": sets.get(c.name, []),
+                }
+            )
+        return listed
+
+    def confusable(self) -> dict[str, list[str]]:
+        """Single candidates whose best signatures the data cannot tell apart (3 deviations, in tempered noise)."""
+        space = self.search.evidence.space
+        single = [f for f in self.fits if len(f.model) == 1 and f.signature is not None]
+        pairs: dict[str, list[str]] = {}
+        for a, b in combinations(single, 2):
+            assert a.signature is not None
+            assert b.signature is not None
+            d = a.signature - b.signature
+            if math.sqrt(max(float(space.dot(d, d)), 0.0) / TEMPERATURE) < 3.0:
+                pairs.setdefault(a.name, []).append(b.name)
+                pairs.setdefault(b.name, []).append(a.name)
+        return pairs
+
+    def where(self) -> list[dict[str, Any]]:
+        """Share of each component in the gap: exact Shapley values of the effects of the best model, and what remains."""
+        parts = list(dict.fromkeys(c.component for c in self.best.model))
+        before, noise = self.search.gap(self.fits[0])
+        kept: dict[tuple[str, ...], float] = {(): 0.0}
+        for size in range(1, len(parts) + 1):
+            for subset in combinations(parts, size):
+                values = {a: v for a, v in self.best.values.items() if a[0] in subset}
+                signature = self.search.signature(
+                    self.simulator.many([(i, self.simulator.seeded(setting(values))) for i in range(self.n)], "shares")
+                )
+                if signature is None:
+                    kept[subset] = 0.0
+                    continue
+                trial = Fit((), {}, {}, 0.0, 0.0, True, signature, None)
+                kept[subset] = 1.0 - self.search.gap(trial)[0] / before
+        shares = []
+        for part in parts:
+            rest = [p for p in parts if p != part]
+            value = 0.0
+            for size in range(len(rest) + 1):
+                weight = math.factorial(size) * math.factorial(len(parts) - size - 1) / math.factorial(len(parts))
+                for subset in combinations(rest, size):
+                    joined = tuple(p for p in parts if p in subset or p == part)
+                    value += weight * (kept[joined] - kept[subset])
+            half = 1.645 * noise / before
+            here = [c for c in self.best.model if c.component == part]
+            shares.append(
+                {
+                    "component": part,
+                    "share": value,
+                    "interval": [value - half, min(value + half, 1.0)],
+                    "location": ", ".join(c.location for c in here),
+                    **self.local(here),
+                }
+            )
+        return sorted(shares, key=lambda s: -float(str(s["share"])))
+
+    def local(self, members: Sequence[Candidate]) -> dict[str, Any]:
+        """Channel with the strongest signature, its direction, and the times when it is there."""
+        values = {a: self.best.values[a] for c in members for a in c.addresses}
+        results = self.simulator.many([(i, self.simulator.seeded(setting(values))) for i in range(self.n)], "shares")
+        active = self.search.active
+        names = [c for c, on in zip(self.laboratory.channels, active, strict=True) if on]
+        variance = self.search.evidence.whitening.deviation**2 + 1e-30
+        total, regime = np.zeros(len(names)), []
+        for i, r in enumerate(results):
+            if r is None:
+                continue
+            energy = (r[:, active] - self.search.base[i]) ** 2 / (variance + np.median(variance) * 1e-12)
+            total += energy.sum(axis=0)
+            over = energy.sum(axis=1)
+            if i == 0 and over.max() > 0.0:
+                regime = _intervals(over > 0.1 * over.max(), self.laboratory.conditions[0].grid, self.laboratory.decimation)
+        strongest = names[int(total.argmax())]
+        return {"direction": direction_of(strongest), "channel": strongest, "regime": regime}
+
+    def metrics(self) -> dict[str, list[int]]:
+        """Arrays of channels that count as one figure."""
+        groups: dict[str, list[int]] = {}
+        for i, name in enumerate(self.laboratory.channels):
+            if self.search.active[i]:
+                groups.setdefault(base_name(name), []).append(i)
+        wanted = [g for g in groups if g in self.menu.titles] or list(groups)
+        return {g: groups[g] for g in wanted}
+
+    def how_far(self, adopted: Mapping[Address, float]) -> list[dict[str, Any]]:
+        """Closure per figure, on the diagnosed runs, held-out repeats and held-out conditions."""
+        conditions = self.laboratory.conditions
+        changes = setting(adopted)
+        after = self.simulator.repeated(range(len(conditions)), changes, CLOSING, "closure")
+        before = self.simulator.repeated(range(len(conditions)), (), CLOSING, "closure")
+        seen = {c.name: i for i, c in enumerate(conditions[: self.n])}
+        kinds: dict[str, list[int]] = {"diagnosed runs": list(range(self.n))}
+        for i in range(self.n, len(conditions)):
+            kinds.setdefault("held-out repeat" if conditions[i].name in seen else "held-out condition", []).append(i)
+        spread = self._spread()
+        listed: list[dict[str, Any]] = []
+        active = np.flatnonzero(self.search.active)
+        scale = np.zeros(len(self.laboratory.channels))
+        floor = np.sqrt(np.diag(self.search.evidence.whitening.factor @ self.search.evidence.whitening.factor.T))
+        scale[active] = 1.0 / floor
+        for kind, members in kinds.items():
+            figures = [("all channels, whitened", "1", active, scale)]
+            figures += [(g, self._unit(g), np.array(i), np.ones(len(scale))) for g, i in self.metrics().items()]
+            for name, unit, index, weight in figures:
+                parts = []
+                for i in members:
+                    b, a = before[i], after[i]
+                    if b is None or a is None:
+                        continue
+                    others = []
+                    if kind == "held-out repeat":
+                        k = seen[conditions[i].name]
+                        others = [(x * weight)[:, index] for x in self.groups[k]]
+                    measured = [(x * weight)[:, index] for x in self.groups[i]]
+                    variance = ((spread * weight) ** 2)[index]
+                    parts.append(closure.products(measured, _halves(b, weight, index), _halves(a, weight, index), variance, others))
+                if parts:
+                    title = self.menu.titles.get(name, name)
+                    listed.append({"metric": f"{title} rms", "channel": name, "unit": unit, "on": kind, **closure.figures(parts)})
+        return listed
+
+    def _unit(self, name: str) -> str:
+        return self.laboratory.conditions[0].runs[0].unit(name)
+
+    def _spread(self) -> FloatArray:
+        """Standard deviation of a single decimated run about its mean, all channels."""
+        spread = np.zeros(len(self.laboratory.channels))
+        spread[self.search.active] = self.search.evidence.whitening.deviation
+        return spread
+
+    def smallest(self) -> list[dict[str, Any]]:
+        """What would have been seen: 5 deviations of the fit, by candidate."""
+        listed = []
+        for f in self.search.screened:
+            c = f.model[0]
+            for a, name in zip(c.addresses, c.parameters, strict=True):
+                listed.append(
+                    {
+                        "effect": c.effect,
+                        "location": c.location,
+                        "parameter": name,
+                        "value": 5.0 * math.sqrt(TEMPERATURE) * f.deviations[a],
+                        "unit": c.unit,
+                    }
+                )
+        return listed
+
+    def next_run(self, marginal: Mapping[Candidate, float]) -> dict[str, Any] | None:
+        """From the menu: the kind of run in which some of the likely effects show and others do not."""
+        likely = [c for c, p in marginal.items() if p > 0.05][:6]
+        if not self.menu.experiments or not likely:
+            return None
+        have = {str(r.info.get("labels", {}).get("kind", "")) for c in self.laboratory.conditions for r in c.runs}
+        effects = list(dict.fromkeys(c.effect for c in likely))
+
+        def split(kind: str) -> tuple[bool, int]:
+            shown = sum(e in self.menu.experiments[kind] for e in effects)
+            return kind not in have, min(shown, len(effects) - shown)
+
+        kind = max(self.menu.experiments, key=split)
+        return {"kind": kind, "separates": [c.name for c in likely]}
+
+    def describe(self) -> dict[str, Any]:
+        """What is known of an effect that is not in the catalogue: where its energy is."""
+        space, search = self.search.evidence.space, self.search
+        assert self.best.signature is not None
+        names = [c for c, on in zip(self.laboratory.channels, search.active, strict=True) if on]
+        energy = np.zeros(len(names))
+        regime: list[list[float]] = []
+        for i, (_, block) in enumerate(space.blocks.items()):
+            left = (space.y - self.best.signature)[block].reshape(-1, len(names)) ** 2
+            energy += left.sum(axis=0)
+            if i == 0:
+                over = left.sum(axis=1)
+                regime = _intervals(over > 0.1 * over.max(), self.laboratory.conditions[0].grid, self.laboratory.decimation)
+        order = np.argsort(-energy)[:5]
+        return {
+            "channels": [{"channel": names[k], "share": float(energy[k] / energy.sum())} for k in order],
+            "component": names[int(order[0])].partition(".")[0],
+            "direction": direction_of(names[int(order[0])]),
+            "regime": regime,
+            "nearest": self.best.name,
+        }
+
+    def curves(self, adopted: Mapping[Address, float]) -> dict[str, dict[str, FloatArray]]:
+        """Means over the repeats beside both simulations."""
+        changes = setting(adopted)
+        everywhere = range(len(self.laboratory.conditions))
+        before, after = self.simulator.repeated(everywhere, (), CLOSING), self.simulator.repeated(everywhere, changes, CLOSING)
+        out = {}
+        for i, c in enumerate(self.laboratory.conditions):
+            b, a = before[i], after[i]
+            if b is not None and a is not None:
+                mean = np.mean(self.groups[i], axis=0)
+                t = decimate(c.grid[:, None], self.laboratory.decimation)[:, 0]
+                out[f"{c.name}{' (held out)' if c.held_out else ''}"] = {
+                    "t": t,
+                    "measured": mean,
+                    "nominal": np.mean(b, axis=0),
+                    "adopted": np.mean(a, axis=0),
+                }
+        return out
+
+
+def _halves(group: Sequence[FloatArray], weight: FloatArray, index: Any) -> tuple[FloatArray, FloatArray]:
+    """Two independent means of simulations (the same one twice where there is only one)."""
+    return (np.mean(group[::2], axis=0) * weight)[:, index], (np.mean(group[1::2] or group, axis=0) * weight)[:, index]
+
+
+def direction_of(channel: str) -> str:
+    """`compliance.p_BT_B[2]` -> B.y; the channel itself where it is not one of three axes."""
+    port = channel.partition(".")[2]
+    match = re.fullmatch(r"(\w+)\[(\d)\]", port)
+    if not match or int(match[2]) > 3:
+        return channel
+    frame = frame_of(match[1])
+    return f"{frame}.{'xyz'[int(match[2]) - 1]}" if frame else channel
+
+
+def _intervals(on: Any, grid: FloatArray, decimation: int) -> list[list[float]]:
+    """[[from, to], ...] in s where `on` is true; gaps below 0.2 s are bridged."""
+    step = float(grid[1] - grid[0]) * decimation
+    found: list[list[float]] = []
+    for i in np.flatnonzero(on):
+        t = float(grid[0]) + i * step
+        if found and t - found[-1][1] < 0.2 + step:
+            found[-1][1] = t + step
+        else:
+            found.append([t, t + step])
+    return [[round(a, 3), round(b, 3)] for a, b in found][:40]

@@ -1,0 +1,200 @@
+"""Is the log usable? Looked at before any physics: missing and constant samples, time base, signs, axes, units.
+
+A finding that is `fatal` makes the log a bad one. Clocks are judged later, together with the effects that look like them.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.measured import Condition
+from orchestration.results import Run
+from orchestration.slave import FloatArray, base_name
+
+FACTORS = {
+    1e3: "milli- for units",
+    1e-3: "units for milli-",
+    1e6: "micro- for units",
+    1e-6: "units for micro-",
+    180.0 / np.pi: "degrees for radians",
+    np.pi / 180.0: "radians for degrees",
+    9.80665: "newtons for kilogram-force",
+    1 / 9.80665: "kilogram-force for newtons",
+    60 / (2 * np.pi): "rpm for rad/s",
+    2 * np.pi / 60: "rad/s for rpm",
+    25.4: "millimetres for inches",
+    1 / 25.4: "inches for millimetres",
+    4.4482216: "newtons for pound-force",
+    1 / 4.4482216: "pound-force for newtons",
+}
+"""Usual mistakes in units: measured over simulated."""
+MUCH_BETTER = 0.2
+"""Energy left over energy before, below which another sign, order or unit is believed."""
+FAR_OFF = 0.6
+"""Energy of the difference over energy of the signal, above which another sign, order or unit is looked for."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing about the log."""
+
+    channel: str
+    kind: str
+    value: float
+    unit: str
+    text: str
+    fatal: bool = True
+    repaired: bool = False
+
+
+def raw(run: Run, channels: Sequence[str], ranges: Mapping[str, tuple[float | None, float | None]]) -> list[Finding]:
+    """What can be seen without a simulation."""
+    found = []
+    gaps = np.diff(run.t)
+    typical = float(np.median(gaps))
+    longest = float(gaps.max())
+    if longest > max(10.0 * typical, 0.05):
+        found.append(
+            Finding("t", "time", longest, "s", f"no samples for {longest:.3g} s at t = {run.t[int(gaps.argmax())]:.3f} s", longest > 0.25)
+        )
+    for name in channels:
+        values = run.columns[name]
+        unit = run.ports[name].unit or ""
+        good = np.isfinite(values)
+        missing = 1.0 - float(good.mean())
+        if missing > 0.0:
+            found.append(Finding(name, "missing", missing, "1", f"{100 * missing:.2g} % of the samples are missing", missing > 0.01))
+        values = values[good]
+        low, high = ranges.get(name, (None, None))
+        for bound, outside in ((low, -1.0), (high, 1.0)):
+            if bound is not None and values.size and np.any(outside * values > outside * bound + 1e-9 * abs(bound)):
+                extreme = float((outside * values).max() * outside)
+                found.append(
+                    Finding(name, "range", extreme, unit, f"{extreme:.6g} {unit} is outside what the port can be ({bound:.6g} {unit})")
+                )
+    return found
+
+
+def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], step: float, noise: FloatArray) -> list[Finding]:
+    """What a measured run [samples, channels] says beside its simulation; `step` [s] between samples, `noise` [unit] per channel."""
+    found: list[Finding] = []
+    suspects: set[str] = set()
+    size = (s * s).sum(axis=0)
+    for i, name in enumerate(channels):
+        spread = float(np.ptp(s[:, i]))
+        if np.ptp(run.columns[name][np.isfinite(run.columns[name])]) == 0.0 and spread > 20.0 * noise[i] and spread > 1e-9:
+            found.append(Finding(name, "constant", float(x[0, i]), run.ports[name].unit or "", "does not change, but it should"))
+            suspects.add(name)
+            continue
+        still, longest = _still(x[:, i]), _still(s[:, i])
+        if still * step > 0.5 and still > 3 * longest + 10 and still > 0.1 * len(x):
+            found.append(Finding(name, "constant", still * step, "s", f"stands still for {still * step:.2f} s"))
+            suspects.add(name)
+            continue
+        found += _spikes(run, name)
+        if not _visible(size[i], noise[i], len(x)):
+            continue
+        off = ((x[:, i] - s[:, i]) ** 2).sum()
+        if off < FAR_OFF * size[i]:
+            continue
+        slope = float(x[:, i] @ s[:, i] / size[i])
+        left = ((x[:, i] - slope * s[:, i]) ** 2).sum()
+        if slope and left < MUCH_BETTER * (x[:, i] ** 2).sum():
+            factor = min(FACTORS, key=lambda f: abs(np.log(abs(slope) / f)))
+            if abs(np.log(abs(slope) / factor)) < 0.25:
+                found.append(Finding(name, "unit", slope, "1", f"is {slope:.4g} times what it should be: {FACTORS[factor]}"))
+                suspects.add(name)
+            elif slope < 0.0 and ((x[:, i] + s[:, i]) ** 2).sum() < MUCH_BETTER * off:
+                found.append(Finding(name, "sign", -1.0, "1", "has the wrong sign"))
+                suspects.add(name)
+    for members in _arrays(channels):
+        found += _axes([i for i in members if channels[i] not in suspects], x, s, channels, noise)
+    return found
+
+
+def _visible(energy: float, noise: float, n: int) -> bool:
+    return bool(energy > 25.0 * noise * noise * n and energy > 0.0)
+
+
+def _still(x: FloatArray) -> int:
+    """Longest stretch of equal samples."""
+    changes = np.flatnonzero(np.diff(x) != 0.0)
+    edges = np.concatenate([[-1], changes, [len(x) - 1]])
+    return int(np.diff(edges).max())
+
+
+def _spikes(run: Run, name: str) -> list[Finding]:
+    """Single samples far from both neighbours."""
+    x = run.columns[name]
+    x = x[np.isfinite(x)]
+    if len(x) < 10:
+        return []
+    jump = np.minimum(np.abs(x[1:-1] - x[:-2]), np.abs(x[1:-1] - x[2:])) * (np.sign(x[1:-1] - x[:-2]) == np.sign(x[1:-1] - x[2:]))
+    typical = max(float(np.percentile(np.abs(np.diff(x)), 99)), 1e-12)
+    count = int((jump > 30.0 * typical).sum())
+    if not count:
+        return []
+    text = f"{count} samples jump away by more than 30 times what is usual"
+    return [Finding(name, "spikes", count, "1", text, count > 3)]
+
+
+def _arrays(channels: Sequence[str]) -> list[list[int]]:
+    groups: dict[str, list[int]] = {}
+    for i, name in enumerate(channels):
+        groups.setdefault(base_name(name), []).append(i)
+    return [g for g in groups.values() if 2 <= len(g) <= 6]
+
+
+def _axes(members: list[int], x: FloatArray, s: FloatArray, channels: Sequence[str], noise: FloatArray) -> list[Finding]:
+    """Permuted axes, and rotated triples."""
+    found = []
+    size = (s * s).sum(axis=0)
+    for i, j in itertools.combinations(members, 2):
+        if not all(_visible(size[k], noise[k], len(x)) for k in (i, j)):
+            continue
+        straight = ((x[:, [i, j]] - s[:, [i, j]]) ** 2).sum()
+        crossed = min(((x[:, [i, j]] - s[:, [j, i]] * np.array(g)) ** 2).sum() for g in itertools.product((1.0, -1.0), repeat=2))
+        if straight > 0.3 * (size[i] + size[j]) and crossed < MUCH_BETTER * straight:
+            found.append(Finding(channels[i], "axes", float(j - i), "1", f"is interchanged with {channels[j]}"))
+    if found or len(members) != 3:
+        return found
+    base = base_name(channels[members[0]])
+    a, b = x[:, members], s[:, members]
+    u, _, vt = np.linalg.svd(a.T @ b)
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    angle = float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
+    straight, turned = ((a - b) ** 2).sum(), ((a - b @ turn.T) ** 2).sum()
+    if (
+        angle > np.deg2rad(20.0)
+        and turned < MUCH_BETTER * straight
+        and straight > 0.1 * (b * b).sum()
+        and _visible(float((b * b).sum()), float(noise[members].max()), len(x))
+    ):
+        found.append(
+            Finding(
+                base, "rotation", angle, "rad", f"is turned by {np.rad2deg(angle):.0f} degrees: another frame, or a transposed rotation"
+            )
+        )
+    return found
+
+
+def repeats(condition: Condition, group: Sequence[FloatArray], channels: Sequence[str]) -> list[Finding]:
+    """A repeat that is nothing like the others (three at least)."""
+    if len(group) < 3:
+        return []
+    stack = np.stack(group)
+    off = ((stack - np.median(stack, axis=0)) ** 2).mean(axis=1)
+    usual = np.median(off, axis=0) + 1e-30
+    found = []
+    for k in range(len(group)):
+        ratio = off[k] / usual
+        worst = int(ratio.argmax())
+        if ratio[worst] > 100.0:
+            far = f"is {np.sqrt(ratio[worst]):.0f} times as far from the other repeats as they are from each other"
+            text = f"{far} ({condition.runs[k].folder.name})"
+            found.append(Finding(channels[worst], "repeat", float(np.sqrt(ratio[worst])), "1", text))
+    return found

@@ -1,0 +1,94 @@
+"""Measured runs, sorted by condition and brought to the time grid of the simulation."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orchestration.results import Run
+from orchestration.slave import FloatArray
+from orchestration.system import System
+
+
+class DataError(ValueError):
+    """Runs that cannot be diagnosed; the text says why."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Repeats of the same thing: the same parameters set by the experimenter."""
+
+    name: str
+    parameters: Mapping[str, Mapping[str, Any]]
+    runs: tuple[Run, ...]
+    grid: FloatArray
+    """Communication points [s] of the simulation that all repeats cover, float64[n]."""
+    held_out: bool = False
+
+    def matrix(self, run: Run, channels: Sequence[str]) -> FloatArray:
+        """The channels of a repeat at the grid, float64[n, channels]; samples that are not finite are bridged linearly."""
+        columns = []
+        for name in channels:
+            values = run.columns[name]
+            good = np.isfinite(values)
+            columns.append(np.interp(self.grid, run.t[good], values[good]) if good.any() else np.zeros(len(self.grid)))
+        return np.stack(columns, axis=1)
+
+
+def sort_by_condition(runs: Sequence[Run], system: System, held_out: bool = False) -> list[Condition]:
+    """Conditions in the order in which they come, named by the label `condition` (or condition 1, 2, ...)."""
+    groups: dict[str, list[Run]] = {}
+    for run in runs:
+        # seeds are different in each repeat and say nothing about the condition
+        known = {c: {k: v for k, v in values.items() if k != "seed"} for c, values in known_parameters(run, system).items()}
+        label = str(run.info.get("labels", {}).get("condition", ""))
+        groups.setdefault(json.dumps([label, _content(known)], sort_keys=True, default=str), []).append(run)
+    made: list[Condition] = []
+    for i, members in enumerate(groups.values()):
+        name = str(members[0].info.get("labels", {}).get("condition", "")) or f"condition {i + 1}"
+        if any(c.name == name for c in made):
+            name = f"{name} ({i + 1})"
+        made.append(Condition(name, known_parameters(members[0], system), tuple(members), _grid(members, system.step), held_out))
+    return made
+
+
+def known_parameters(run: Run, system: System) -> dict[str, dict[str, Any]]:
+    """What the experimenter says the parameters of this run were; files relative to the run's folder made absolute."""
+    names = {c.name for c in system.components}
+    found: dict[str, dict[str, Any]] = {}
+    for component, values in run.info.get("parameters", {}).items():
+        if component in names and isinstance(values, Mapping):
+            found[component] = {k: _absolute(v, run.folder) for k, v in values.items()}
+    return found
+
+
+def _absolute(value: Any, folder: Path) -> Any:
+    if isinstance(value, str) and (folder / value).is_file():
+        return str((folder / value).resolve())
+    return value
+
+
+def _content(known: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Files by their bytes: each repeat may bring its own copy of a program."""
+    return {
+        c: {
+            k: hashlib.sha256(Path(v).read_bytes()).hexdigest() if isinstance(v, str) and Path(v).is_file() else v
+            for k, v in values.items()
+        }
+        for c, values in known.items()
+    }
+
+
+def _grid(runs: Sequence[Run], step: float) -> FloatArray:
+    start, end = max(float(r.t[0]) for r in runs), min(float(r.t[-1]) for r in runs)
+    first, last = math.ceil(max(start, 0.0) / step - 1e-6), math.floor(end / step + 1e-6)
+    if last - first < 20:
+        raise DataError(f"{runs[0].folder}: the repeats have {max(last - first, 0)} steps of {step:g} s in common; at least 20 are needed")
+    return np.asarray(np.arange(first, last + 1) * step)

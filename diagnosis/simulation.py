@@ -1,0 +1,196 @@
+"""Simulations of the conditions with effects on: run once, kept, on as many processes as are wanted."""
+
+from __future__ import annotations
+
+import multiprocessing
+import re
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from diagnosis.catalogue import LOGGING, Address
+from diagnosis.measured import Condition
+from orchestration.assembly import Resolver, run
+from orchestration.errors import OrchestrationError
+from orchestration.parameters import Convert, same_unit_only
+from orchestration.recorder import select
+from orchestration.slave import FloatArray
+from orchestration.system import System
+
+Setting = tuple[tuple[Address, float], ...]
+"""What is changed against the nominal system: address and value [unit of the parameter], sorted."""
+
+Report = Callable[[str, int, int], object]
+"""(what is done, how many are done, how many there are)."""
+
+
+def setting(values: Mapping[Address, float]) -> Setting:
+    """Sorted, without zeros: the same change is the same simulation."""
+    return tuple(sorted((a, float(v)) for a, v in values.items() if v != 0.0))
+
+
+@dataclass
+class Laboratory:
+    """What a simulation needs to know; handed to worker processes once."""
+
+    system: System
+    conditions: Sequence[Condition]
+    channels: Sequence[str]
+    resolver: Resolver | None = None
+    convert: Convert = same_unit_only
+    quiet: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    nominal: Mapping[Address, float] = field(default_factory=dict)
+    """Values that changes are added to, where they are not zero."""
+    decimation: int = 1
+    seeds: Sequence[Address] = ()
+    """Parameters that make a simulation another repeat of itself."""
+
+    def configured(self, index: int) -> System:
+        """The nominal system of condition `index`, without noise."""
+        system = self.system
+        for component, values in [*self.conditions[index].parameters.items(), *self.quiet.items()]:
+            if any(c.name == component for c in system.components):
+                system = _with(system, component, values)
+        return system
+
+    def simulate(self, index: int, changes: Setting) -> FloatArray | None:
+        """The channels of condition `index`, block means over `decimation` steps, [n, channels]; None where the system cannot run."""
+        condition = self.conditions[index]
+        system = self.configured(index)
+        observed = []
+        for (component, parameter), value in changes:
+            if component == LOGGING:
+                observed.append((parameter, value))
+            else:
+                system = _with(system, component, {parameter: value + self.nominal.get((component, parameter), 0.0)})
+        try:
+            result = run(system, None, stop=float(condition.grid[-1]), resolver=self.resolver, convert=self.convert)
+        except OrchestrationError:
+            if not changes:
+                raise
+            return None
+        full = np.stack([np.interp(condition.grid, result.t, result.columns[name]) for name in self.channels], axis=1)
+        for parameter, value in observed:
+            _observe(full, condition.grid, self.channels, parameter, value)
+        return decimate(full, self.decimation)
+
+
+def decimate(full: FloatArray, factor: int) -> FloatArray:
+    """Block means over `factor` rows; what is left over at the end goes."""
+    n = len(full) // factor
+    means: FloatArray = full[: n * factor].reshape(n, factor, -1).mean(axis=1)
+    return means
+
+
+def _with(system: System, component: str, values: Mapping[str, Any]) -> System:
+    """Parameters set anew; an element replaces that of an array which is given as a whole, and the other way round."""
+    old = dict(system.component(component).parameters)
+    for name, value in values.items():
+        base, _, index = name.partition("[")
+        if index and base in old:
+            place = [int(i) - 1 for i in index.rstrip("]").split(",")]
+            old[base] = array = _copied(old[base])
+            for i in place[:-1]:
+                array = array[i]
+            array[place[-1]] = value
+            continue
+        if not index:
+            for other in [k for k in old if k.partition("[")[0] == name and k != name]:
+                del old[other]
+        old[name] = value
+    missing = {k: None for k in system.component(component).parameters if k not in old}
+    system = system.with_parameters(component, old)
+    if missing:  # with_parameters only adds
+        from dataclasses import replace
+
+        system = replace(system, components=tuple(replace(c, parameters=old) if c.name == component else c for c in system.components))
+    return system
+
+
+def _copied(value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise OrchestrationError(f"an element is set of {value!r}, which is not a list")
+    return [_copied(v) if isinstance(v, list) else v for v in value]
+
+
+def _observe(full: FloatArray, t: FloatArray, channels: Sequence[str], parameter: str, value: float) -> None:
+    """What a faulty log makes of the channels, in place."""
+    kind, _, pattern = parameter.partition(" ")
+    expression = re.compile(re.escape(pattern).replace(r"\*", ".*"))
+    if not any(expression.fullmatch(c) or expression.fullmatch(c.partition("[")[0]) for c in channels):
+        return
+    for i in select([pattern], list(channels)):
+        if kind == "lag":
+            full[:, i] = np.interp(t - value, t, full[:, i])
+        elif kind == "gain":
+            full[:, i] *= 1.0 + value
+        else:
+            full[:, i] += value
+
+
+_LABORATORY: Laboratory | None = None
+
+
+def _enter(laboratory: Laboratory) -> None:
+    global _LABORATORY  # noqa: PLW0603 - a worker process has one laboratory, given when it starts
+    _LABORATORY = laboratory
+
+
+def _work(task: tuple[int, Setting]) -> FloatArray | None:
+    assert _LABORATORY is not None
+    return _LABORATORY.simulate(*task)
+
+
+class Simulator:
+    """Keeps what has been simulated. Close it, or use it in `with`."""
+
+    def __init__(self, laboratory: Laboratory, workers: int = 1, report: Report | None = None) -> None:
+        self.laboratory = laboratory
+        self._known: dict[tuple[int, Setting], FloatArray | None] = {}
+        self._workers, self._report = workers, report
+        self._pool: ProcessPoolExecutor | None = None
+        self.count = 0
+        """Simulations that were run."""
+
+    def __enter__(self) -> Simulator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+    def many(self, tasks: Sequence[tuple[int, Setting]], what: str = "simulations") -> list[FloatArray | None]:
+        """Results in the order of the tasks."""
+        new = [t for t in dict.fromkeys(tasks) if t not in self._known]
+        self.count += len(new)
+        if self._workers > 1 and len(new) > 1:
+            if self._pool is None:
+                # forked workers have the compiled models already; other platforms compile anew
+                method = "fork" if "fork" in multiprocessing.get_all_start_methods() else "spawn"
+                self._pool = ProcessPoolExecutor(self._workers, multiprocessing.get_context(method), _enter, (self.laboratory,))
+            results = self._pool.map(_work, new, chunksize=max(1, min(4, len(new) // (2 * self._workers))))
+        else:
+            results = (self.laboratory.simulate(*t) for t in new)
+        for done, (task, result) in enumerate(zip(new, results, strict=True), 1):
+            self._known[task] = result
+            if self._report is not None:
+                self._report(what, done, len(new))
+        return [self._known[t] for t in tasks]
+
+    def repeated(self, indices: Sequence[int], changes: Setting, count: int, what: str = "simulations") -> list[list[FloatArray] | None]:
+        """`count` repeats of each of these conditions with different noise (one where the system has none); None where it cannot run."""
+        seeds = range(1, count + 1 if self.laboratory.seeds else 2)
+        results = iter(self.many([(i, self.seeded(changes, s)) for i in indices for s in seeds], what))
+        found: list[list[FloatArray] | None] = []
+        for _ in indices:
+            group = [next(results) for _ in seeds]
+            complete = [g for g in group if g is not None]
+            found.append(complete if len(complete) == len(group) else None)
+        return found
+
+    def seeded(self, changes: Setting, seed: int = 1) -> Setting:
+        """The same with the seeds of the noise set."""
+        return tuple(sorted((*changes, *((a, float(seed)) for a in self.laboratory.seeds))))
