@@ -1,9 +1,9 @@
 """The compiled master: the same steps, the same order, the same numbers as the loop in Python, without Python's time.
 
-Everything is laid out in flat tables: per component an instance and the address of its step function, per block of
-variables the address of a set or get function and where its elements stand on the bus. `compiled.advance` walks through
-them for a chunk of steps, checks the guards after each and writes the rows for the recorder. Between chunks
-Python looks at Ctrl-C, progress and checkpoints.
+Everything is laid out in one table of operations, in the order in which a step makes them: the address of a set, step or
+get function, what it takes, and where its values stand on the bus. `compiled.advance` walks through it for a chunk of
+steps, checks the guards after each and writes the rows for the recorder. Between chunks Python looks at Ctrl-C,
+progress and checkpoints.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from orchestration.system import TICK
 from orchestration.wiring import Wiring
 
 Gather = Mapping[str, npt.NDArray[np.intp]]
-_PHASES = ("inputs", "step", "outputs")
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class Chunk:
     """What became of a chunk of steps."""
 
     rows: FloatArray
-    """t [s] and all outputs after each step made; a view, valid until the next chunk."""
+    """t [s] and all outputs after each step made; stays as it is until the next chunk but one."""
     failed: tuple[str, Exception] | None = None
     """Component and its error, in the step after those made."""
     in_range: bool = True
@@ -52,33 +51,33 @@ class CompiledLoop:
         bounds: tuple[FloatArray, FloatArray],
         capacity: int,
     ) -> None:
-        self._slaves, self._wiring, self._jacobi, self._bus, self._bounds = slaves, wiring, jacobi, bus, bounds
+        self._slaves, self._wiring, self._bus, self._bounds = slaves, wiring, bus, bounds
         self._natives = [_native(slave) for slave in slaves.values()]
-        self._rows = np.zeros((capacity, 1 + wiring.n_outputs))
         self.capacity = capacity
-        self._report, self._ticks = np.zeros(5, np.int64), np.zeros(3, np.int64)
-        self._inputs: list[tuple[int, str, Block]] = []
-        blocks: list[list[int]] = []
-        places: list[int] = []
-        parts: list[list[int]] = []
-        for (name, slave), native in zip(slaves.items(), self._natives, strict=True):
-            rate, every = (slave.rate, slave.every) if isinstance(slave, MultiRate) else (1, 1)
-            bounds_of = [len(blocks)]
-            for block in native.inputs:
-                self._inputs.append((len(blocks), name, block))
-                blocks.append(_row(block, len(places)))
-                places += [0] * len(block.places)  # known when a chunk begins: overrides move them
-            bounds_of += [len(blocks), len(blocks)]
-            for block in native.outputs:
-                blocks.append(_row(block, len(places)))
-                places += [wiring.output_slice[name].start + i for i in block.places]
-            parts.append([native.instance, native.step, native.limit, *bounds_of, len(blocks), rate, every, 0, 0, 0])
-        self._parts = np.array(parts, dtype=np.int64)
-        self._blocks = np.array(blocks, dtype=np.int64).reshape(len(blocks), 7)
-        self._places = np.array(places, dtype=np.int64)
-        self._buffers = self._blocks[:, compiled.BUFFER].copy()
-        for b in range(len(blocks)):
-            self._take_direct_path(b)
+        # One column per signal, as they are written. Two sets: a recorder may still write one while the other is filled.
+        # An odd number of cache lines each keeps the columns from falling on the same places of the cache.
+        length = 8 * (-(-capacity // 8) | 1)
+        self._columns = [np.zeros((1 + wiring.n_outputs, length))[:, :capacity] for _ in range(2)]
+        self._report, self._ticks = np.zeros(3, np.int64), np.zeros(3, np.int64)
+        phases: list[list[_Call]] = [[], [], []]
+        for c, native in enumerate(self._natives):
+            sets = [_Call(c, "inputs", b, block) for b, block in enumerate(native.inputs)]
+            gets = [_Call(c, "outputs", b, block) for b, block in enumerate(native.outputs)]
+            for phase, calls in zip(phases, (sets, [_Call(c, "step", 0, None)], gets), strict=True):
+                phase.extend(calls)
+        self._calls = [call for phase in phases for call in phase]
+        if not jacobi:  # all calls of a component after each other
+            self._calls.sort(key=lambda call: call.component)
+        self._rated = [(c, s) for c, s in enumerate(slaves.values()) if isinstance(s, MultiRate)]
+        self._clocks = np.array([[1, 1, 0, 0, 0]] * len(slaves), dtype=np.int64)
+        for c, slave in self._rated:
+            self._clocks[c, [compiled.RATE, compiled.EVERY]] = slave.rate, slave.every
+        self._operations = np.zeros((len(self._calls), 9), np.int64)
+        self._places = np.zeros(sum(len(call.places) for call in self._calls), np.int64)
+        first = 0
+        for o, call in enumerate(self._calls):
+            self._operations[o, compiled.FIRST] = first
+            first += len(call.places)
 
     def advance(self, steps: int, start: int, step: int, done: int, watched: int, gather: Gather) -> Chunk:
         """Make up to `steps` steps, no more than there is room for: `start`, `step` [ticks] and `done` [steps] as the master counts them.
@@ -87,56 +86,72 @@ class CompiledLoop:
         """
         self._prepare(gather)
         self._ticks[:] = start, step, done
-        self._parts[:, compiled.EACH] = step * self._parts[:, compiled.EVERY] // self._parts[:, compiled.RATE]
+        self._clocks[:, compiled.EACH] = step * self._clocks[:, compiled.EVERY] // self._clocks[:, compiled.RATE]
+        for c, slave in self._rated:
+            self._clocks[c, [compiled.COUNT, compiled.BEGAN]] = slave.count, round(slave.began * TICK)
+        self._columns.reverse()
+        columns = self._columns[0]
         made = compiled.advance(
-            min(steps, len(self._rows)),
+            min(steps, self.capacity),
             self._ticks,
-            self._jacobi,
+            bool(self._rated),
             self._wiring.any_delayed,
             watched,
-            self._parts,
-            self._blocks,
+            self._operations,
+            self._clocks,
             self._places,
             self._bus,
             *self._bounds,
-            self._rows,
+            columns,
             self._report,
         )
-        self._hand_back()
-        outcome, c, phase, number, status = (int(x) for x in self._report)
+        names = list(self._slaves)
+        for c, slave in self._rated:  # what they keep themselves in Python: a checkpoint asks them for it
+            count, began = int(self._clocks[c, compiled.COUNT]), int(self._clocks[c, compiled.BEGAN]) / TICK
+            slave.take_over(count, began, self._bus[self._wiring.output_slice[names[c]]])
+        outcome, operation, status = (int(x) for x in self._report)
         failed = None
         if outcome == compiled.FAILED:
+            call = self._calls[operation]
             t = (start + (done + made) * step) / TICK
-            failed = list(self._slaves)[c], self._natives[c].failed(_PHASES[phase], number, status, t, step / TICK)
-        return Chunk(self._rows[:made], failed, outcome != compiled.VIOLATED)
+            failed = names[call.component], self._natives[call.component].failed(call.phase, call.number, status, t, step / TICK)
+        return Chunk(columns[:, :made].T, failed, outcome != compiled.VIOLATED)
 
     def _prepare(self, gather: Gather) -> None:
-        for b, name, block in self._inputs:
-            first = self._blocks[b, compiled.FIRST]
-            self._places[first : first + len(block.places)] = gather[name][list(block.places)]
-            self._take_direct_path(b)
-        for c, slave in enumerate(self._slaves.values()):
-            if isinstance(slave, MultiRate):
-                self._parts[c, compiled.COUNT], self._parts[c, compiled.BEGAN] = slave.count, round(slave.began * TICK)
-
-    def _hand_back(self) -> None:
-        """What slaves at another rate keep themselves in Python: a checkpoint asks them for it."""
-        for c, (name, slave) in enumerate(self._slaves.items()):
-            if isinstance(slave, MultiRate):
-                count, began = int(self._parts[c, compiled.COUNT]), int(self._parts[c, compiled.BEGAN]) / TICK
-                slave.take_over(count, began, self._bus[self._wiring.output_slice[name]])
-
-    def _take_direct_path(self, b: int) -> None:
-        """Reals that stand on the bus in the order of the block are read from (written to) there, without a copy."""
-        kind, function, _, n, _, first, _ = (int(x) for x in self._blocks[b])
-        places = self._places[first : first + n]
-        direct = kind == 0 and function != 0 and n > 0 and bool(np.all(np.diff(places) == 1))
-        self._blocks[b, compiled.DIRECT] = direct
-        self._blocks[b, compiled.BUFFER] = self._bus.ctypes.data + 8 * int(places[0]) if direct else self._buffers[b]
+        """Write the table of operations: between two chunks overrides may have moved inputs."""
+        names = list(self._slaves)
+        for o, call in enumerate(self._calls):
+            native = self._natives[call.component]
+            row = self._operations[o]
+            row[[compiled.INSTANCE, compiled.LIMIT, compiled.COMPONENT]] = native.instance, native.limit, call.component
+            if call.block is None:
+                row[[compiled.OPERATION, compiled.FUNCTION]] = compiled.STEP, native.step
+                continue
+            block, name, first = call.block, names[call.component], int(row[compiled.FIRST])
+            own = np.array(call.places, dtype=np.int64)
+            places = gather[name][own] if call.phase == "inputs" else self._wiring.output_slice[name].start + own
+            self._places[first : first + len(places)] = places
+            # reals that stand on the bus in the order of the block are read from (written to) there
+            direct = block.kind == "float64" and block.function != 0 and len(places) > 0 and bool(np.all(np.diff(places) == 1))
+            through = (compiled.SET if call.phase == "inputs" else compiled.GET) + compiled.KINDS.index(block.kind)
+            row[compiled.OPERATION] = compiled.CALL if direct else through
+            row[compiled.BUFFER] = self._bus.ctypes.data + 8 * int(places[0]) if direct else block.buffer
+            row[[compiled.FUNCTION, compiled.REFERENCES, compiled.N]] = block.function, block.references, len(places)
 
 
-def _row(block: Block, first: int) -> list[int]:
-    return [compiled.KINDS.index(block.kind), block.function, block.references, len(block.places), block.buffer, first, 0]
+@dataclass(frozen=True)
+class _Call:
+    """One call of one component in each step."""
+
+    component: int
+    phase: str
+    number: int
+    block: Block | None
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """Positions of the elements among the inputs or outputs of the component."""
+        return tuple(self.block.places) if self.block is not None else ()
 
 
 def _native(slave: Slave) -> Native:

@@ -24,11 +24,14 @@ OPTIONS = {"error_model": "numpy", "_nrt": False}
 """Without counting references to the tables at every use: that took longer than the calls themselves."""
 DONE, STOPPED, FAILED, VIOLATED = range(4)
 """Outcomes in the first place of the report."""
+STEP, CALL, SET, GET = 0, 1, 2, 5
+"""Operations: a step; a set or get that reads or writes the bus itself; sets and gets by way of a buffer (plus the number of its kind)."""
 KINDS = ("float64", "int32", "int64")
-"""Types of the buffers, by their number in the column KIND."""
-# Columns of the table of components (parts) and of the table of blocks
-INSTANCE, STEP, LIMIT, SETS, SETS_END, GETS, GETS_END, RATE, EVERY, COUNT, BEGAN, EACH = range(12)
-KIND, FUNCTION, REFERENCES, N, BUFFER, FIRST, DIRECT = range(7)
+"""Types of the buffers."""
+# Columns of the table of operations, in the order in which a step makes them
+OPERATION, FUNCTION, INSTANCE, REFERENCES, N, BUFFER, FIRST, LIMIT, COMPONENT = range(9)
+# Columns of the table of clocks, one row per component; times in ticks
+RATE, EVERY, EACH, COUNT, BEGAN = range(5)
 
 
 def _pointer(builder: Any, value: Any, kind: Any) -> Any:
@@ -88,78 +91,55 @@ _load_i64, _store_i64 = _memory(types.int64, ir.IntType(64))
 
 
 @njit(inline="always", **OPTIONS)
-def _set(blocks: Any, b: int, bus: Any, gather: Any, instance: int) -> Any:
-    """Inputs of block `b` from the bus; returns the status."""
-    n, buffer, first = blocks[b, N], blocks[b, BUFFER], blocks[b, FIRST]
-    if blocks[b, DIRECT] == 0:
-        if blocks[b, KIND] == 0:
-            for i in range(n):
-                _store_f64(buffer + 8 * i, bus[gather[first + i]])
-        elif blocks[b, KIND] == 1:
-            for i in range(n):
-                _store_i32(buffer + 4 * i, np.int32(bus[gather[first + i]]))
-        else:
-            for i in range(n):
-                _store_i64(buffer + 8 * i, np.int64(bus[gather[first + i]]))
-    if blocks[b, FUNCTION] == 0:
-        return 0
-    return _call_values(blocks[b, FUNCTION], instance, blocks[b, REFERENCES], n, buffer)
-
-
-@njit(inline="always", **OPTIONS)
-def _get(blocks: Any, b: int, bus: Any, gather: Any, instance: int, limit: int) -> Any:
-    """Outputs of block `b` to the bus; returns the status."""
-    n, buffer, first = blocks[b, N], blocks[b, BUFFER], blocks[b, FIRST]
-    status = 0
-    if blocks[b, FUNCTION] != 0:
-        status = _call_values(blocks[b, FUNCTION], instance, blocks[b, REFERENCES], n, buffer)
-        if status < 0 or status > limit or blocks[b, DIRECT] == 1:
-            return status
-    if blocks[b, KIND] == 0:
+def _load(ops: Any, o: int, bus: Any, places: Any) -> None:
+    """Bus to the buffer of an operation."""
+    n, buffer, first, kind = ops[o, N], ops[o, BUFFER], ops[o, FIRST], ops[o, OPERATION] - SET
+    if kind == 0:
         for i in range(n):
-            bus[gather[first + i]] = _load_f64(buffer + 8 * i)
-    elif blocks[b, KIND] == 1:
+            _store_f64(buffer + 8 * i, bus[places[first + i]])
+    elif kind == 1:
         for i in range(n):
-            bus[gather[first + i]] = _load_i32(buffer + 4 * i)
+            _store_i32(buffer + 4 * i, np.int32(bus[places[first + i]]))
     else:
         for i in range(n):
-            bus[gather[first + i]] = _load_i64(buffer + 8 * i)
-    return status
+            _store_i64(buffer + 8 * i, np.int64(bus[places[first + i]]))
 
 
 @njit(inline="always", **OPTIONS)
-def _call_part(
-    phase: int, c: int, ticks: Any, now: int, t: float, h: float, parts: Any, blocks: Any, gather: Any, bus: Any, report: Any
-) -> bool:
-    """One phase (0 inputs, 1 step, 2 outputs) of component `c`; False if a call failed, with `report` saying which."""
-    instance, limit = parts[c, INSTANCE], parts[c, LIMIT]
-    if phase == 1:
-        each = parts[c, EACH]
-        for i in range(parts[c, RATE]):
-            begin = t if parts[c, BEGAN] + i * each == now else (parts[c, BEGAN] + i * each) / TICK
-            status = _call_step(parts[c, STEP], instance, begin, h if each == ticks[1] else each / TICK)
-            if status < 0 or status > limit:
-                report[0], report[1], report[2], report[3], report[4] = FAILED, c, phase, i, status
-                return False
-        return True
-    first = parts[c, SETS] if phase == 0 else parts[c, GETS]
-    end = parts[c, SETS_END] if phase == 0 else parts[c, GETS_END]
-    for b in range(first, end):
-        status = _set(blocks, b, bus, gather, instance) if phase == 0 else _get(blocks, b, bus, gather, instance, limit)
-        if status < 0 or status > limit:
-            report[0], report[1], report[2], report[3], report[4] = FAILED, c, phase, b - first, status
-            return False
-    return True
+def _unload(ops: Any, o: int, bus: Any, places: Any) -> None:
+    """Buffer of an operation to the bus."""
+    n, buffer, first, kind = ops[o, N], ops[o, BUFFER], ops[o, FIRST], ops[o, OPERATION] - GET
+    if kind == 0:
+        for i in range(n):
+            bus[places[first + i]] = _load_f64(buffer + 8 * i)
+    elif kind == 1:
+        for i in range(n):
+            bus[places[first + i]] = _load_i32(buffer + 4 * i)
+    else:
+        for i in range(n):
+            bus[places[first + i]] = _load_i64(buffer + 8 * i)
+
+
+@njit(inline="always", **OPTIONS)
+def _small_steps(ops: Any, o: int, clocks: Any) -> int:
+    """The steps of a component at another rate; returns the status of the last one made."""
+    c = ops[o, COMPONENT]
+    each, status = clocks[c, EACH], 0
+    for i in range(clocks[c, RATE]):
+        status = _call_step(ops[o, FUNCTION], ops[o, INSTANCE], (clocks[c, BEGAN] + i * each) / TICK, each / TICK)
+        if status < 0 or status > ops[o, LIMIT]:
+            break
+    return status
 
 
 @njit(cache=True, nogil=True, **OPTIONS)
 def advance(
-    steps: int, ticks: Any, jacobi: bool, delayed: bool, watched: int, parts: Any, blocks: Any, gather: Any, bus: Any,
-    low: Any, high: Any, rows: Any, report: Any,
+    steps: int, ticks: Any, rates: bool, delayed: bool, watched: int, ops: Any, clocks: Any, places: Any, bus: Any,
+    low: Any, high: Any, columns: Any, report: Any,
 ) -> int:  # fmt: skip
-    """Make up to `steps` steps; returns how many were made and are in `rows` (t, outputs). The rest is told by `report`.
+    """Make up to `steps` steps; returns how many were made and are in `columns` (t, outputs). The rest is told by `report`.
 
-    `ticks`: [start, step, done so far]. `report`: [outcome, component, phase, block, status].
+    `ticks`: [start, step, done so far]. `rates`: some component has another rate. `report`: [outcome, operation, status].
     """
     n = len(low)
     h = ticks[1] / TICK
@@ -169,27 +149,41 @@ def advance(
         if delayed:
             for i in range(n):
                 bus[n + i] = bus[i]
-        for c in range(len(parts)):
-            if parts[c, COUNT] == 0:
-                parts[c, BEGAN] = now
-        # Gauss-Seidel: one sweep, all phases of a component after each other; Jacobi: a sweep of all components per phase
-        for sweep in range(3 if jacobi else 1):
-            for c in range(len(parts)):
-                if parts[c, COUNT] == parts[c, EVERY] - 1:
-                    for phase in range(sweep if jacobi else 0, sweep + 1 if jacobi else 3):
-                        if not _call_part(phase, c, ticks, now, t, h, parts, blocks, gather, bus, report):
-                            return k
-        for c in range(len(parts)):
-            parts[c, COUNT] = 0 if parts[c, COUNT] == parts[c, EVERY] - 1 else parts[c, COUNT] + 1
+        if rates:
+            for c in range(len(clocks)):
+                if clocks[c, COUNT] == 0:
+                    clocks[c, BEGAN] = now
+        for o in range(len(ops)):
+            what, function, status = ops[o, OPERATION], ops[o, FUNCTION], 0
+            if rates and clocks[ops[o, COMPONENT], COUNT] != clocks[ops[o, COMPONENT], EVERY] - 1:
+                continue
+            if what == STEP:
+                if rates:
+                    status = _small_steps(ops, o, clocks)
+                else:
+                    status = _call_step(function, ops[o, INSTANCE], t, h)
+            else:
+                if SET <= what < GET:
+                    _load(ops, o, bus, places)
+                if function != 0:
+                    status = _call_values(function, ops[o, INSTANCE], ops[o, REFERENCES], ops[o, N], ops[o, BUFFER])
+                if what >= GET and 0 <= status <= ops[o, LIMIT]:
+                    _unload(ops, o, bus, places)
+            if status < 0 or status > ops[o, LIMIT]:
+                report[0], report[1], report[2] = FAILED, o, status
+                return k
+        if rates:
+            for c in range(len(clocks)):
+                clocks[c, COUNT] = 0 if clocks[c, COUNT] == clocks[c, EVERY] - 1 else clocks[c, COUNT] + 1
         good = True
-        rows[k, 0] = (now + ticks[1]) / TICK
         for i in range(n):
-            value = bus[i]
-            good &= (value >= low[i]) & (value <= high[i])  # false for NaN
-            rows[k, 1 + i] = value
+            good &= (bus[i] >= low[i]) & (bus[i] <= high[i])  # false for NaN
         if not good:
             report[0] = VIOLATED
             return k
+        columns[0, k] = (now + ticks[1]) / TICK
+        for i in range(n):
+            columns[1 + i, k] = bus[i]
         if watched >= 0 and bus[watched] != 0.0:
             report[0] = STOPPED
             return k + 1

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 _FIRST_CHUNK = 8
 _CHUNK_TIME = 0.05  # s of wall clock between two looks at Ctrl-C and progress
-_ROW_BYTES = 4_000_000  # of the rows of a chunk
+_ROW_BYTES = 1_600_000  # of the rows of a chunk: what stays in the cache
 _WORTH_NUMBA = 20_000  # steps that repay importing Numba, where nobody else has
 _MAX_TICKS = 2**53  # whole numbers that float64 holds exactly
 
@@ -307,7 +307,7 @@ class Master:
         if self._compiled is None:
             from orchestration.chunks import CompiledLoop  # it needs Numba, which takes half a second to import
 
-            capacity = min(max(_ROW_BYTES // (8 + self._fresh.nbytes), 16), 16_384)
+            capacity = min(max(_ROW_BYTES // (8 + self._fresh.nbytes), 16), 4096)
             jacobi = self.algorithm == "jacobi"
             self._compiled = CompiledLoop(self._slaves, self.wiring, jacobi, self._bus, self._guard.bounds, capacity)
         steps = int(min(room, self._chunk_steps))

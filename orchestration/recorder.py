@@ -127,7 +127,10 @@ class Recorder:
             self.flush()
 
     def observe_rows(self, rows: FloatArray) -> None:
-        """Keep many rows, t [s] and all outputs; as many as make a chunk or more are written at once."""
+        """Keep many rows, t [s] and all outputs; as many as make a chunk or more are written at once, while the next steps are made.
+
+        So the array must stay as it is until the next call has returned.
+        """
         kept = rows[-self._seen % self.every :: self.every]
         self._seen += len(rows)
         if self._chosen is not None:
@@ -135,7 +138,7 @@ class Recorder:
         if self._count + len(kept) > self.chunk:
             self.flush()
         if len(kept) > self.chunk:
-            self._write(kept)  # while the next steps are made
+            self._write(kept)
         else:
             self._buffer[self._count : self._count + len(kept)] = kept
             self._count += len(kept)
@@ -146,13 +149,13 @@ class Recorder:
         """Write the rows kept so far to disk."""
         if self._count:
             self._write(self._buffer[: self._count])
-            self._count = 0
         self._wait()
+        self._count = 0
         self._flushed = time.monotonic()
 
     def _write(self, rows: FloatArray) -> None:
         """Begin to write rows, in the background; what went wrong with those before is raised."""
-        columns = rows.T.copy()
+        columns = np.ascontiguousarray(rows.T) if rows.flags.c_contiguous else rows.T
         self._wait()
         self._pending = self._background.submit(self._put, columns)
 
