@@ -109,7 +109,7 @@ _NOISY = ("compliance.p_BT_B", "sensor.f_T_T", "drive.q_motor")
 
 def draw(kind: str, tier: str, random: np.random.Generator) -> BadLog:
     """A fault of that kind; at tier T0, which has no tracker, it is in another array than there would be at T1."""
-    arrays = _NOISY if kind in ("lag", "filter") else VECTORS
+    arrays: tuple[str, ...] = _NOISY if kind in ("lag", "filter") else VECTORS
     if tier == "T0":
         arrays = arrays[1:]
     fault: BadLog = KINDS[kind](random, arrays[int(random.integers(len(arrays)))])

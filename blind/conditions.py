@@ -122,3 +122,8 @@ def draw(random: np.random.Generator) -> tuple[Condition, Condition, Condition]:
     place = POSITIONS[(POSITIONS.index(main.position) + 1 + number % 3) % len(POSITIONS)]
     other_place = replace(main, name="other place", position=place, mode=0, warm_up_time=1800.0)
     return main, other_cut, other_place
+
+
+def from_truth(values: dict[str, Any]) -> Condition:
+    """A condition as it stands in a sealed truth."""
+    return Condition(**{**values, "position": tuple(values["position"])})

@@ -196,7 +196,8 @@ def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[dict[s
 def _formulation(effects: Sequence[Instance], random: np.random.Generator) -> tuple[list[Instance], list[Changes]]:
     """Effects that are switched on by their parameter, and those that get another formulation (every second one where there is one).
 
-    Never two inserts at one place, so only one of the hysteresis kind."""
+    Never two inserts at one place, so only one of the hysteresis kind.
+    """
     parameters: list[Instance] = []
     changes: list[Changes] = []
     for e in effects:
@@ -240,7 +241,9 @@ def write_run(
     fields = [pa.field("t", pa.float64(), metadata={"unit": "s", "description": "time"})]
     fields += [pa.field(n, pa.float32(), metadata={k: d[k] for k in ("unit", "frame")}) for n, d in described.items()]
     schema = pa.schema(fields, metadata={"robomill": text})
-    pyarrow.parquet.write_table(pa.table([t, *(v.astype(np.float32) for v in columns.values())], schema=schema), folder / SIGNALS, compression="zstd")
+    pyarrow.parquet.write_table(
+        pa.table([t, *(v.astype(np.float32) for v in columns.values())], schema=schema), folder / SIGNALS, compression="zstd"
+    )
 
 
 def _oracle(

@@ -71,7 +71,9 @@ class Insert:
         """Nothing to close."""
 
 
-def insert(system: System, name: str, through: Mapping[str, tuple[str, str]], targets: Sequence[str], beside: Sequence[Connection] = ()) -> System:
+def insert(
+    system: System, name: str, through: Mapping[str, tuple[str, str]], targets: Sequence[str], beside: Sequence[Connection] = ()
+) -> System:
     """The system with component `name` (source `blind:name`) between outputs and those inputs that begin with one of `targets`.
 
     `through`: output such as `drive.q_link` -> (input, output of the insert); `beside`: further connections into it.

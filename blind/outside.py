@@ -244,7 +244,9 @@ def _cogging(value: float, random: np.random.Generator) -> Changes:
 
 
 OUTSIDE = (
-    Outside("periodic_stiffness", "compliance", 2e-7, 1e-6, "rad/(N.m)", _periodic_stiffness, "compliance of a gear that varies with its angle"),
+    Outside(
+        "periodic_stiffness", "compliance", 2e-7, 1e-6, "rad/(N.m)", _periodic_stiffness, "compliance of a gear that varies with its angle"
+    ),
     Outside("axis_coupling", "drive", 2e-4, 2e-3, "1", _coupling, "an axis moves with another one"),
     Outside("quadratic_windup", "drive", 0.02, 0.2, "s2/rad", _windup, "deviation with the square of the axis speed"),
     Outside("creep", "compliance", 2e-7, 1e-6, "rad/(N.m)", _creep, "deflection that goes on growing under load"),
@@ -261,7 +263,8 @@ OUTSIDE = (
 
 def bouc_wen(index: int, width: float, torque: float) -> Changes:
     """Gear hysteresis of joint `index` (from 0) as Bouc-Wen instead of the model's play elements: half width [rad] at zero torque,
-    torque [N m] over which it turns round. z' = M' (1 - |z|(0.5 sign(M' z) + 0.5))/M_h."""
+    torque [N m] over which it turns round. z' = M' (1 - |z|(0.5 sign(M' z) + 0.5))/M_h.
+    """
 
     def make() -> Function:
         state = [0.0, 0.0]
@@ -284,7 +287,7 @@ def bouc_wen(index: int, width: float, torque: float) -> Changes:
 
 
 def dahl(index: int, coulomb: float) -> Changes:
-    """Coulomb friction of joint `index` (from 0) as Dahl's model instead of tanh: z' = qd - |qd| z/z0, z0 = 30 urad, torque = coulomb z/z0."""
+    """Coulomb friction of joint `index` (from 0) as Dahl's model instead of tanh: z' = qd - |qd| z/z0, z0 = 30 urad; coulomb z/z0."""
     z0 = 30e-6
 
     def after(columns: Columns, t: FloatArray, step: float) -> None:

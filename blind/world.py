@@ -143,10 +143,19 @@ def nominal(c: Condition) -> Run:
 
 def simulate_nominal(c: Condition, effects: Sequence[Instance]) -> Run:
     """What the nominal cell, coupled as its file says, does with effects switched on; no noise."""
+    adopted: dict[str, dict[str, float]] = {}
+    for e in effects:
+        adopted.setdefault(e.effect.component, {})[e.parameter] = e.value
+    return simulate_adopted(c, adopted)
+
+
+def simulate_adopted(c: Condition, adopted: Mapping[str, Mapping[str, float]]) -> Run:
+    """What the nominal cell, coupled as its file says, does with parameters set: component -> element -> value; no noise."""
     with TemporaryDirectory() as folder:
         system = with_parameters(nominal_system(), known(c, _segments(c, Path(folder))))
         system = with_parameters(system, {"sensor": {"noise_f": 0.0, "noise_m": 0.0, "walk_f": 0.0, "walk_m": 0.0}})
-        return run(with_effects(system, effects), None, resolver=resolve, convert=convert)
+        system = with_parameters(system, {k: v for k, v in adopted.items() if any(c.name == k for c in system.components)})
+        return run(system, None, resolver=resolve, convert=convert)
 
 
 def simulate(
@@ -262,8 +271,9 @@ def measure(columns: Columns, tier: str, random: np.random.Generator) -> Columns
 
 
 def jittered(t: FloatArray, random: np.random.Generator) -> FloatArray:
-    """Timestamps as a logger writes them: drift of 20 ppm, jitter of 0.1 ms (white, below half a step), starting at zero."""
-    drift = 2e-5 * float(random.standard_normal())
-    jitter = np.clip(1e-4 * random.standard_normal(len(t)), -1e-3, 1e-3)
+    """Timestamps as a logger writes them: drift of 5 ppm, jitter of 0.03 ms (white), starting at zero."""
+    drift = 5e-6 * float(random.standard_normal())
+    jitter = np.clip(3e-5 * random.standard_normal(len(t)), -1e-3, 1e-3)
     stamped: FloatArray = t * (1.0 + drift) + jitter
-    return stamped - stamped[0]
+    stamped -= stamped[0]
+    return stamped

@@ -1,0 +1,119 @@
+"""Methods that the diagnosis must beat: each gets the training repeats and the nominal model, and names one effect or none.
+
+All see the mean of the repeats minus the nominal run, whitened. None knows open sets, ambiguity or nuisance parameters; that is the point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from blind.conditions import Condition
+from blind.effects import EFFECTS
+from blind.signatures import STRIDE, Library, floor
+from blind.world import nominal
+from models.declaration import FloatArray
+from orchestration.results import Run
+
+
+@dataclass(frozen=True)
+class Guess:
+    """What a baseline says: `component.effect` and element, or None: no effect."""
+
+    key: str | None
+    index: int = 0
+
+    @property
+    def component(self) -> str | None:
+        """The component of the effect."""
+        return None if self.key is None else self.key.partition(".")[0]
+
+
+Baseline = Callable[[Library, FloatArray], Guess]
+"""(library, whitened mean residual) -> guess."""
+NULL_LIMIT = 1.5
+"""Whitened rms of a column below which there is no gap; machines without effects stay below 1.2 in most columns."""
+
+
+def residual(folder: Path, c: Condition, names: Sequence[str]) -> FloatArray:
+    """Whitened mean of the training repeats of a case minus the nominal run, flattened like `Library.matrix`."""
+    runs = [Run.load(f) for f in sorted((folder / "runs").glob("training-[0-9]*"))]
+    reference = nominal(c)
+    rows = slice(0, len(reference.t) // STRIDE * STRIDE, STRIDE)
+    grid = reference.t[rows]
+    parts = []
+    for name in names:
+        mean = np.mean([np.interp(grid, r.t, r.columns[name]) for r in runs], axis=0)
+        nominal_values = reference.columns[name]
+        parts.append((mean - nominal_values[rows]) / floor(name, nominal_values)[rows])
+    return np.concatenate(parts)
+
+
+def _guess(lib: Library, i: int) -> Guess:
+    return Guess(lib.candidates[i].key, lib.candidates[i].index)
+
+
+def largest_residual(lib: Library, r: FloatArray) -> Guess:
+    """The component whose column deviates most, and the effect listed first for it."""
+    rms = np.sqrt(np.mean(r.reshape(len(lib.columns), -1) ** 2, axis=1))
+    if rms.max() < NULL_LIMIT:
+        return Guess(None)
+    component = lib.columns[int(rms.argmax())].partition(".")[0]
+    effect = next(e for e in EFFECTS if e.component == component)
+    return Guess(f"{effect.component}.{effect.name}", 1 if effect.size else 0)
+
+
+def fit_all(lib: Library, r: FloatArray) -> Guess:
+    """All effects at once by least squares; the largest in units of its usual size, none if that is below 10 %."""
+    theta = np.linalg.lstsq(lib.matrix.T, r, rcond=1e-6)[0]
+    best = int(np.abs(theta).argmax())
+    return _guess(lib, best) if abs(theta[best]) > 0.1 else Guess(None)
+
+
+def _criterion(lib: Library, r: FloatArray, penalty: float) -> Guess:
+    n = len(r)
+    energy = np.einsum("ij,ij->i", lib.matrix, lib.matrix)
+    gain = np.divide((lib.matrix @ r) ** 2, energy, out=np.zeros(len(energy)), where=energy > 1e-12)
+    best = int(gain.argmax())
+    total = float(r @ r)
+    score = n * np.log(max(total - float(gain[best]), 1e-300) / total) + penalty
+    return _guess(lib, best) if score < 0.0 else Guess(None)
+
+
+def aic(lib: Library, r: FloatArray) -> Guess:
+    """Single effects by Akaike's criterion, unknown noise level, samples taken as independent."""
+    return _criterion(lib, r, 2.0)
+
+
+def bic(lib: Library, r: FloatArray) -> Guess:
+    """Single effects by the Bayesian information criterion, unknown noise level, samples taken as independent."""
+    return _criterion(lib, r, float(np.log(len(r))))
+
+
+def lasso(lib: Library, r: FloatArray, share: float = 0.3, rounds: int = 100) -> Guess:
+    """Sparse regression of the residual on the signatures (coordinate descent); penalty = `share` of the one that gives zero."""
+    scale = np.sqrt(np.einsum("ij,ij->i", lib.matrix, lib.matrix))
+    usable = scale > 1e-9
+    A = np.where(usable[:, None], lib.matrix / np.where(usable, scale, 1.0)[:, None], 0.0)
+    gram, b = A @ A.T, A @ r
+    if float(np.sqrt(np.mean(r**2))) * np.sqrt(len(lib.columns)) < NULL_LIMIT:
+        return Guess(None)
+    penalty, x = share * float(np.abs(b).max()), np.zeros(len(b))
+    for _ in range(rounds):
+        for i in np.flatnonzero(usable):
+            z = b[i] - gram[i] @ x + x[i]
+            x[i] = np.sign(z) * max(abs(z) - penalty, 0.0)
+    best = int(np.abs(x).argmax())
+    return _guess(lib, best) if x[best] != 0.0 else Guess(None)
+
+
+BASELINES: Mapping[str, Baseline] = {
+    "largest_residual": largest_residual,
+    "fit_all_parameters": fit_all,
+    "aic": aic,
+    "bic": bic,
+    "lasso": lasso,
+}

@@ -1,0 +1,141 @@
+"""What each catalogue effect does to the measured columns of a training condition, to first order: for oracle and baselines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from blind.conditions import Condition
+from blind.effects import EFFECTS, Instance
+from blind.world import MEASURED, STEP, TRACKER, nominal, simulate_nominal
+from models.declaration import FloatArray
+
+STRIDE = 5
+"""Every fifth row (20 ms) is looked at."""
+ARRAYS = (*(a for a in MEASURED if not a.startswith("path.")), TRACKER)
+FLOOR: Mapping[str, float] = {
+    TRACKER: 10e-6,
+    "drive.q_motor": 5e-6,
+    "drive.torque_motor": 0.05,
+    "sensor.f_S_raw": 1.0,
+    "sensor.m_S_raw": 0.2,
+    "sensor.f_T_T": 1.5,
+    "sensor.m_T_T": 0.3,
+    "controller.correction_B": 4e-6,
+    "controller.correction_q": 5e-6,
+    "milling.spindle_torque": 0.03,
+}
+"""What is left between a machine without effects and the nominal one after six repeats: rms by array, of the generator's null cases."""
+CLOCK = 5e-5
+"""Uncertainty of the timestamps [s] after averaging."""
+
+
+@dataclass(frozen=True)
+class Library:
+    """Whitened signatures of all candidates at one training condition."""
+
+    candidates: tuple[Instance, ...]
+    """Every effect at every element, at the middle (geometric) of its range."""
+    matrix: FloatArray
+    """float64[candidates, features]: change of the columns over `FLOOR`, flattened [columns, rows]."""
+    columns: tuple[str, ...]
+    """Element names, in the order of the features."""
+
+    def for_tier(self, tier: str) -> Library:
+        """Without the tracker at tier T0."""
+        if tier != "T0":
+            return self
+        rows = self.matrix.shape[1] // len(self.columns)
+        kept = [i for i, name in enumerate(self.columns) if name.partition("[")[0] != TRACKER]
+        matrix = self.matrix.reshape(len(self.candidates), len(self.columns), rows)[:, kept].reshape(len(self.candidates), -1)
+        return Library(self.candidates, matrix, tuple(self.columns[i] for i in kept))
+
+
+def candidates() -> tuple[Instance, ...]:
+    """Every effect at every element, at the geometric middle of its range, positive."""
+    found: list[Instance] = []
+    for e in EFFECTS:
+        for index in range(1, e.size + 1) if e.size else (0,):
+            factor = e.wrist if e.size == 6 and index > 3 else 1.0
+            found.append(Instance(e, index, factor * float(np.sqrt(e.low * e.high))))
+    return tuple(found)
+
+
+def features(columns: Mapping[str, FloatArray], reference: Mapping[str, FloatArray], names: tuple[str, ...], rows: int) -> FloatArray:
+    """Whitened difference, flattened [names, rows]; a run that is shorter keeps its last value."""
+    parts = []
+    for name in names:
+        a, b = columns[name], reference[name]
+        n = min(len(a), len(b))
+        d = np.zeros(rows * STRIDE)
+        d[: min(n, len(d))] = (a[:n] - b[:n])[: len(d)]
+        parts.append(d[::STRIDE] / floor(name, b)[: len(d) : STRIDE])
+    return np.concatenate(parts)
+
+
+def floor(name: str, reference: FloatArray) -> FloatArray:
+    """`FLOOR` and what an uncertain clock makes of a moving signal, by row of the nominal run."""
+    rows: FloatArray = np.hypot(FLOOR[name.partition("[")[0]], CLOCK * np.gradient(reference) / STEP)
+    return rows
+
+
+def feature_names() -> tuple[str, ...]:
+    """Measured elements but for those of the path."""
+    some = nominal(_any_condition()).columns
+    return tuple(n for a in ARRAYS for n in some if n.partition("[")[0] == a)
+
+
+def _any_condition() -> Condition:
+    from blind.conditions import _TRAINING
+
+    return _TRAINING[0]
+
+
+@lru_cache(maxsize=16)
+def library(c: Condition, cache: Path | None = None, progress: Callable[[int, int], object] | None = None) -> Library:
+    """The library of a condition (about 15 s); kept as a file in the folder `cache`, and in memory."""
+    every, names = candidates(), feature_names()
+    reference = nominal(c).columns
+    rows = len(nominal(c).t) // STRIDE
+    key = f"{c.turn:g}_{c.depth:g}_{c.feed:g}_{c.mirrored:d}_{'_'.join(f'{v:g}' for v in c.position)}"
+    file = None if cache is None else cache / f"signatures_{key}.npy"
+    if file is not None and file.is_file():
+        matrix = np.load(file).astype(np.float64)
+    else:
+        found = []
+        for i, instance in enumerate(every):
+            found.append(features(simulate_nominal(c, [instance]).columns, reference, names, rows))
+            if progress is not None:
+                progress(i + 1, len(every))
+        matrix = np.array(found)
+        if file is not None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            np.save(file, matrix.astype(np.float32))
+    return Library(every, matrix, names)
+
+
+def confusable(lib: Library, true: Instance, change: FloatArray, limit: float = 1.0) -> list[str]:
+    """Candidates (`component.parameter`) that explain the whitened change of the true effect but for `limit`: at their best strength
+
+    the largest rms of what is left, over columns and windows of 0.5 s, stays below it. The true element itself is left out.
+    """
+    energy = np.einsum("ij,ij->i", lib.matrix, lib.matrix)
+    scale = np.divide(lib.matrix @ change, energy, out=np.zeros(len(energy)), where=energy > 0.0)
+    found = []
+    for i, c in enumerate(lib.candidates):
+        if (c.key, c.index) == (true.key, true.index):
+            continue
+        left = (change - scale[i] * lib.matrix[i]).reshape(len(lib.columns), -1)
+        if _largest_window(left) < limit:
+            found.append(f"{c.effect.component}.{c.parameter}")
+    return found
+
+
+def _largest_window(values: FloatArray, rows: int = 25) -> float:
+    n = max(values.shape[1] // rows, 1)
+    squares = [np.mean(values[:, k * rows : (k + 1) * rows] ** 2, axis=1).max() for k in range(n)]
+    return float(np.sqrt(max(squares)))
