@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import lzma
 import stat
 import xml.parsers.expat
 import zipfile
+import zlib
 from pathlib import Path, PurePosixPath
 
 from orchestration.errors import SlaveError
@@ -13,6 +15,8 @@ MAX_TOTAL = 2 * 1024**3
 """Largest sum of the unpacked sizes of an archive [bytes]."""
 MAX_FILES = 20_000
 MAX_XML = 256 * 1024**2
+MAX_NAME, MAX_DEPTH = 1000, 50
+"""Of the path of an entry: characters, levels of folders."""
 
 
 def unpack(file: Path, target: Path, max_total: int = MAX_TOTAL, max_files: int = MAX_FILES, kind: str = "FMU") -> list[str]:
@@ -34,10 +38,14 @@ def unpack(file: Path, target: Path, max_total: int = MAX_TOTAL, max_files: int 
             total = sum(e.file_size for e in entries)
             if total > max_total:
                 raise SlaveError(f"{file}: refused: unpacks to {total} bytes, at most {max_total} are allowed")
+            seen: set[str] = set()
             for entry in entries:
                 _check_entry(file, entry)
+                if entry.filename in seen:
+                    raise SlaveError(f"{file}: refused: entry {_short(entry.filename)} is there twice")
+                seen.add(entry.filename)
             archive.extractall(target)
-    except (zipfile.BadZipFile, NotImplementedError, EOFError, OSError) as error:
+    except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, EOFError, OSError, ValueError) as error:
         raise SlaveError(f"{file}: cannot be unpacked: {error}") from None
     return [e.filename for e in entries if not e.is_dir()]
 
@@ -47,12 +55,17 @@ def _check_entry(file: Path, entry: zipfile.ZipInfo) -> None:
     name = entry.orig_filename
     path = PurePosixPath(name)
     if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name or "\0" in name:
-        raise SlaveError(f"{file}: refused: entry {name!r} would be written outside the folder it is unpacked to")
+        raise SlaveError(f"{file}: refused: entry {_short(name)} would be written outside the folder it is unpacked to")
+    if len(name) > MAX_NAME or len(path.parts) > MAX_DEPTH:
+        raise SlaveError(
+            f"{file}: refused: entry {_short(name)} has {len(name)} characters in {len(path.parts)} levels; "
+            f"at most {MAX_NAME} in {MAX_DEPTH} are allowed"
+        )
     mode = entry.external_attr >> 16
     if stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
-        raise SlaveError(f"{file}: refused: entry {name!r} is a symbolic link or a special file")
+        raise SlaveError(f"{file}: refused: entry {_short(name)} is a symbolic link or a special file")
     if entry.flag_bits & 0x1:
-        raise SlaveError(f"{file}: refused: entry {name!r} is encrypted")
+        raise SlaveError(f"{file}: refused: entry {_short(name)} is encrypted")
 
 
 def check_xml(file: Path, source: Path) -> dict[str, str]:
@@ -77,9 +90,13 @@ def check_xml(file: Path, source: Path) -> dict[str, str]:
     parser.EntityDeclHandler = refuse
     try:
         parser.Parse(file.read_bytes(), True)
-    except xml.parsers.expat.ExpatError as error:
+    except (xml.parsers.expat.ExpatError, ValueError, LookupError) as error:  # the last two: its encoding
         raise SlaveError(f"{source}: {file.name} is not valid XML: {error}") from None
     return attributes
+
+
+def _short(name: str) -> str:
+    return repr(name if len(name) <= 120 else name[:120] + "...")
 
 
 def _kind(file: Path) -> str:

@@ -129,6 +129,8 @@ def run(
         if system.stop_when is None:
             raise OrchestrationError(f"system {system.name!r} has no end: give stop, or set stop or stop_when in the system file")
         end = math.inf
+    if math.isnan(end):
+        raise OrchestrationError("stop is not a number (NaN)")
     with assemble(system, resolver, convert) as assembly:
         if folder is None:
             if resume:

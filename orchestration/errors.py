@@ -71,6 +71,7 @@ def available(names: Iterable[str], limit: int = 40) -> str:
 def unknown(what: str, name: str, names: Iterable[str]) -> str:
     """Sentence for a name that does not exist: closest matches first, then what is available."""
     listed = list(names)
+    name = name if len(name) <= 200 else name[:200] + "..."
     close = difflib.get_close_matches(name, listed, n=3, cutoff=0.6)
     hint = f" did you mean {' or '.join(repr(c) for c in close)}?" if close else ""
     return f"unknown {what} {name!r};{hint} available: {available(listed)}"

@@ -15,6 +15,7 @@ from fmpy.model_description import ValidationError, read_model_description
 
 from orchestration.archive import check_xml, unpack
 from orchestration.errors import SlaveError
+from orchestration.library import problem
 from orchestration.slave import Port, PortData
 
 _TYPES = {"Real": "real", "Integer": "integer", "Enumeration": "integer", "Boolean": "boolean", "String": "string"}
@@ -59,7 +60,7 @@ def open_fmu(file: Path, folder: Path) -> FmuDescription:
     md = _read(file, folder)
     if md.coSimulation is None:
         raise SlaveError(f"{file}: is an FMU for model exchange only; a co-simulation FMU is needed: export it with a solver")
-    ports, references = _ports(md)
+    ports, references = _ports(file, md)
     return FmuDescription(
         file=file,
         folder=folder,
@@ -89,23 +90,28 @@ def _read(file: Path, folder: Path) -> Any:
     except ValidationError as found:
         structural = [p for p in found.problems if _SCHEMA.match(p)]
         if structural:
-            raise SlaveError(f"{file}: modelDescription.xml is not valid:\n  " + "\n  ".join(structural[:5])) from None
+            raise SlaveError(f"{file}: modelDescription.xml is not valid:\n  " + "\n  ".join(p[:300] for p in structural[:5])) from None
         return read_model_description(str(folder), validate=False)
     except Exception as error:  # FMPy raises bare Exception and whatever its parsing meets
         raise SlaveError(f"{file}: modelDescription.xml cannot be read: {error}") from None
 
 
 def _library(file: Path, folder: Path, identifier: str, names: Sequence[str]) -> Path:
+    if not re.fullmatch(r"[\w.-]+", identifier):
+        raise SlaveError(f"{file}: its modelIdentifier {identifier!r} is not the name of a library")
     library = folder / "binaries" / str(fmpy.platform) / (identifier + _SUFFIX.get(sys.platform, ".so"))
     if not library.is_file():
         place = library.relative_to(folder)
         there = sorted({n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1})
         sources = "; it has C sources, which can be compiled" if any(n.startswith("sources/") for n in names) else ""
         raise SlaveError(f"{file}: no binary for this platform ({place}); it has binaries for {', '.join(there) or 'no platform'}{sources}")
+    wrong = problem(library)
+    if wrong:
+        raise SlaveError(f"{file}: its binary {library.relative_to(folder)} {wrong}")
     return library
 
 
-def _ports(md: Any) -> tuple[tuple[Port, ...], dict[str, int]]:
+def _ports(file: Path, md: Any) -> tuple[tuple[Port, ...], dict[str, int]]:
     """Inputs, outputs and parameters of a model description. Inputs and outputs that are texts are left out: no bus carries them."""
     dependencies = {u.variable.name: _names(u.dependencies) for u in md.outputs}
     ports: list[Port] = []
@@ -114,6 +120,8 @@ def _ports(md: Any) -> tuple[tuple[Port, ...], dict[str, int]]:
         kind = _TYPES[v.type]
         if v.causality not in ("input", "output", "parameter") or (kind == "string" and v.causality != "parameter"):
             continue
+        if v.name in references:
+            raise SlaveError(f"{file}: variable {v.name[:200]!r} is there twice")
         declared = v.declaredType
         ports.append(
             PortData(

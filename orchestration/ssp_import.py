@@ -71,7 +71,7 @@ class _Reader:
         self.parameters: dict[str, dict[str, Any]] = {}
 
     def fail(self, text: str) -> SystemFileError:
-        return SystemFileError(f"{self.file.name}: {text}")
+        return SystemFileError(f"{self.file.name}: {text if len(text) <= 1500 else text[:1500] + '...'}")
 
     def package(self) -> Package:
         root = self.xml(SSD, "SystemStructureDescription")

@@ -81,6 +81,7 @@ _ITERATION = {
     "hold": str,
     "unconverged": str,
 }
+MAX_CHUNK = 100_000
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
@@ -166,11 +167,15 @@ class System:
         """Check what does not need the components' ports. SystemFileError says what is wrong."""
         ticks(self.step, "step")
         if self.algorithm not in ALGORITHMS:
-            raise SystemFileError(f"algorithm {self.algorithm!r} is unknown; available: {', '.join(ALGORITHMS)}")
+            raise SystemFileError(unknown("algorithm", self.algorithm, ALGORITHMS))
         if self.loop not in LOOPS:
             raise SystemFileError(f"loop {self.loop!r} is unknown; available: {', '.join(LOOPS)}")
         if self.recording.every < 1 or self.recording.chunk < 1:
             raise SystemFileError(f"recording: every and chunk are at least 1; found {self.recording.every} and {self.recording.chunk}")
+        if self.recording.chunk > MAX_CHUNK:
+            raise SystemFileError(f"recording: chunk is at most {MAX_CHUNK} rows, which are kept in memory; found {self.recording.chunk}")
+        if self.stop is not None and math.isnan(self.stop):
+            raise SystemFileError("stop is not a number (NaN)")
         if self.recording.checkpoint_every < 0:
             raise SystemFileError(f"recording: checkpoint_every counts steps, 0 = never; found {self.recording.checkpoint_every}")
         for c in self.components:
@@ -241,10 +246,10 @@ def load(file: Path, convert: Convert = same_unit_only) -> System:
     if not file.is_file():
         near = sorted(p.name for p in file.parent.glob("*.toml")) if file.parent.is_dir() else []
         raise SystemFileError(f"no system file {file}; TOML files in that folder: {', '.join(near) or 'none'}")
-    text = file.read_text(encoding="utf-8")
     try:
+        text = file.read_text(encoding="utf-8")
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise SystemFileError(f"{file.name}: not valid TOML: {error}") from None
     return _Loader(file, text, convert).system(table)
 

@@ -287,7 +287,7 @@ class TestRefused:
                 {"binaries/vax780/euler.exe": b"", "binaries/win32/euler.dll": b"", "sources/a.c": b""},
                 "it has binaries for vax780, win32; it has C sources, which can be compiled",
             ),
-            (BAD, LIBRARY, "its binary cannot be loaded: "),
+            (BAD, LIBRARY, f"its binary binaries/{fmpy.platform}/euler{c_fmu.SUFFIX} is no Linux library (13 bytes"),
             (BAD.replace("<ModelVariables>", "<Variables>"), LIBRARY, "modelDescription.xml is not valid XML: mismatched tag"),
             (BAD.replace("<Real/>", "<Reel/>"), LIBRARY, "modelDescription.xml is not valid:"),
             (

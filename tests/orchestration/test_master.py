@@ -319,5 +319,5 @@ def test_repeated_runs_are_bitwise_equal(algorithm):
 
 
 def test_unknown_algorithm():
-    with pytest.raises(SystemFileError, match="algorithm 'newton' is unknown; available: jacobi, gauss-seidel"):
+    with pytest.raises(SystemFileError, match="unknown algorithm 'newton'; available: jacobi, gauss-seidel"):
         simulate([gain("a")], algorithm="newton")

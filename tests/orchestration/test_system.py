@@ -91,7 +91,7 @@ ERRORS = [
     ('"4 ms"', '"soon"', "system.toml:2: step: 'soon' is not a number with a unit, such as '4 s'"),
     ('"4 ms"', "true", "system.toml:2: system: step is a whole number or a number or a text; found True"),
     ('"4 ms"', "-1", "system.toml: step = -1.0 s is not a positive whole number of nanoseconds"),
-    ('"jacobi"', '"jakobi"', "system.toml: algorithm 'jakobi' is unknown; available: jacobi, gauss-seidel"),
+    ('"jacobi"', '"jakobi"', "system.toml: unknown algorithm 'jakobi'; did you mean 'jacobi'? available: jacobi, gauss-seidel"),
     (
         'source = "robot_drive"',
         "sauce = 1",
