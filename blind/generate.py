@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import multiprocessing
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -97,8 +99,10 @@ class _Deck:
         return self._left.pop()
 
 
-def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progress | None = None) -> dict[str, Any]:
+def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progress | None = None, workers: int = 1) -> dict[str, Any]:
     """Make a benchmark in `folder` and return what benchmark.json says. Cases that are complete are kept, so it can be interrupted.
+
+    With more than one of `workers` the cases are made in processes of their own; the bits are the same.
 
     ValueError: an unknown tier, or a folder that holds another benchmark.
     """
@@ -114,13 +118,19 @@ def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progres
         raise ValueError(f"{folder} is not empty and holds no benchmark; choose another folder")
     (folder / "sealed").mkdir(parents=True, exist_ok=True)
     head.write_text(json.dumps(what) + "\n", encoding="utf-8")
-    for plan in plans(cases, seed):
-        if progress is not None:
-            progress("make", plan.number - 1, cases)
-        if not (folder / "sealed" / f"{plan.number:04d}.json").is_file():
-            make_case(folder, plan, seed, tier)
-    if progress is not None:
-        progress("make", cases, cases)
+    to_do = [p for p in plans(cases, seed) if not (folder / "sealed" / f"{p.number:04d}.json").is_file()]
+    if workers > 1 and len(to_do) > 1:
+        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+            futures = [pool.submit(make_case, folder, p, seed, tier) for p in to_do]
+            for done, future in enumerate(as_completed(futures), 1):
+                future.result()
+                if progress is not None:
+                    progress("make", done, len(to_do))
+    else:
+        for done, p in enumerate(to_do, 1):
+            make_case(folder, p, seed, tier)
+            if progress is not None:
+                progress("make", done, len(to_do))
     manifest = hashes(folder / "sealed", exclude=("manifest.json",))
     text = json.dumps(manifest, indent=0, sort_keys=True) + "\n"
     (folder / "sealed" / "manifest.json").write_text(text, encoding="utf-8")

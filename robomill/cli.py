@@ -16,6 +16,8 @@ DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exc
 
 def parser() -> argparse.ArgumentParser:
     """All commands and their options."""
+    from robomill import blind_command
+
     main_parser = argparse.ArgumentParser("robomill", description=DESCRIPTION, epilog="Start with: robomill run scenarios/groove.toml")
     commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
@@ -89,6 +91,11 @@ def parser() -> argparse.ArgumentParser:
     bring.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder for the run")
     bring.add_argument("--label", action="append", default=[], metavar="KEY=VALUE", help="a label beside those of the mapping, or instead")
     bring.add_argument("--overwrite", action="store_true", help="replace a run that is in the folder")
+
+    blind = _command(
+        commands, "blind", "the benchmark of withheld effects: make, run, score", "robomill blind make results/blind --cases 24"
+    )
+    blind_command.add_arguments(blind)
     return main_parser
 
 
@@ -103,11 +110,16 @@ def _command(commands: Any, name: str, text: str, example: str) -> argparse.Argu
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; errors that a user can mend become one message on stderr and exit status 2."""
     options = parser().parse_args(arguments)
-    from robomill import commands, import_command
+    from robomill import blind_command, commands, import_command
 
-    action = {"run": commands.run, "build": commands.build, "check": commands.check, "plan": commands.plan, "import": import_command.run}[
-        options.command
-    ]
+    action = {
+        "run": commands.run,
+        "build": commands.build,
+        "check": commands.check,
+        "plan": commands.plan,
+        "import": import_command.run,
+        "blind": blind_command.blind,
+    }[options.command]
     try:
         return action(options)
     except (Interrupted, KeyboardInterrupt) as error:

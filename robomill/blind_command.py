@@ -1,0 +1,107 @@
+"""`robomill blind make|run|score`: the withheld-effect benchmark on the command line; only here it meets the diagnosis."""
+
+from __future__ import annotations
+
+import json
+from argparse import SUPPRESS, Namespace
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE
+from rich.table import Table
+
+from robomill.binding import convert, resolve
+
+CATALOGUE = Path(__file__).parent.parent / "scenarios" / "catalogue.toml"
+
+
+def add_arguments(parser: Any) -> None:
+    """The three steps and their options."""
+    steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
+    make = steps.add_parser("make", help="simulate cases with withheld effects and seal the truth", description="Make a benchmark.")
+    make.add_argument("folder", type=Path, metavar="DIR", help="folder for it")
+    make.add_argument("--cases", type=int, default=240, help="how many (default: 240)")
+    make.add_argument("--seed", type=int, default=1, help="same seed, same bits (default: 1)")
+    make.add_argument("--tier", choices=("T0", "T1"), default="T1", help="T1: with a laser tracker on the tool tip (default); T0: without")
+    make.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
+    run = steps.add_parser("run", help="diagnose every case that has no prediction yet", description="Diagnose the cases; may be repeated.")
+    run.add_argument("folder", type=Path, metavar="DIR", help="folder of the benchmark")
+    run.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
+    score = steps.add_parser("score", help="hash the predictions, unseal, score", description="Score the predictions.")
+    score.add_argument("folder", type=Path, metavar="DIR", help="folder of the benchmark")
+    score.add_argument("--no-isolability", action="store_true", help="take every detectable single as isolable; saves minutes")
+    score.add_argument("--no-baselines", action="store_true", help="leave out the methods to compare with; saves minutes")
+    for step in (make, run, score):
+        step.add_argument("--json", action="store_true", default=SUPPRESS, help="print the result as JSON and nothing else")
+
+
+def diagnose_case(case: Path, out: Path) -> None:
+    """Diagnose one case as anybody would: its system, its runs, the catalogue of the cell. Writes diagnosis.json."""
+    from diagnosis.catalogue import Catalogue
+    from diagnosis.engine import diagnose
+    from orchestration.results import Run
+    from orchestration.system import System
+
+    runs = [Run.load(f) for f in sorted((case / "runs").iterdir()) if f.is_dir()]
+    system = System.load(case / "system.toml", convert)
+    found = diagnose(system, runs, Catalogue.load(CATALOGUE), resolver=resolve, convert=convert)
+    (out / "diagnosis.json").write_text(json.dumps(found.result, indent=1) + "\n", encoding="utf-8")
+
+
+def blind(options: Namespace) -> int:
+    """`robomill blind`: exit status 1 if a case could not be diagnosed."""
+    from robomill.commands import _console, _progress
+
+    with _progress(options.json) as report:
+        if options.step == "make":
+            from blind.generate import make
+
+            made = make(options.folder, options.cases, options.seed, options.tier, report, options.jobs)
+            summary = {k: v for k, v in made.items() if k != "files"}
+            text = f"{made['cases']} cases of tier {made['tier']} in {options.folder}/cases, truth sealed as {made['truth'][:12]}"
+        elif options.step == "run":
+            from blind.run import run_cases
+
+            summary = run_cases(options.folder, diagnose_case, options.jobs, report)
+            text = f"{summary['done']} diagnosed, {summary['before']} were there, {len(summary['failed'])} failed, of {summary['cases']}"
+            text += "".join(f"\ncase {name}: {error}" for name, error in sorted(summary["failed"].items()))
+        else:
+            from blind.score import score
+
+            summary = score(options.folder, isolability=not options.no_isolability, baselines=not options.no_baselines, progress=report)
+            (options.folder / "score.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+            text = ""
+    if options.json:
+        print(json.dumps(summary, indent=1))
+    elif text:
+        print(text)
+    else:
+        console = _console()
+        for table in tables(summary):
+            console.print(table)
+        console.print(f"everything, effect by effect, is in {options.folder / 'score.json'}", highlight=False)
+    return 1 if summary.get("failed") else 0
+
+
+def tables(summary: dict[str, Any]) -> list[Table]:
+    """The scores beside those of the baselines, and what was said for each true effect."""
+    baselines = summary["baselines"]
+    first = Table(title=f"tier {summary['tier']}, {summary['cases']} cases, {summary['predictions']} predictions", box=SIMPLE)
+    for heading in ("", "value", "95 %", "cases", *baselines):
+        first.add_column(heading.replace("_", " "), justify="left" if heading == "" else "right")
+    for key, figure in summary["scores"].items():
+        others = [_number(baselines[b].get(key)) for b in baselines]
+        interval = figure["interval"]
+        between = f"{interval[0]:.2f} .. {interval[1]:.2f}" if interval else ""
+        first.add_row(key, _number(figure), between, str(figure["count"]), *others)
+    second = Table(title="single effects", box=SIMPLE)
+    for heading in ("effect", "cases", "detectable", "isolable", "detected", "named", "in first 3", "said first"):
+        second.add_column(heading, justify="left" if heading in ("effect", "said first") else "right")
+    for key, row in summary["per_effect"].items():
+        said = ", ".join(f"{name} {n}" for name, n in summary["confusion"].get(key, {}).items())
+        second.add_row(key, *(str(v) for v in row.values()), said)
+    return [first, second]
+
+
+def _number(figure: dict[str, Any] | None) -> str:
+    return "" if figure is None or figure["value"] is None else f"{figure['value']:.2f}"
