@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from fmus.address import Addresses
 from fmus.instance import ComponentError, Instance, State, all_finite
 from fmus.interface import Interface, Port
 from models.declaration import FloatArray, Model
@@ -94,6 +95,10 @@ class InProcessSlave:
         if instance.stale and not instance.running:
             instance.init()
         self._outputs.read(out)
+
+    def native(self) -> Addresses | None:
+        """Addresses for the compiled master, None if the model runs uncompiled. The record stays where it is until `close`."""
+        return Addresses(self.instance) if self.instance.compiled else None
 
     def get_state(self) -> State:
         """A copy of the complete state."""

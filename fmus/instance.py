@@ -176,9 +176,13 @@ class Instance:
         except Exception as error:
             raise ComponentError(f"{self.name}: {type(error).__name__} in the step from t = {t:.9g} s: {error}") from error
         if status != 0:
-            raise ComponentError(self._message(status, t) + f" (step from t = {t:.9g} s, h = {h:.9g} s)")
+            raise ComponentError(self.status_text(status, t, h))
         if not all_finite(self._real_outputs, self._finite):
             self._check_outputs(f"at t = {t + h:.9g} s")
+
+    def status_text(self, status: int, t: float, h: float) -> str:
+        """The text for a status of the step from t to t + h [s]."""
+        return self._message(status, t) + f" (step from t = {t:.9g} s, h = {h:.9g} s)"
 
     def _message(self, status: int, t: float) -> str:
         text = self.model.message(status, record(self.data), t)

@@ -1,0 +1,90 @@
+"""A component in process as addresses: the compiled master calls its step without passing through Python.
+
+The structures are those that `orchestration.native` describes; nothing is imported from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from fmus.instance import ComponentError, Instance
+from fmus.interface import Port
+from models.declaration import COMPILER_OPTIONS, Model, kernel
+
+RAISED = -1
+"""Status for an exception inside compiled code: an index out of bounds."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Inputs or outputs of one type; they stand in the record, so there is no function to call."""
+
+    kind: str
+    buffer: int
+    places: tuple[int, ...]
+    function: int = 0
+    references: int = 0
+
+
+class Addresses:
+    """Where the record of an instance and its step function stand. Every status but 0 is an error."""
+
+    limit = 0
+
+    def __init__(self, instance: Instance) -> None:
+        self._instance = instance
+        self._function = _step_function(instance.model)  # kept: its code goes with it
+        self.instance: int = instance.data.ctypes.data
+        self.step: int = self._function.address
+        self.inputs = _blocks(instance.interface.inputs, self.instance)
+        self.outputs = _blocks(instance.interface.outputs, self.instance)
+
+    def failed(self, what: str, block: int, status: int, t: float, h: float) -> ComponentError:
+        """The error for a status of the step from `t` of `h` [s], worded as `Instance.step` words it."""
+        if status == RAISED:
+            name = self._instance.name
+            return ComponentError(f"{name}: exception in the step from t = {t:.9g} s: an index out of bounds; loop = 'python' says more")
+        return ComponentError(self._instance.status_text(status, t, h))
+
+
+def _blocks(ports: Sequence[Port], record: int) -> list[Block]:
+    """Runs of ports of one type that stand next to each other in the record, as long as possible."""
+    found: list[list[Any]] = []
+    for i, p in enumerate(ports):
+        kind = "float64" if p.type == "real" else "int64"
+        if found and found[-1][0] == kind and found[-1][3] == p.reference:
+            found[-1][2].append(i)
+            found[-1][3] += 1
+        else:
+            found.append([kind, record + p.offset, [i], p.reference + 1])
+    return [Block(kind, buffer, tuple(places)) for kind, buffer, places, _ in found]
+
+
+_FUNCTIONS: dict[Any, Any] = {}
+
+
+def _step_function(model: Model) -> Any:
+    """`int f(record *, double t, double h, int)`: the model's step as a C function, compiled once per process and kept on disk."""
+    if model.step not in _FUNCTIONS:
+        import numba
+        from numba import cfunc, types
+
+        from models.cache import compiled_code
+
+        record: Any = numba.from_dtype(model.dtype)  # Numba hands records on as the pointers that they are
+        signature = types.int32(record, types.float64, types.float64, types.int32)
+        options = {**COMPILER_OPTIONS, "cache": True}
+        with compiled_code(model.init, model.step):
+            model_step = kernel(model.step)
+
+            def step(s: Any, t: float, h: float, _: int) -> int:
+                try:
+                    return model_step(s, t, h)
+                except Exception:
+                    return -1
+
+            step.__qualname__ = f"{model.name}_step_address"  # name of its cache file
+            _FUNCTIONS[model.step] = cfunc(signature, **options)(step)
+    return _FUNCTIONS[model.step]
