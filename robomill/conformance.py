@@ -37,6 +37,9 @@ STEP = 0.004
 """Communication step where the FMU does not name one [s]."""
 TIMEOUT = 300.0
 """Time for one FMU, all checks together [s]."""
+_RUNNABLE = "units and descriptions"
+"""The first check of an FMU that can be run: of the right kind, with a description that can be read."""
+_SHOWN_PROBLEMS = 3
 _TYPES = ("Real", "Integer", "Boolean")
 _LABELS = ("OK", "warning", "discard", "error", "fatal", "pending")
 
@@ -72,7 +75,7 @@ def check_fmu(file: str | Path, timeout: float = TIMEOUT) -> list[Result]:
     if not path.is_file():
         raise FileNotFoundError(f"{file}: no such file")
     results = list(_static_checks(path))
-    if any(r.check in ("archive", "model description") and not r.passed for r in results):
+    if not any(r.check == _RUNNABLE for r in results):
         return results
     with tempfile.TemporaryDirectory(prefix="robomill_check_", ignore_cleanup_errors=True) as folder:
         return results + _dynamic_checks(path, Path(folder), timeout)
@@ -109,7 +112,9 @@ def _static_checks(path: Path) -> Iterator[Result]:
         yield Result("model description", "failed", f"FMI {md.fmiVersion}, {kind}; FMI 2.0 co-simulation is needed")
         return
     if problems:
-        yield Result("model description", "failed", f"{len(problems)} problems: {problems[0]}")
+        # what follows does not need a description without fault, and says more about the FMU
+        shown = "; ".join(problems[:_SHOWN_PROBLEMS]) + ("; ..." if len(problems) > _SHOWN_PROBLEMS else "")
+        yield Result("model description", "failed", f"{len(problems)} problem{'s' * (len(problems) > 1)}: {shown}")
     else:
         yield Result("model description", "passed", f"{len(md.modelVariables)} variables, no problem found by FMPy")
     yield _documented(md)

@@ -154,12 +154,14 @@ def forces(result: Result) -> Figure:
     for label, (force, colour, width) in size.items():
         ax.plot(run.t, np.linalg.norm(force, axis=1), color=colour, lw=width, label=label)
     blend = ax.twinx()
-    blend.fill_between(run.t, run["controller.pilot_blend"], color="tab:red", alpha=0.12, lw=0)
+    if np.any(run["controller.pilot_blend"] > 0.0):
+        blend.fill_between(run.t, run["controller.pilot_blend"], color="tab:red", alpha=0.12, lw=0)
+        ax.fill_between([], [], color="tab:red", alpha=0.12, lw=0, label="pilot blend (right axis)")
     blend.set(ylim=(0, 1), ylabel="pilot blend")
     ax.set(xlabel="time in s", ylabel="force magnitude in N", title=f"Force signals: {result.title}")
     if result.cuts:
         ax.set_xlim(result.cuts[0].start - 0.5, result.cuts[-1].end + 0.5)
-    ax.legend(fontsize=8, loc="upper left")
+    figure.legend(fontsize=8, loc="outside lower center", ncols=3)  # entry and exit, to be seen, fill the corners of the axes
     return figure
 
 
@@ -201,9 +203,19 @@ def projection(result: Result) -> Figure:
             label=label,
         )
     ax.set(aspect="equal", xlabel="x of the base in mm", ylabel="y of the base in mm", title="from above")
-    ax.margins(0.15)
-    ax.legend(fontsize=8)
+    if len(chosen) > 0:
+        tips = np.vstack([p[chosen, :2], p[chosen, :2] + 0.25 * v[chosen, :2], p[chosen, :2] + 10.0 * r[chosen, :2]])
+        for limits, low, high in ((ax.set_xlim, *_range(tips[:, 0])), (ax.set_ylim, *_range(tips[:, 1]))):
+            limits(1e3 * low, 1e3 * high)
+    figure.legend(*ax.get_legend_handles_labels(), fontsize=8, loc="outside lower right", ncols=3)
     return figure
+
+
+def _range(values: FloatArray, least: float = 0.04) -> tuple[float, float]:
+    """Bounds [m] that hold the values with room around them; a path straight along an axis gets `least` of width."""
+    middle, half = 0.5 * (values.min() + values.max()), 0.5 * (values.max() - values.min())
+    half = max(1.15 * half, 0.5 * least)
+    return middle - half, middle + half
 
 
 def load_cases(magnitudes: dict[str, FloatArray], titles: dict[str, str], paper: dict[str, float]) -> Figure:

@@ -48,6 +48,17 @@ def test_an_fmu_of_another_tool_is_judged_by_what_it_declares(tmp_path: Path) ->
 
 
 @needs_compiler
+def test_a_description_with_a_fault_does_not_hide_how_the_fmu_behaves(tmp_path: Path) -> None:
+    initial = "<InitialUnknowns>"
+    assert initial in c_fmu.DESCRIPTION
+    results = outcomes(tmp_path, description=c_fmu.DESCRIPTION.replace(f'{initial}<Unknown index="2"/>', initial))
+    assert results["model description"].outcome == "failed"
+    assert results["model description"].detail.startswith("1 problem: ModelStructure/InitialUnknowns")
+    assert results["repeated run"].outcome == "passed"
+    assert [r.check for r in results.values()][4:] == list(CHECKS)
+
+
+@needs_compiler
 def test_a_reset_that_does_nothing(tmp_path: Path) -> None:
     result = outcomes(tmp_path, (RESET, NO_RESET))["reset"]
     assert result.outcome == "failed"

@@ -1,0 +1,61 @@
+"""Pictures: what must be seen in them can be seen, also in special cases."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from robomill import pictures
+from robomill.evaluation import Cut, Result
+
+
+class _Run(dict[str, Any]):
+    """A straight cut along -x of the base, as the groove has it, with a correction across."""
+
+    def __init__(self, pilot: bool) -> None:
+        n = 50
+        self.t = np.arange(n) * 0.004
+        x = np.linspace(1.35, 1.25, n)
+        column = np.ones(n)
+        super().__init__(
+            {
+                "path.p_BT_B": np.column_stack([x, 0 * x, 0 * x]),
+                "path.v_BT_B": np.column_stack([-0.025 * column, 0 * x, 0 * x]),
+                "path.f_pilot_B": np.zeros((n, 3)),
+                "milling.depth": 0.01 * column,
+                "milling.f_T_B": np.column_stack([300 * column, -450 * column, 0 * x]),
+                "sensor.f_T_T": np.zeros((n, 3)),
+                "controller.f_used_B": np.zeros((n, 3)),
+                "controller.r_B": np.column_stack([-2e-4 * column, 1e-3 * column, 0 * x]),
+                "controller.r_v_B": np.column_stack([0 * x, 1e-3 * column, 0 * x]),
+                "controller.pilot_blend": 0.5 * column if pilot else 0 * x,
+            }
+        )
+
+
+class _Result:
+    title = "a case"
+    cuts = (Cut(0.0, 0.196),)
+
+    def __init__(self, pilot: bool = False) -> None:
+        self.run = _Run(pilot)
+
+
+def test_arrows_of_a_path_along_an_axis_are_inside_the_picture() -> None:
+    figure = pictures.projection(cast(Result, _Result()))
+    figure.canvas.draw()  # the aspect ratio may change the limits
+    ax = next(a for a in figure.axes if a.get_title() == "from above")
+    assert ax.get_ylim()[0] < 0.0
+    assert ax.get_ylim()[1] > 10.0  # 1 mm, ten times as long
+    assert ax.get_xlim()[0] < 1250.0 - 0.25 * 25.0
+    assert ax.get_window_extent().height > 40.0
+
+
+@pytest.mark.parametrize("pilot", [True, False])
+def test_the_pilot_blend_is_in_the_legend_where_there_is_one(pilot: bool) -> None:
+    figure = pictures.forces(cast(Result, _Result(pilot)))
+    labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    assert ("pilot blend (right axis)" in labels) is pilot
+    assert all(ax.get_legend() is None for ax in figure.axes)  # it would hide entry or exit
