@@ -8,8 +8,10 @@ The library speaks both versions and needs the C library only.
 from __future__ import annotations
 
 import hashlib
+import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Literal
 from uuid import UUID
@@ -63,9 +65,7 @@ def build(
         target /= f"{model.name}.fmu"
     interface = Interface(model)
     lowered = lower(model)
-    token = _token(interface, lowered)
-    sources = {f.name: f.read_bytes().replace(b"\r\n", b"\n") for f in sorted(SHIM.iterdir()) if f.suffix in (".c", ".h")}
-    sources["data.c"] = data_c(interface, token).encode()
+    token, sources = c_sources(interface, lowered)
     with tempfile.TemporaryDirectory(prefix="robomill_native_") as folder:
         linked = libraries(lowered.code, sources, model.name, platforms, Path(folder))
 
@@ -91,6 +91,35 @@ def build(
     return target
 
 
+def build_all(
+    models: Iterable[Model],
+    destination: str | Path,
+    *,
+    fmi: Literal[2, 3] = 2,
+    platforms: Sequence[str] = ("linux64",),
+    reference: Callable[[Model], Mapping[str, bytes]] = lambda _: {},
+    done: Callable[[Path], object] = lambda _: None,
+) -> list[Path]:
+    """`build` of several models into a folder, as many at a time as there are processors; their paths in the given order.
+
+    `reference` gives the files for documentation/reference of a model; `done` is called with each path. The first
+    NativeBuildError is raised after those that were under way are finished.
+    """
+
+    def one(model: Model) -> Path:
+        path = build(model, Path(destination) / f"{model.name}.fmu", fmi=fmi, platforms=platforms, reference=reference(model))
+        done(path)
+        return path
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        running = [pool.submit(one, model) for model in models]
+        try:
+            return [future.result() for future in running]
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
 def _options(model: Model, lowered: Lowered, token: str, tool: str) -> Options:
     return Options(
         identifier=model.name,
@@ -102,11 +131,16 @@ def _options(model: Model, lowered: Lowered, token: str, tool: str) -> Options:
     )
 
 
-def _token(interface: Interface, lowered: Lowered) -> str:
-    """GUID and instantiation token: a hash of all that decides what the library does; the same for every platform and FMI version."""
+def c_sources(interface: Interface, lowered: Lowered) -> tuple[str, dict[str, bytes]]:
+    """Token (the GUID, too) and C files of the library, name -> content.
+
+    The token is a hash of all that decides what the library does; it is the same for every platform and FMI version.
+    """
+    sources = {f.name: f.read_bytes().replace(b"\r\n", b"\n") for f in sorted(SHIM.iterdir()) if f.suffix in (".c", ".h")}
     digest = hashlib.sha256(lowered.code.encode())
     digest.update(model_description(interface, _options(interface.model, lowered, "", "")))
     digest.update(data_c(interface, "").encode())
-    for file in sorted(SHIM.iterdir()):
-        digest.update(file.read_bytes().replace(b"\r\n", b"\n"))
-    return f"{{{UUID(digest.hexdigest()[:32])}}}"
+    for content in sources.values():
+        digest.update(content)
+    token = f"{{{UUID(digest.hexdigest()[:32])}}}"
+    return token, {**sources, "data.c": data_c(interface, token).encode()}

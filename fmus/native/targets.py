@@ -126,12 +126,13 @@ def libraries(code: str, sources: Mapping[str, bytes], name: str, platforms: Seq
     """Shared libraries: platform -> FMI 3.0 platform tuple -> content. `sources` are C files and headers, `folder` is for the work."""
     zig = uses_zig(platforms)
     return {
-        platform: {s.fmi3: _link(code, sources, name, PLATFORMS[platform], s, folder / s.fmi3, zig) for s in PLATFORMS[platform].slices}
+        platform: {s.fmi3: link(code, sources, name, PLATFORMS[platform], s, folder / s.fmi3, zig) for s in PLATFORMS[platform].slices}
         for platform in platforms
     }
 
 
-def _link(code: str, sources: Mapping[str, bytes], name: str, platform: Platform, target: Slice, folder: Path, zig: bool) -> bytes:
+def link(code: str, sources: Mapping[str, bytes], name: str, platform: Platform, target: Slice, folder: Path, zig: bool) -> bytes:
+    """The shared library for one processor, made in the new folder `folder`. NativeBuildError with what the compiler says."""
     folder.mkdir(parents=True)
     for file, content in {**sources, "model.o": object_code(code, target)}.items():
         (folder / file).write_bytes(content)

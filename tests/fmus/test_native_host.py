@@ -19,11 +19,15 @@ import pytest
 from fmus.components import NAMES
 from fmus.in_process import InProcessSlave
 from fmus.interface import Interface
+from fmus.native.builder import c_sources
+from fmus.native.lower import lower
+from fmus.native.targets import PLATFORMS, Slice, link
 from models.declaration import FloatArray
 from tests.fmus import native_runs as runs
 
 SOURCE = Path(__file__).parent / "host.c"
 WINE = shutil.which("wine64") or next((str(p) for p in [Path("/usr/lib/wine/wine64")] if p.is_file()), None)
+QEMU, ARM = shutil.which("qemu-aarch64"), Path("/usr/aarch64-linux-gnu")
 ZIG = importlib.util.find_spec("ziglang") is not None
 Host = Callable[[str, Path, int, str], "subprocess.CompletedProcess[str]"]
 
@@ -75,22 +79,25 @@ def expected_lines(interface: Interface, out: FloatArray) -> list[str]:
     return [bits(row[i]) if p.type == "real" else str(int(row[i])) for row in out for i, p in shown]
 
 
-def compare(name: str, variant: str, file: Path, fmi: int, member: str, host: Host, folder: Path) -> None:
-    """Run the library `member` of an FMU in the host and in this process: the printed bits must be the same."""
+def compare(name: str, variant: str, library: Path, fmi: int, token: str, host: Host) -> None:
+    """Run a library in the host and the model in this process: the printed bits must be the same."""
     model = runs.model(name)
     interface = Interface(model)
     rows, values = runs.inputs(name, interface), runs.parameters(name, variant, model)
     out = runs.drive(InProcessSlave(model), len(interface.outputs), rows, values)
-    with zipfile.ZipFile(file) as archive:
-        library = Path(archive.extract(member, folder))
-    token = fmpy.read_model_description(str(file)).guid
     done = host(script(interface, rows, values), library, fmi, token)
     assert done.returncode == 0, done.stderr
     expected, found = expected_lines(interface, out), done.stdout.split()
     assert len(found) == len(expected)
     names = [p.name for p in interface.outputs if p.type != "boolean"]
     for k, (a, b) in enumerate(zip(expected, found, strict=True)):
-        assert a == b, f"{file.name}/{member}: {names[k % len(names)]} differs first in step {k // len(names)}: {a} here, {b} in the host"
+        assert a == b, f"{library.name}: {names[k % len(names)]} differs first in step {k // len(names)}: {a} here, {b} in the host"
+
+
+def extract(file: Path, member: str, folder: Path) -> tuple[Path, str]:
+    """A library of an FMU, and its GUID."""
+    with zipfile.ZipFile(file) as archive:
+        return Path(archive.extract(member, folder)), fmpy.read_model_description(str(file)).guid
 
 
 @pytest.fixture(scope="module")
@@ -137,12 +144,56 @@ def under_wine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Host]:
         subprocess.run([str(WINE), "wineboot", "-k"], env=environment, capture_output=True, timeout=60, check=False)
 
 
+@pytest.fixture(scope="module")
+def on_arm(tmp_path_factory: pytest.TempPathFactory) -> Host:
+    """The host as a program for 64-bit ARM under QEMU. Apple's processors cannot be had here: Linux with their instructions stands in."""
+    if QEMU is None or not ARM.is_dir() or not ZIG:
+        pytest.skip("needs QEMU (Debian: apt-get install qemu-user libc6-arm64-cross) and the package ziglang")
+    program = tmp_path_factory.mktemp("arm") / "host"
+    command = [
+        sys.executable,
+        "-m",
+        "ziglang",
+        "cc",
+        "-target",
+        "aarch64-linux-gnu.2.31",
+        "-O1",
+        "-s",
+        str(SOURCE),
+        "-o",
+        str(program),
+        "-ldl",
+    ]
+    subprocess.run(command, check=True)
+
+    def run(commands: str, library: Path, fmi: int, token: str) -> subprocess.CompletedProcess[str]:
+        arguments = [str(QEMU), "-L", str(ARM), str(program), str(library), str(fmi), token, "host"]
+        return subprocess.run(arguments, input=commands, capture_output=True, text=True, timeout=300, check=False)
+
+    return run
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["demo", *NAMES])
+def test_arm_gives_the_same_bits_under_qemu(name: str, on_arm: Host, tmp_path: Path) -> None:
+    interface = Interface(runs.model(name))
+    lowered = lower(interface.model)
+    token, sources = c_sources(interface, lowered)
+    target = Slice("aarch64-unknown-linux-gnu", "apple-m1", "aarch64-linux-gnu.2.31")
+    library = link(lowered.code, sources, name, PLATFORMS["linux64"], target, tmp_path / "work", True)
+    file = tmp_path / f"{name}.so"
+    file.write_bytes(library)
+    for variant in runs.VARIANTS:
+        compare(name, variant, file, 2, token, on_arm)
+
+
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_c_program_without_python_gets_the_numbers_of_the_model(
     fmi: Literal[2, 3], built_native: Callable[..., Path], here: Host, tmp_path: Path
 ) -> None:
     folder = {2: "linux64", 3: "x86_64-linux"}[fmi]
-    compare("sensor_chain", "golden", built_native("sensor_chain", fmi), fmi, f"binaries/{folder}/sensor_chain.so", here, tmp_path)
+    library, token = extract(built_native("sensor_chain", fmi), f"binaries/{folder}/sensor_chain.so", tmp_path)
+    compare("sensor_chain", "golden", library, fmi, token, here)
 
 
 @pytest.mark.slow
@@ -153,14 +204,12 @@ def test_every_component_in_a_c_program(
     name: str, fmi: Literal[2, 3], variant: str, built_native: Callable[..., Path], here: Host, tmp_path: Path
 ) -> None:
     folder = {2: "linux64", 3: "x86_64-linux"}[fmi]
-    compare(name, variant, built_native(name, fmi), fmi, f"binaries/{folder}/{name}.so", here, tmp_path)
+    library, token = extract(built_native(name, fmi), f"binaries/{folder}/{name}.so", tmp_path)
+    compare(name, variant, library, fmi, token, here)
 
 
 def test_the_c_program_sees_errors(built_native: Callable[..., Path], here: Host, tmp_path: Path) -> None:
-    file = built_native("demo")
-    with zipfile.ZipFile(file) as archive:
-        library = Path(archive.extract("binaries/linux64/demo.so", tmp_path))
-    token = fmpy.read_model_description(str(file)).guid
+    library, token = extract(built_native("demo"), "binaries/linux64/demo.so", tmp_path)
     interface = Interface(runs.model("demo"))
     x = interface.by_name["x[1]"].reference
     commands = f"E X R {x} 1 {bits(1.5)} D {bits(0.0)} {bits(0.004)}\n"
@@ -175,6 +224,6 @@ def test_the_c_program_sees_errors(built_native: Callable[..., Path], here: Host
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["demo", *NAMES])
 def test_win64_gives_the_same_bits_under_wine(name: str, built_native: Callable[..., Path], under_wine: Host, tmp_path: Path) -> None:
-    file = built_native(name, 2, ("win64",))
+    library, token = extract(built_native(name, 2, ("win64",)), f"binaries/win64/{name}.dll", tmp_path)
     for variant in runs.VARIANTS:
-        compare(name, variant, file, 2, f"binaries/win64/{name}.dll", under_wine, tmp_path)
+        compare(name, variant, library, 2, token, under_wine)
