@@ -6,6 +6,7 @@ from pathlib import Path
 
 from fmus.components import COMPONENTS
 from fmus.in_process import InProcessSlave
+from models.applied_load import MODEL as APPLIED_LOAD
 from models.units import UNITS, compatible, from_si, to_si
 from orchestration.slave import Slave
 from orchestration.system import System
@@ -13,8 +14,11 @@ from orchestration.system import System
 
 def resolve(source: str, name: str) -> Slave:
     """The in-process component `source` as a slave called `name`; LookupError lists what there is."""
+    if source == "applied_load":  # for experiments; no component of the twin, so no FMU is built of it
+        return InProcessSlave(APPLIED_LOAD, name)
     if source not in COMPONENTS:
-        raise LookupError(f"there is no component {source!r}; components: {', '.join(COMPONENTS)}; or name an .fmu file, or replay:FOLDER")
+        known = ", ".join([*COMPONENTS, "applied_load"])
+        raise LookupError(f"there is no component {source!r}; components: {known}; or name an .fmu file, or replay:FOLDER")
     return InProcessSlave(COMPONENTS[source], name)
 
 

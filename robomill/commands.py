@@ -31,7 +31,7 @@ from orchestration.assembly import run as run_once
 from orchestration.results import Run
 from orchestration.ssp_import import open_ssp
 from orchestration.system import System
-from robomill import conformance, milling, ssp, static_loads
+from robomill import conformance, experiments, milling, ssp, static_loads
 from robomill.binding import convert, resolve, with_fmus
 from robomill.evaluation import Result, evaluate
 from robomill.scenario import Scenario, ScenarioError, load_scenario
@@ -60,6 +60,8 @@ def run(options: Namespace) -> int:
         is_scenario = False  # the system loader names the line
     if not is_scenario:
         return _run_system(System.load(options.file, convert), options)
+    if experiments.is_experiment(options.file):
+        return _run_experiment(options)
     scenario = _chosen(load_scenario(options.file), options.variant)
     folder = options.out or RESULTS / scenario.name
     folder.mkdir(parents=True, exist_ok=True)
@@ -74,6 +76,27 @@ def _chosen(scenario: Scenario, names: Sequence[str] | None) -> Scenario:
     if unknown:
         raise ScenarioError(f"{scenario.file}: no variant {', '.join(unknown)}; variants: {', '.join(known)}")
     return replace(scenario, variants=tuple(known[n] for n in names))
+
+
+def _run_experiment(options: Namespace) -> int:
+    experiment = experiments.load_experiment(options.file)
+    folder = options.out or RESULTS / experiment.name
+    with _progress(options.json) as report:
+        summary = experiments.run_experiment(experiment, folder, options.variant, options.fmus, options.csv, report)
+    _write(folder / "summary.json", summary)
+    if options.json:
+        print(json.dumps(summary, indent=1))
+        return 0
+    table = Table(title=experiment.title, title_justify="left", box=SIMPLE)
+    for heading in ("condition", "repeat", "duration\ns", "largest displacement\nmm", "largest force\nN"):
+        table.add_column(heading, justify="left" if heading == "condition" else "right")
+    for r in summary["runs"]:
+        figures = (f"{r['duration_s']:.1f}", f"{1e3 * r['max_displacement_m']:.3f}", f"{r['max_force_n']:.0f}")
+        table.add_row(r["condition"], str(r["repeat"]), *figures)
+    console = _console()
+    console.print(table)
+    console.print(f"{len(summary['runs'])} runs are in {folder}/", highlight=False)
+    return 0
 
 
 def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:

@@ -38,6 +38,8 @@ ComponentParameters = Mapping[str, Mapping[str, Any]]
 """component -> parameter -> value as written; checked and converted against the component's ports when the system is assembled."""
 
 KINDS = ("milling", "static_loads")
+PLAIN_OFFSETS: Mapping[int, Vector] = {54: (0.0, 0.0, 0.0)}
+"""Work offsets where a scenario names none."""
 _SECTIONS = {"scenario", "parameters", "workpiece", "variants", "paper"}
 _PAPER_UNITS = {"_m": "m", "_n": "N", "_s": "s", "_percent": "%"}
 
@@ -56,6 +58,8 @@ class Workpiece:
     """Extent along x, y, z of P [m]."""
     abc: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Orientation of P in B: A, B, C [rad]."""
+    work_offsets: Mapping[int, Vector] = field(default_factory=lambda: dict(PLAIN_OFFSETS))
+    """Origins of G54 (54) .. G59 (59) in P [m]; G54 is the origin of P unless it is named."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,7 @@ def load_scenario(path: str | Path) -> Scenario:
     _keys(file, "the file", table, required={"scenario"}, optional=_SECTIONS - {"scenario"})
     head = _keys(file, "[scenario]", table["scenario"], required={"name", "kind", "system"}, optional={"title", "program"})
     if head["kind"] not in KINDS:
-        raise ScenarioError(f"{file}: [scenario] kind is {head['kind']!r}; known kinds: {', '.join(KINDS)}")
+        raise ScenarioError(f"{file}: [scenario] kind is {head['kind']!r}; known kinds: {', '.join(KINDS)}, experiment")
     milling = head["kind"] == "milling"
     for key, there in (("program", "program" in head), ("workpiece", "workpiece" in table), ("variants", bool(table.get("variants")))):
         if milling and not there:
@@ -156,7 +160,7 @@ def _vector(file: Path, where: str, values: Any, unit: str) -> tuple[float, floa
 
 
 def _workpiece(file: Path, table: Any) -> Workpiece:
-    _keys(file, "[workpiece]", table, required={"position", "size"}, optional={"abc"})
+    _keys(file, "[workpiece]", table, required={"position", "size"}, optional={"abc", "work_offsets"})
     size = _vector(file, "[workpiece] size", table["size"], "m")
     if min(size) <= 0.0:
         raise ScenarioError(f"{file}: [workpiece] size = {table['size']!r}; expected three positive lengths")
@@ -164,7 +168,16 @@ def _workpiece(file: Path, table: Any) -> Workpiece:
         _vector(file, "[workpiece] position", table["position"], "m"),
         size,
         _vector(file, "[workpiece] abc", table.get("abc", [0.0, 0.0, 0.0]), "rad"),
+        _work_offsets(file, table.get("work_offsets", {})),
     )
+
+
+def _work_offsets(file: Path, table: Any) -> dict[int, Vector]:
+    """`{G55 = ["10 mm", 0, 0]}` as the reader of programs takes it."""
+    known = {f"G{n}": n for n in range(54, 60)}
+    _keys(file, "[workpiece] work_offsets", table, required=set(), optional=set(known))
+    given = {known[name]: _vector(file, f"[workpiece] work_offsets.{name}", value, "m") for name, value in table.items()}
+    return {**PLAIN_OFFSETS, **given}
 
 
 def _parameters(file: Path, where: str, table: Any) -> ComponentParameters:
