@@ -8,8 +8,9 @@ progress and checkpoints.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,9 @@ from orchestration.slave import FloatArray, Slave
 from orchestration.system import TICK
 from orchestration.wiring import Wiring
 
+_FIRST_CHUNK = 8
+_CHUNK_TIME = 0.05  # s of wall clock between two looks at Ctrl-C and progress
+_ROW_BYTES = 1_600_000  # of the rows of a chunk: what stays in the cache
 Gather = Mapping[str, npt.NDArray[np.intp]]
 
 
@@ -35,11 +39,21 @@ class Chunk:
     in_range: bool = True
     """False: in the step after those made an output is not finite or out of its range."""
 
+    def show(self, observers: Sequence[Any]) -> None:
+        """Hand the rows to observers: at once where they take that, else one by one."""
+        for o in observers:
+            take_all = getattr(o, "observe_rows", None)
+            if take_all is not None:
+                take_all(self.rows)
+            else:
+                for row in self.rows:
+                    o.observe(float(row[0]), row[1:])
+
 
 class CompiledLoop:
     """Steps the slaves of a master on its bus. They have made their first step in Python, which leaves initialisation.
 
-    `bounds` of all outputs; `capacity` rows per chunk.
+    `bounds` of all outputs; at most `capacity` rows per chunk.
     """
 
     def __init__(
@@ -49,11 +63,12 @@ class CompiledLoop:
         jacobi: bool,
         bus: FloatArray,
         bounds: tuple[FloatArray, FloatArray],
-        capacity: int,
+        capacity: int | None = None,
     ) -> None:
         self._slaves, self._wiring, self._bus, self._bounds = slaves, wiring, bus, bounds
         self._natives = [_native(slave) for slave in slaves.values()]
-        self.capacity = capacity
+        capacity = capacity or min(max(_ROW_BYTES // (8 + 8 * wiring.n_outputs), 16), 4096)
+        self.capacity, self._steps = capacity, _FIRST_CHUNK
         # One column per signal, as they are written. Two sets: a recorder may still write one while the other is filled.
         # An odd number of cache lines each keeps the columns from falling on the same places of the cache.
         length = 8 * (-(-capacity // 8) | 1)
@@ -79,8 +94,8 @@ class CompiledLoop:
             self._operations[o, compiled.FIRST] = first
             first += len(call.places)
 
-    def advance(self, steps: int, start: int, step: int, done: int, watched: int, gather: Gather) -> Chunk:
-        """Make up to `steps` steps, no more than there is room for: `start`, `step` [ticks] and `done` [steps] as the master counts them.
+    def advance(self, steps: float, start: int, step: int, done: int, watched: int, gather: Gather) -> Chunk:
+        """Make up to `steps` steps, no more than the pace allows: `start`, `step` [ticks] and `done` [steps] as the master counts them.
 
         The output `watched` (-1 = none) ends the chunk when it is not zero. `gather` says where the inputs of each component stand.
         """
@@ -92,7 +107,7 @@ class CompiledLoop:
         self._columns.reverse()
         columns = self._columns[0]
         made = compiled.advance(
-            min(steps, self.capacity),
+            int(min(steps, self._steps)),
             self._ticks,
             bool(self._rated),
             self._wiring.any_delayed,
@@ -116,6 +131,13 @@ class CompiledLoop:
             t = (start + (done + made) * step) / TICK
             failed = names[call.component], self._natives[call.component].failed(call.phase, call.number, status, t, step / TICK)
         return Chunk(columns[:, :made].T, failed, outcome != compiled.VIOLATED)
+
+    def pace(self, elapsed: float) -> None:
+        """Longer or shorter chunks from now on: the last one, with all that belongs to it, took `elapsed` s of wall clock."""
+        if elapsed > 2.0 * _CHUNK_TIME:
+            self._steps = max(self._steps // 2, 1)
+        elif elapsed < _CHUNK_TIME:
+            self._steps = min(2 * self._steps, self.capacity)
 
     def _prepare(self, gather: Gather) -> None:
         """Write the table of operations: between two chunks overrides may have moved inputs."""

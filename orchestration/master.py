@@ -35,9 +35,6 @@ Progress = Callable[[int, int], object]
 if TYPE_CHECKING:
     from orchestration.chunks import CompiledLoop
 
-_FIRST_CHUNK = 8
-_CHUNK_TIME = 0.05  # s of wall clock between two looks at Ctrl-C and progress
-_ROW_BYTES = 1_600_000  # of the rows of a chunk: what stays in the cache
 _WORTH_NUMBA = 20_000  # steps that repay importing Numba, where nobody else has
 _MAX_TICKS = 2**53  # whole numbers that float64 holds exactly
 
@@ -110,7 +107,7 @@ class Master:
         self._current = ""  # component being called, for messages
         self._advance = self._jacobi if algorithm == "jacobi" else self._gauss_seidel
         self._plan = [(name, s, self._gather[name], self._u[name], self._y[name]) for name, s in self._slaves.items()]
-        self._wanted_loop, self._chunk_steps = loop, _FIRST_CHUNK
+        self._wanted_loop = loop
         self._compiled: CompiledLoop | None = None
         self._iterated: Iterated | None = None
         if algorithm == "iterated":
@@ -307,30 +304,18 @@ class Master:
         if self._compiled is None:
             from orchestration.chunks import CompiledLoop  # it needs Numba, which takes half a second to import
 
-            capacity = min(max(_ROW_BYTES // (8 + self._fresh.nbytes), 16), 4096)
             jacobi = self.algorithm == "jacobi"
-            self._compiled = CompiledLoop(self._slaves, self.wiring, jacobi, self._bus, self._guard.bounds, capacity)
-        steps = int(min(room, self._chunk_steps))
+            self._compiled = CompiledLoop(self._slaves, self.wiring, jacobi, self._bus, self._guard.bounds)
         k = -1 if watched is None else watched
-        chunk = self._compiled.advance(steps, self._start_ticks, self._step_ticks, self._done, k, self._gather)
+        chunk = self._compiled.advance(room, self._start_ticks, self._step_ticks, self._done, k, self._gather)
         self._done += len(chunk.rows)
-        for o in self._observers:
-            hand_over = getattr(o, "observe_rows", None)
-            if hand_over is not None:
-                hand_over(chunk.rows)
-            else:
-                for row in chunk.rows:
-                    o.observe(float(row[0]), row[1:])
+        chunk.show(self._observers)
         if chunk.failed is not None:
             self._current, error = chunk.failed
             raise self._failure(error, f"in the step from t = {self.time:.9g} s", self._guard.problem(self._fresh)) from error
         if not chunk.in_range:
             raise self._violation((self._start_ticks + (self._done + 1) * self._step_ticks) / TICK)
-        elapsed = time.perf_counter() - began
-        if elapsed > 2 * _CHUNK_TIME:
-            self._chunk_steps = max(steps // 2, 1)
-        elif elapsed < _CHUNK_TIME and steps == self._chunk_steps:
-            self._chunk_steps = min(2 * steps, self._compiled.capacity)
+        self._compiled.pace(time.perf_counter() - began)
 
     def override(self, name: str, value: float) -> None:
         """Give the input `component.port` a value from now on, instead of what it is connected to."""

@@ -9,8 +9,9 @@ a recording (`orchestration.replay`). The master calls it in this order::
     [ set_inputs(u); step(t, h); get_outputs(y) ] ...  # the first step leaves initialisation
     close()                                            # always, also after an error; may be repeated
 
-A slave may also have `leave_initialisation()`: what its first step does before it steps. It is called
-where a state is saved, or set, that is not one of initialisation.
+A slave may also have `native()`: addresses for the compiled loop (`orchestration.native`). And
+`leave_initialisation()`: what its first step does before it steps, called where a state is saved, or
+set, that is not one of initialisation.
 
 `Slave` and `Port` are protocols: who implements them need not import this file. Ports are scalars.
 An element of an array is a port called `base[1]`, `base[2]` or `base[1,2]` (counted from one); the
