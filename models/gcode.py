@@ -290,7 +290,10 @@ def _execute(block: _Block, state: _State, actions: list[Move | Dwell], toleranc
         number = int(g["work offset"])
         if number not in offsets:
             given = " ".join(f"G{n}" for n in sorted(offsets))
-            raise block.error(f"'G{number}', for which no origin is given", f"given: {given}; name the others as work_offsets")
+            raise block.error(
+                f"'G{number}', for which no origin is given",
+                f"given: {given}; name it in the scenario: [workpiece] work_offsets = {{ G{number} = [x, y, z] }}",
+            )
         state.offset = offsets[number]
     if "path control" in g:
         _path_control(block, state, words, tolerance)

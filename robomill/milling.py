@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -20,6 +21,8 @@ from models import gcode, point_path
 from models.declaration import FloatArray
 from models.trajectory import Placement, Plan, pilot_table, plan
 from orchestration.assembly import run
+from orchestration.errors import SlaveError
+from orchestration.fmu_description import open_fmu
 from orchestration.results import Run
 from orchestration.system import Connection, System
 from orchestration.wiring import Wiring
@@ -76,19 +79,21 @@ def prepare(
     if scenario.program.suffix == ".toml":
         planned = plan(point_path.read_points(scenario.program), placement)
     else:
-        planned = plan(gcode.read(scenario.program), placement)
+        planned = plan(gcode.read(scenario.program, work_offsets=workpiece.work_offsets), placement)
     folder = Path(folder)
     (folder / "plan").mkdir(parents=True, exist_ok=True)
-    segments, pilot = folder / "plan" / "segments.npy", folder / "plan" / "pilot.npy"
+    segments, pilot = ((folder / "plan" / f"{name}.npy").resolve() for name in ("segments", "pilot"))  # also found from elsewhere
     np.save(segments, planned.table)
 
     system = System.load(scenario.system, convert)
     _require(system)
-    system = system.with_parameters("path", {"segments": str(segments)})
+    if not _is_recording(system, "path"):
+        system = system.with_parameters("path", {"segments": str(segments)})
     quaternion = np.roll(Rotation.from_matrix(placement.R_BP).as_quat(canonical=True), 1)
-    system = system.with_parameters(
-        "milling", {"p_BP_B": list(workpiece.position), "quat_BP": quaternion.tolist(), "block_size": list(workpiece.size)}
-    )
+    if not _is_recording(system, "milling"):
+        system = system.with_parameters(
+            "milling", {"p_BP_B": list(workpiece.position), "quat_BP": quaternion.tolist(), "block_size": list(workpiece.size)}
+        )
     system = with_parameters(system, scenario.parameters)
     if fmus is not None:
         system = with_fmus(system, fmus)
@@ -96,7 +101,7 @@ def prepare(
         system = replace(system, recording=replace(system.recording, checkpoint_every=checkpoint_every))
     job = Job(scenario, workpiece, planned, system, folder, resume)
     np.save(pilot, _pilot(job, progress))
-    return replace(job, system=system.with_parameters("path", {"pilot": str(pilot)}))
+    return job if _is_recording(system, "path") else replace(job, system=system.with_parameters("path", {"pilot": str(pilot)}))
 
 
 def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool = False) -> tuple[Run, float]:
@@ -173,6 +178,19 @@ def _require(system: System) -> None:
     missing = [part for part in PARTS if part not in names]
     if missing:
         raise ScenarioError(f"{system.file}: a milling scenario needs components named {', '.join(PARTS)}; missing: {', '.join(missing)}")
+
+
+def _is_recording(system: System, name: str) -> bool:
+    """Whether a component is a replay FMU (`robomill build --replay`), which has neither program nor workpiece as parameters."""
+    source = system.component(name).source
+    if not source.endswith(".fmu"):
+        return False
+    with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        try:
+            ports = open_fmu(system.folder / source, Path(folder)).ports
+        except SlaveError:  # the run says so, and where the FMU is named
+            return False
+    return any(p.name == "recording" and p.causality == "parameter" for p in ports)
 
 
 def with_parameters(system: System, parameters: ComponentParameters) -> System:

@@ -11,6 +11,7 @@ A scenario is TOML. Physical values carry their unit (``"0.2 mm"``) or are plain
     [workpiece]
     position = ["1595 mm", "-18 mm", "1099 mm"]   # centre of its top surface, in the robot base
     size = ["100 mm", "60 mm", "30 mm"]
+    work_offsets = { G55 = ["10 mm", 0, 0] }      # if the program needs others than G54, which is that centre
 
     [parameters]                        # for every variant: component, parameter, value
     controller.mode = 0
@@ -31,6 +32,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from models.gcode import Vector
 from orchestration.parameters import quantity
 from robomill.binding import convert
 

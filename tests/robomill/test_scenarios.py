@@ -10,6 +10,8 @@ import pytest
 
 from fmus.components import COMPONENTS
 from fmus.python.builder import build
+from models import gcode
+from models.replay import replay_model
 from models.surface import cut_height_map
 from models.validation_loads import validation_loads
 from orchestration.results import Run
@@ -51,6 +53,20 @@ class TestSwapping:
         system = job.system.with_source(component, f"replay:{job.folder / variant.name}")
         swapped, _ = milling.mill(replace(job, system=system, folder=tmp_path), variant)
         assert_equal(usual, swapped)
+
+    @pytest.mark.parametrize("component", ["path", "milling"])
+    def test_a_replay_fmu_has_no_program_and_no_workpiece(self, job, component, tmp_path):
+        """From the preparation on: the scenario's own parameters go to what can take them."""
+        variant = job.scenario.variants[1]
+        usual, _ = milling.mill(job, variant)
+        model = COMPONENTS[job.system.component(component).source]
+        outputs = {v.name: usual[f"{component}.{v.name}"] for v in model.variables if v.causality == "output"}
+        fmu = build(replay_model(model, usual.t, outputs), tmp_path)
+        system = (SCENARIOS / "milling_cell.toml").read_text().replace(f'source = "{model.name}"', f'source = "{fmu}"')
+        (tmp_path / "cell.toml").write_text(system)
+        scenario = replace(job.scenario, system=tmp_path / "cell.toml", parameters={})
+        swapped, _ = milling.mill(milling.prepare(scenario, tmp_path / "results"), variant)
+        assert np.array_equal(swapped["compliance.p_BT_B"], usual["compliance.p_BT_B"])
 
     @pytest.mark.slow
     @pytest.mark.parametrize("component", ["path", "drive", "compliance", "milling", "sensor", "controller"])
@@ -108,6 +124,36 @@ class TestStaticLoads:
     def test_the_component_gives_what_the_model_gives(self):
         _, magnitudes = run_static_loads(load_scenario(SCENARIOS / "static_loads.toml"))
         assert magnitudes["calculated"] == pytest.approx(validation_loads().magnitude, rel=ROUNDOFF)
+
+
+class TestWorkOffsets:
+    """G54 is the origin of the workpiece; the scenario says where the others are."""
+
+    def test_a_program_in_g55_is_moved_by_its_origin(self, tmp_path):
+        for name in ("milling_cell.toml", "groove.ngc"):
+            (tmp_path / name).write_text((SCENARIOS / name).read_text().replace("G54", "G55"))
+        text = (
+            (SCENARIOS / "groove.toml")
+            .read_text()
+            .replace("[workpiece]", '[workpiece]\nwork_offsets = { G55 = ["1 mm", 0, "-0.002 m"] }', 1)
+        )
+        (tmp_path / "moved.toml").write_text(text)
+        scenario = load_scenario(tmp_path / "moved.toml")
+        assert scenario.workpiece is not None
+        assert scenario.workpiece.work_offsets == {54: (0.0, 0.0, 0.0), 55: (1e-3, 0.0, -2e-3)}
+        moved = gcode.read(tmp_path / "groove.ngc", work_offsets=scenario.workpiece.work_offsets).actions[0]
+        plain = gcode.read(SCENARIOS / "groove.ngc").actions[0]
+        assert isinstance(moved, gcode.Move)
+        assert isinstance(plain, gcode.Move)
+        assert moved.start == pytest.approx(np.add(plain.start, (1e-3, 0.0, -2e-3)), rel=ROUNDOFF)
+
+    def test_an_unknown_name_is_refused(self, tmp_path):
+        for name in ("milling_cell.toml", "groove.ngc"):
+            (tmp_path / name).write_text((SCENARIOS / name).read_text())
+        text = (SCENARIOS / "groove.toml").read_text().replace("[workpiece]", "[workpiece]\nwork_offsets = { G60 = [0, 0, 0] }", 1)
+        (tmp_path / "bad.toml").write_text(text)
+        with pytest.raises(ScenarioError, match=r"work_offsets: unknown: G60; known keys: G54, G55"):
+            load_scenario(tmp_path / "bad.toml")
 
 
 class TestBadFiles:
