@@ -200,6 +200,28 @@ class TestSameNumbers:
         same_content(tmp_path / "whole", tmp_path / "r")
         assert np.ptp(result["x.y"]) > 0.0
 
+    @pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel"])
+    def test_the_compiled_loop(self, tmp_path, algorithm):
+        """Saved and continued in either loop: the checkpoints are the same, too."""
+        if c_fmu.compiler() is None:
+            pytest.skip("no C compiler here")
+        file = str(c_fmu.build(tmp_path))
+        components = tuple(Component(n, file, {"gain": g}, every=e) for n, g, e in (("a", 2.0, 1), ("b", 3.0, 1), ("c", 4.0, 7)))
+        connections = (
+            Connection("a.twice", "b.u"),
+            Connection("b.twice", "c.u", delayed=True),
+            Connection("c.n", "a.offset", delayed=True),
+        )
+        made = System("fmus", STEP, components, connections, algorithm, recording=Recording(checkpoint_every=3, every=2, chunk=7))
+        run(replace(made, loop="python", recording=Recording(every=2)), tmp_path / "whole", stop=STOP)
+        for first, second in (("compiled", "python"), ("python", "compiled"), ("compiled", "compiled")):
+            folder = tmp_path / f"{first}-{second}"
+            run(made, folder, stop=0.5, loop=first)
+            assert read(folder).done == 48
+            assert run(made, folder, stop=STOP, loop=second, resume=True).info["resumed"] == [0.48]
+            assert read(folder).done == 99
+            same_content(tmp_path / "whole", folder)
+
 
 class TestWhatResumeFinds:
     """A finished run is not run again; nothing to go on from means from the beginning."""
