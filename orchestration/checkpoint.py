@@ -53,7 +53,10 @@ class Snapshot:
 
 
 def write(folder: Path, snapshot: Snapshot) -> None:
-    """Replace the checkpoint in `folder` by one of `snapshot`. SlaveError names a component whose state cannot be written."""
+    """Replace the checkpoint in `folder` by one of `snapshot`. SlaveError names a component whose state cannot be written.
+
+    ResultsError if the disk refuses; the checkpoint before stays then.
+    """
     blobs: list[bytes] = []
     states = {}
     for name, state in snapshot.states.items():
@@ -74,14 +77,18 @@ def write(folder: Path, snapshot: Snapshot) -> None:
         "states": states,
     }
     part = folder / (CHECKPOINT + ".part")
-    with part.open("wb") as stream:
-        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-            archive.writestr("checkpoint.json", json.dumps(content))
-            for i, blob in enumerate(blobs):
-                archive.writestr(f"{i}.bin", blob)
-        stream.flush()
-        os.fsync(stream.fileno())  # else the rename may reach the disk before the content
-    part.replace(folder / CHECKPOINT)
+    try:
+        with part.open("wb") as stream:
+            with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+                archive.writestr("checkpoint.json", json.dumps(content))
+                for i, blob in enumerate(blobs):
+                    archive.writestr(f"{i}.bin", blob)
+            stream.flush()
+            os.fsync(stream.fileno())  # else the rename may reach the disk before the content
+        part.replace(folder / CHECKPOINT)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise ResultsError(f"{folder / CHECKPOINT}: the checkpoint at t = {snapshot.time:.9g} s cannot be written: {error}") from None
 
 
 def read(folder: Path) -> Snapshot:

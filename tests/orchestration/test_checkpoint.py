@@ -356,9 +356,10 @@ class TestFile:
     def test_is_replaced_as_a_whole(self, tmp_path, monkeypatch):
         write(tmp_path, Snapshot(1, 0, 1, np.zeros(1), {}, {}))
         monkeypatch.setattr("os.fsync", lambda number: (_ for _ in ()).throw(OSError("disk full")))
-        with pytest.raises(OSError, match="disk full"):
+        with pytest.raises(ResultsError, match=r"checkpoint.zip: the checkpoint at t = 2e-09 s cannot be written: disk full"):
             write(tmp_path, Snapshot(2, 0, 1, np.zeros(1), {}, {}))
         assert read(tmp_path).done == 1
+        assert [f.name for f in tmp_path.iterdir()] == ["checkpoint.zip"]
 
     def test_holds_no_code(self, tmp_path):
         write(tmp_path, Snapshot(1, 0, 1, np.zeros(1), {}, {"x": (1, b"2")}))

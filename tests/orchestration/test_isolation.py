@@ -39,6 +39,7 @@ def fmus(tmp_path_factory) -> dict[str, Path]:
     made = {"good": c_fmu.build(tmp_path_factory.mktemp("good"))}
     sources = {name: c_fmu.SOURCE.replace(BAD, f"{code} {BAD}", 1) for name, code in DEATHS.items()}
     sources["loading"] = c_fmu.SOURCE.replace("Model *m;\n", "Model *m; abort();\n", 1)
+    sources["stuck"] = c_fmu.SOURCE.replace("Model *m;\n", "Model *m; for (;;) {}\n", 1)
     for name, text in sources.items():
         assert text != c_fmu.SOURCE
         made[name] = c_fmu.build(tmp_path_factory.mktemp(name), text)
@@ -163,6 +164,28 @@ class TestDeaths:
             RunError, match=r"component 'x' failed during initialisation: .* crashed with signal 6 \(SIGABRT\) during initialise"
         ):
             run(made, stop=1.0, resolver=resolve)
+
+    def test_stuck_while_loading(self, fmus, monkeypatch):
+        """There compilers may run, so the limit is longer; but there is one."""
+        monkeypatch.setattr("orchestration.isolation.START_LIMIT", 2.0)
+        made, resolve = driven(fmus["stuck"], True, 0.5)
+        with pytest.raises(RunError, match=r"did not answer within 2 s during initialise and was ended \(time_limit\)"):
+            run(made, stop=1.0, resolver=resolve)
+
+    def test_ctrl_c_reaches_the_master_only(self, fmus, tmp_path):
+        """The terminal sends it to all processes of the group; the FMU's is in another, and is closed in order."""
+        script = (
+            "import os, signal\nfrom orchestration.assembly import run\nfrom orchestration.errors import Interrupted\n"
+            "from orchestration.system import Component, System\n"
+            f"s = System('t', 0.001, (Component('x', {str(fmus['good'])!r}, isolate=True),))\n"
+            "def press(done, total):\n    if done == 50: os.killpg(0, signal.SIGINT)\n"
+            f"try:\n    run(s, {str(tmp_path / 'run')!r}, stop=1e3, progress=press)\nexcept Interrupted as e:\n    print(e)\n"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, start_new_session=True, check=False, timeout=60
+        )
+        assert done.stdout.startswith("interrupted at t = 0.05 s; results up to there are in"), done.stderr
+        assert Run.load(tmp_path / "run").outcome == "interrupted"
 
     def test_a_file_that_is_no_fmu(self, tmp_path):
         (tmp_path / "x.fmu").write_text("hello")
