@@ -262,8 +262,10 @@ OUTSIDE = (
 
 
 def bouc_wen(index: int, width: float, torque: float) -> Changes:
-    """Gear hysteresis of joint `index` (from 0) as Bouc-Wen instead of the model's play elements: half width [rad] at zero torque,
-    torque [N m] over which it turns round. z' = M' (1 - |z|(0.5 sign(M' z) + 0.5))/M_h.
+    """Gear hysteresis of joint `index` (from 0) with a Bouc-Wen variable instead of the model's play elements.
+
+    z' = M'/M_h (1 - |z|(0.5 sign(M' z) + 0.5)), deflection = width tanh(M/M_h - z)/tanh(1): it lags behind the torque, half its width at
+    zero torque after a large reversal is `width` [rad]; `torque` is M_h [N m].
     """
 
     def make() -> Function:
@@ -278,7 +280,7 @@ def bouc_wen(index: int, width: float, torque: float) -> Changes:
                 state[0] += dM / torque * (1.0 - abs(z) * (0.5 * math.copysign(1.0, dM * z) + 0.5))
             state[1] = M
             q = u[:6].copy()
-            q[index] += width * state[0]
+            q[index] += width * math.tanh(M / torque - state[0]) / math.tanh(1.0)
             return q
 
         return link
