@@ -14,11 +14,10 @@ A TOML file::
     prior = {kind = "log-normal", scale = 6e-5, spread = 0.8}    # or {kind = "normal", scale = ...}
     locations = [{name = "joint 1", parameters = ["backlash[1]"]}, ...]
 
-    [[nuisance]]                        # what the nominal model does not know exactly: believed to this standard deviation
+    [[nuisance]]                        # calibrated numbers, believed to a standard deviation
     component = "drive"
-    parameters = ["loop_frequency"]
-    nominal = 40.8                      # where the value is not zero by default; the standard deviation is scale [unit]
-    scale = 0.4
+    parameters = ["loop_frequency"]     # elements, or whole arrays
+    relative = 0.01                     # of the nominal value; or: absolute = 0.4 [unit]
 
     [[seed]]                            # where the simulation has noise of its own: another value is another repeat
     component = "sensor"
@@ -52,7 +51,7 @@ Address = tuple[str, str]
 
 _EFFECT = {"name", "component", "description", "source", "locations", "minimum", "maximum", "prior", "unit", "sign"}
 _LOCATION = {"name", "parameters"}
-_NUISANCE = {"component", "parameters", "scale", "nominal"}
+_NUISANCE = {"component", "parameters", "relative", "absolute"}
 _QUIET = {"component", "parameters"}
 _SEED = {"component", "parameter"}
 
@@ -122,12 +121,30 @@ class Nuisance:
 
 
 @dataclass(frozen=True)
+class Tolerance:
+    """Nuisances as the catalogue has them: before it is known which elements an array has, and their nominal values."""
+
+    address: Address
+    size: float
+    relative: bool
+
+    def nuisances(self, nominal: Mapping[str, float]) -> list[Nuisance]:
+        """One for each element; `nominal` parameter element -> value [unit]. CatalogueError if there is no such parameter."""
+        component, name = self.address
+        elements = [e for e in nominal if e == name or e.partition("[")[0] == name]
+        if not elements:
+            raise CatalogueError(f"nuisance {component}.{name}: there is no such parameter; there are {', '.join(sorted(nominal))}")
+        found = [Nuisance((component, e), self.size * (abs(nominal[e]) if self.relative else 1.0), nominal[e]) for e in elements]
+        return [n for n in found if 0.0 < n.scale < math.inf]
+
+
+@dataclass(frozen=True)
 class Catalogue:
     """All candidates, nuisance numbers, and what is switched off in simulations."""
 
     file: Path
     candidates: tuple[Candidate, ...]
-    nuisances: tuple[Nuisance, ...] = ()
+    tolerances: tuple[Tolerance, ...] = ()
     quiet: Mapping[str, Mapping[str, Any]] | None = None
     seeds: tuple[Address, ...] = ()
     """Parameters that make a simulation another repeat of itself."""
@@ -205,14 +222,17 @@ class _Reader:
                 raise self.fail(f"effect {name!r}", "is there twice")
             descriptions[name] = (entry["description"], entry["source"])
             candidates += found
-        nuisances: list[Nuisance] = []
+        tolerances: list[Tolerance] = []
         for i, entry in enumerate(self.listed("nuisance", table.get("nuisance", []))):
             where = f"[[nuisance]] {i + 1}"
-            self.keys(where, entry, _NUISANCE, {"component", "parameters", "scale"})
-            component = self.text(where, "component", entry["component"])
-            scale = self.number(where, "scale", entry["scale"])
-            nominal = self.number(where, "nominal", entry.get("nominal", 0.0), positive=False)
-            nuisances += [Nuisance((component, p), scale, nominal) for p in self.names(where, component, entry["parameters"])]
+            self.keys(where, entry, _NUISANCE, {"component", "parameters"})
+            given = [k for k in ("relative", "absolute") if k in entry]
+            if len(given) != 1:
+                raise self.fail(where, f"expected either relative or absolute; found {' and '.join(given) or 'neither'}")
+            component, size = self.text(where, "component", entry["component"]), self.number(where, given[0], entry[given[0]])
+            tolerances += [
+                Tolerance((component, p), size, given[0] == "relative") for p in self.names(where, component, entry["parameters"])
+            ]
         quiet: dict[str, dict[str, Any]] = {}
         for i, entry in enumerate(self.listed("quiet", table.get("quiet", []))):
             where = f"[[quiet]] {i + 1}"
@@ -225,7 +245,7 @@ class _Reader:
             where = f"[[seed]] {i + 1}"
             self.keys(where, entry, _SEED, _SEED)
             seeds.append((self.text(where, "component", entry["component"]), self.text(where, "parameter", entry["parameter"])))
-        return Catalogue(self.file, tuple(candidates), tuple(nuisances), quiet, tuple(seeds), descriptions)
+        return Catalogue(self.file, tuple(candidates), tuple(tolerances), quiet, tuple(seeds), descriptions)
 
     def listed(self, key: str, value: Any) -> list[Any]:
         if not isinstance(value, list):

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from diagnosis import closure, gate
-from diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue
+from diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
 from diagnosis.estimation import Fit, probabilities
 from diagnosis.measured import Condition, DataError, sort_by_condition
 from diagnosis.search import NOMINAL, Search
 from diagnosis.simulation import Laboratory, Report, Simulator, decimate, setting
-from orchestration.assembly import Resolver, run
+from orchestration.assembly import Resolver, assemble, run
 from orchestration.parameters import Convert, same_unit_only
 from orchestration.recorder import frame_of
 from orchestration.results import Run
@@ -36,6 +36,8 @@ IDENTIFIED = 0.8
 """Probability from which one answer is given."""
 UNEXPLAINED = 0.25
 """Share of the gap that an adequate model may leave."""
+CLEAR = 6.0
+"""Log of the (tempered) odds from which an effect is believed to be there at all."""
 SIGNIFICANT = 6.0
 """Deviations of noise above which a gap is there."""
 
@@ -89,14 +91,15 @@ def diagnose(
     n = sum(not c.held_out for c in conditions)
     channels, ranges = _channels(system, conditions, resolver, convert, catalogue)
     decimation = max(1, math.ceil(sum(len(c.grid) for c in conditions[:n]) / ROWS))
-    nominal = {u.address: u.nominal for u in catalogue.nuisances if u.nominal}
+    nuisances = _nuisances(system, conditions, resolver, convert, catalogue)
+    nominal = {u.address: u.nominal for u in nuisances if u.nominal}
     laboratory = Laboratory(system, conditions, channels, resolver, convert, catalogue.quiet or {}, nominal, decimation, catalogue.seeds)
     groups = [[decimate(c.matrix(r, channels), decimation) for r in c.runs] for c in conditions]
     with Simulator(laboratory, workers, report) as simulator:
         findings = _gate(laboratory, simulator, groups, n, channels, ranges)
         if any(f.fatal for f in findings):
             return Diagnosis(_result("bad_log", findings, began, simulator.count), {})
-        search = Search(catalogue, simulator, groups[:n])
+        search = Search(catalogue, simulator, groups[:n], nuisances)
         fits = search.run()
         return _Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu, repair, began).diagnosis()
 
@@ -116,6 +119,22 @@ def _channels(
         outputs = ", ".join(dict.fromkeys(map(base_name, simulated.columns)))
         raise DataError(f"no measured column is an output of the system; measured: {has}; outputs: {outputs}")
     return common, {c: (simulated.ports[c].minimum, simulated.ports[c].maximum) for c in common}
+
+
+def _nuisances(
+    system: System, conditions: Sequence[Condition], resolver: Resolver | None, convert: Convert, catalogue: Catalogue
+) -> list[Nuisance]:
+    """The catalogue's tolerances about the values that the parameters have in the first condition."""
+    if not catalogue.tolerances:
+        return []
+    values: dict[str, dict[str, float]] = {}
+    configured = Laboratory(system, conditions, (), resolver, convert, catalogue.quiet or {}).configured(0)
+    with assemble(configured, resolver, convert) as assembly:
+        for name, slave in assembly.slaves.items():
+            starts = {p.name: p.start for p in slave.ports if p.causality == "parameter" and p.type == "real"}
+            given = {**starts, **assembly.parameters.get(name, {})}
+            values[name] = {k: float(v) for k, v in given.items() if k in starts and isinstance(v, int | float)}
+    return [u for t in catalogue.tolerances if t.address[0] in values for u in t.nuisances(values[t.address[0]])]
 
 
 def _gate(
@@ -191,12 +210,13 @@ class _Conclusion:
 
     def diagnosis(self) -> Diagnosis:
         """Verdict, then all that belongs to it."""
-        before, noise = self.search.gap(self.fits[0])
+        before, noise = self.search.gap(self.fits[0], calibrated=False)
+        calibrated, _ = self.search.gap(self.fits[0])
         after, _ = self.search.gap(self.best)
         share = after / before if before > 0.0 else 0.0
         marginal = self.marginal()
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] > 0.5]
-        if not self.best.model or before < 2.0 * noise:
+        if not self.best.model or self.best.log_evidence < CLEAR * TEMPERATURE:
             verdict = "none"
         elif after > SIGNIFICANT * noise and share > UNEXPLAINED:
             verdict = "unknown"
@@ -213,6 +233,7 @@ class _Conclusion:
         result = _result(verdict, self.findings, self.began, 0)
         result["gap"] = {
             "before": before,
+            "within_calibration": before - calibrated,
             "after": after,
             "noise": noise,
             "unexplained": share,
@@ -226,7 +247,7 @@ class _Conclusion:
         else:
             result["which"] = self.which(marginal)
             result["where"] = self.where()
-            result["how_far"] = self.how_far(adopted)
+            result["how_far"] = self.how_far(adopted) if adopted else []
             result["next_run"] = self.next_run(marginal) if verdict in ("ambiguous", "unknown") else None
             result["predictive"] = {f.name: f.predictive for f in self.fits if f.predictive}
         if verdict == "unknown":
@@ -244,8 +265,8 @@ class _Conclusion:
             fit = max((f for f in self.fits if c in f.model), key=lambda f: float(self.weights[self.fits.index(f)]))
             parameters = {}
             for a, name in zip(c.addresses, c.parameters, strict=True):
-                # the evidence is tempered, and so are the intervals
-                half = 1.645 * fit.deviations[a] * math.sqrt(TEMPERATURE)
+                # the evidence is tempered, and so are the intervals; a calibrated number's own tolerance comes on top
+                half = 1.645 * math.hypot(fit.deviations[a] * math.sqrt(TEMPERATURE), self.tolerance(a))
                 parameters[name] = {"value": fit.values[a], "interval": [fit.values[a] - half, fit.values[a] + half], "unit": c.unit}
             listed.append(
                 {
@@ -258,6 +279,10 @@ class _Conclusion:
                 }
             )
         return listed
+
+    def tolerance(self, address: Address) -> float:
+        """Standard deviation to which the nominal value is believed [unit]."""
+        return math.hypot(*self.search.evidence.space.alike.get(address, {}).values())
 
     def confusable(self) -> dict[str, list[str]]:
         """Single candidates whose best signatures the data cannot tell apart (3 deviations, in tempered noise)."""
@@ -276,19 +301,17 @@ class _Conclusion:
     def where(self) -> list[dict[str, Any]]:
         """Share of each component in the gap: exact Shapley values of the effects of the best model, and what remains."""
         parts = list(dict.fromkeys(c.component for c in self.best.model))
-        before, noise = self.search.gap(self.fits[0])
+        before, noise = self.search.gap(self.fits[0], calibrated=False)
         kept: dict[tuple[str, ...], float] = {(): 0.0}
         for size in range(1, len(parts) + 1):
             for subset in combinations(parts, size):
                 values = {a: v for a, v in self.best.values.items() if a[0] in subset}
-                signature = self.search.signature(
-                    self.simulator.many([(i, self.simulator.seeded(setting(values))) for i in range(self.n)], "shares")
-                )
+                signature = self.search.mean_signature(setting(values))
                 if signature is None:
                     kept[subset] = 0.0
                     continue
                 trial = Fit((), {}, {}, 0.0, 0.0, True, signature, None)
-                kept[subset] = 1.0 - self.search.gap(trial)[0] / before
+                kept[subset] = 1.0 - self.search.gap(trial, calibrated=False)[0] / before
         shares = []
         for part in parts:
             rest = [p for p in parts if p != part]

@@ -31,6 +31,10 @@ PRIOR_OF_SIZE = {0: 0.3, 1: 0.4, 2: 0.2, 3: 0.1}
 """Probability of so many effects before the data, shared among all sets of that size."""
 
 
+ALIKE = 0.97
+"""Correlation from which a nuisance is taken as the same thing as a parameter that is fitted."""
+
+
 @dataclass
 class Fit:
     """A model with its best parameters."""
@@ -62,11 +66,39 @@ class Fit:
 class Space:
     """Whitened residual, columns of the candidates, and the inner product with the nuisances marginalised."""
 
-    def __init__(self, y: FloatArray, blocks: Mapping[str, slice], nuisances: FloatArray) -> None:
-        """`y` [n]; `blocks` condition -> its part of y; `nuisances` [n, m] whitened, per standard deviation."""
-        self.y, self.blocks, self.nuisances = y, blocks, nuisances
-        self._inner = np.linalg.inv(np.eye(nuisances.shape[1]) + nuisances.T @ nuisances)
+    def __init__(self, y: FloatArray, blocks: Mapping[str, slice], nuisances: FloatArray, names: Sequence[Address] = ()) -> None:
+        """`y` [n]; `blocks` condition -> its part of y; `nuisances` [n, m] whitened, per standard deviation, called `names`."""
+        self.y, self.blocks, self.nuisances, self.names = y, blocks, nuisances, tuple(names)
+        precision = np.eye(nuisances.shape[1]) + nuisances.T @ nuisances
+        self._inner = np.linalg.inv(precision)
         self.energy = float(self.dot(y, y))
+        self.log_determinant = float(np.linalg.slogdet(precision)[1])
+        self._without: dict[frozenset[Address], Space] = {}
+        self.alike: dict[Address, dict[Address, float]] = {}
+        """parameter -> nuisances that do the same as it, and their standard deviation in its unit."""
+
+    def without(self, addresses: Sequence[Address]) -> Space:
+        """The same where these nuisances are not: they are effects of the model that is looked at."""
+        gone = frozenset(n for a in addresses for n in self.alike.get(a, ()))
+        if not gone:
+            return self
+        if gone not in self._without:
+            keep = [i for i, a in enumerate(self.names) if a not in gone]
+            self._without[gone] = Space(self.y, self.blocks, self.nuisances[:, keep], [self.names[i] for i in keep])
+        return self._without[gone]
+
+    def find_alike(self, columns: Mapping[Address, FloatArray], scales: Mapping[Address, float]) -> None:
+        """Note which nuisances have (nearly) the same column as a parameter; `columns` are per prior scale [unit of the parameter]."""
+        sizes = np.sqrt((self.nuisances**2).sum(axis=0)) + 1e-300
+        for a, c in columns.items():
+            products = self.nuisances.T @ c
+            energy = float(c @ c) + 1e-300
+            same = np.abs(products) / (sizes * math.sqrt(energy)) > ALIKE
+            self.alike[a] = {self.names[i]: float(abs(products[i]) / energy * scales[a]) for i in np.flatnonzero(same)}
+
+    def explained(self, left: FloatArray) -> FloatArray:
+        """What the nuisances make of the residual `left`."""
+        return np.asarray(self.nuisances @ (self._inner @ (self.nuisances.T @ left)))
 
     def dot(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Inner product of vectors or of the columns of matrices."""
@@ -76,7 +108,7 @@ class Space:
     def only(self, blocks: Sequence[str]) -> Space:
         """The same restricted to some conditions."""
         rows = np.concatenate([np.arange(self.y.size)[self.blocks[b]] for b in blocks])
-        return Space(self.y[rows], {}, self.nuisances[rows])
+        return Space(self.y[rows], {}, self.nuisances[rows], self.names)
 
     def rows(self, blocks: Sequence[str]) -> FloatArray:
         """Indices of the rows of some conditions."""
@@ -86,9 +118,12 @@ class Space:
 def quadratic_fit(model: Model, y: FloatArray, base: FloatArray, columns: FloatArray, start: FloatArray, space: Space) -> Fit:
     """The best x for the signature base + columns (x - start), with bounds and priors; float64[k] in prior scales."""
     scales, low, high = scaled_bounds(model)
+    own = space.without([a for c in model for a in c.addresses])
     target = y - base + columns @ start
-    hessian, gradient, constant = space.dot(columns, columns), space.dot(columns, target), float(space.dot(target, target))
-    return solve(model, hessian, gradient, constant, space.energy, scales, low, high)
+    hessian, gradient, constant = own.dot(columns, columns), own.dot(columns, target), float(own.dot(target, target))
+    fit = solve(model, hessian, gradient, constant, space.energy, scales, low, high)
+    fit.log_evidence += 0.5 * (space.log_determinant - own.log_determinant)
+    return fit
 
 
 def scaled_bounds(model: Model) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -188,14 +223,15 @@ def leave_one_out(fit: Fit, space: Space) -> dict[str, float]:
         if not others:
             return {}
         rest, here = space.rows(others), space.rows([name])
-        inner = space.only(others)
+        own = space.without([a for c in fit.model for a in c.addresses])
+        inner = own.only(others)
         target = inner.y - fit.signature[rest] + fit.columns[rest] @ best
         columns = fit.columns[rest]
         x = np.array(
             list(solve(fit.model, inner.dot(columns, columns), inner.dot(columns, target), 0.0, 0.0, scales, low, high).values.values())
         )
         x = x / scales
-        there = space.only([name])
+        there, plain = own.only([name]), space.only([name])
         left = there.y - fit.signature[here] - fit.columns[here] @ (x - best)
-        gains[name] = float(0.5 * (there.dot(there.y, there.y) - there.dot(left, left)))
+        gains[name] = float(0.5 * (plain.energy - there.dot(left, left)))
     return gains

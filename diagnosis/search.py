@@ -8,17 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from diagnosis.catalogue import Address, Candidate, Catalogue
+from diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
 from diagnosis.estimation import Fit, Model, Space, leave_one_out, quadratic_fit, scaled_bounds, solve
 from diagnosis.measured import DataError
 from diagnosis.noise import Whitening, whitening
-from diagnosis.simulation import Simulator, setting
+from diagnosis.simulation import Setting, Simulator, setting
 from orchestration.slave import FloatArray
 
 TRUST = 0.02
 """Part of an effect of typical size that the models are not trusted to: the noise floor of each channel."""
 NOMINAL = 8
 """Simulations of the nominal system with different noise, of each condition."""
+POLISH, POLISHED = 6, 8
+"""Simulations with different noise at the best values of a model, and how many models of each size get them."""
 SINGLES, BASES, EXTENSIONS = 10, 3, 4
 """How many single candidates are refined, how many of them grow, and by how many partners each."""
 
@@ -42,7 +44,10 @@ class Evidence:
 class Search:
     """Fits on the first `len(groups)` conditions of the simulator's laboratory; `groups` are their measured repeats."""
 
-    def __init__(self, catalogue: Catalogue, simulator: Simulator, groups: Sequence[Sequence[FloatArray]]) -> None:
+    def __init__(
+        self, catalogue: Catalogue, simulator: Simulator, groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
+    ) -> None:
+        self.nuisances = nuisances
         self.catalogue, self.simulator, self.groups = catalogue, simulator, groups
         nominal = simulator.repeated(range(len(groups)), (), NOMINAL, "nominal")
         self.nominals = [b for b in nominal if b is not None]
@@ -52,7 +57,7 @@ class Search:
     def _screened(self) -> list[Candidate]:
         """Simulate every parameter at its prior scale; whiten; keep the candidates that change something."""
         scales = {a: c.prior.scale for c in self.catalogue.candidates for a in c.addresses}
-        unknown = {n.address: n.scale for n in self.catalogue.nuisances}
+        unknown = {n.address: n.scale for n in self.nuisances}
         sizes = {**{a: 3.0 * s for a, s in unknown.items()}, **scales}
         tasks = [(i, self.simulator.seeded(setting({a: s}))) for a, s in sizes.items() for i in range(len(self.groups))]
         results = iter(self.simulator.many(tasks, "effects"))
@@ -107,9 +112,12 @@ class Search:
             start += n
         raw = {a: np.concatenate([w.apply(c, n) for c, n in zip(change, counts, strict=True)]) for a, change in changes.items()}
         columns = {a: raw[a] * (scales[a] / sizes[a]) for a in scales if a in raw}
-        nuisances = [raw[a] * (s / sizes[a]) for a, s in unknown.items() if a in raw]
+        doubtful = [a for a in unknown if a in raw]
+        nuisances = [raw[a] * (unknown[a] / sizes[a]) for a in doubtful]
         unknowns = np.stack(nuisances, axis=1) if nuisances else np.zeros((y.size, 0))
-        return Evidence(Space(y, blocks, unknowns), w, residuals, columns, counts, halves)
+        space = Space(y, blocks, unknowns, doubtful)
+        space.find_alike(columns, scales)
+        return Evidence(space, w, residuals, columns, counts, halves)
 
     def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
         """Whitened change of simulations of all conditions against the nominal ones; None if one of them failed."""
@@ -146,6 +154,11 @@ class Search:
                 if c in base.model or key in found or any(set(c.addresses) & set(m.addresses) for m in base.model):
                     continue
                 at = [place[a] for a in c.addresses]
+                if space.without([a for m in model for a in m.addresses]) is not space:
+                    columns = np.concatenate([base.columns, stacked[:, at]], axis=1)
+                    start = np.concatenate([best, np.zeros(len(at))])
+                    found[key] = quadratic_fit(model, space.y, base.signature, columns, start, space)
+                    continue
                 hessian = np.block([[own, cross[:, at]], [cross[:, at].T, gram[np.ix_(at, at)]]])
                 gradient = np.concatenate([base_target, on_target[at]])
                 found[key] = solve(model, hessian, gradient, constant, space.energy, *scaled_bounds(model))
@@ -177,6 +190,37 @@ class Search:
                 s.update(signature, space)
         return [s.best for s in states]
 
+    def mean_signature(self, changes: Setting) -> FloatArray | None:
+        """Whitened change that these settings make, as a mean over noise; None where the system cannot run."""
+        groups = self.simulator.repeated(range(len(self.groups)), changes, POLISH, "fits")
+        parts = []
+        for g, b, weight in zip(groups, self.nominals, self.evidence.repeats, strict=True):
+            if g is None:
+                return None
+            change = np.mean([x[:, self.active] for x in g], axis=0) - np.mean(b[: len(g)], axis=0)
+            parts.append(self.evidence.whitening.apply(change, weight))
+        return np.concatenate(parts)
+
+    def polish(self, fits: Sequence[Fit]) -> list[Fit]:
+        """The best of `fits` again, with simulations that are means over noise; a single one scatters as a measured run does."""
+        if not self.simulator.laboratory.seeds:
+            return list(fits)
+        space = self.evidence.space
+        polished = []
+        for f in sorted(fits, key=lambda f: -f.log_evidence)[:POLISHED]:
+            signature = self.mean_signature(setting(f.values))
+            if signature is None:
+                continue
+            scales, _, _ = scaled_bounds(f.model)
+            addresses = [a for c in f.model for a in c.addresses]
+            x = np.array([f.values[a] for a in addresses]) / scales
+            assert f.columns is not None
+            better = quadratic_fit(f.model, space.y, signature, f.columns, x, space)
+            move = np.array([better.values[a] for a in addresses]) / scales - x
+            better.exact, better.columns, better.signature = True, f.columns, signature + f.columns @ move
+            polished.append(better)
+        return polished
+
     def run(self) -> list[Fit]:
         """All models looked at on real simulations, the nominal one first."""
         space = self.evidence.space
@@ -185,8 +229,8 @@ class Search:
         self.screened = screened
         gain = space.energy - min((f.energy for f in screened), default=space.energy)
         chosen = [f for f in screened if space.energy - f.energy > 0.5 * gain][:SINGLES] or screened[:SINGLES]
-        fits += self.refine(chosen)
-        level = fits[1:]
+        level = self.polish(self.refine(chosen))
+        fits += level
         for size in (2, 3):
             bases = sorted(level, key=lambda f: -f.log_evidence)[: BASES if size == 2 else 1]
             best = max(f.log_evidence for f in fits)
@@ -194,7 +238,7 @@ class Search:
                 break
             grown = sorted(self.screen(bases), key=lambda f: -f.log_evidence)
             promising = [f for f in grown if f.log_evidence > best + 3.0][: EXTENSIONS * (BASES if size == 2 else 1)]
-            level = self.refine(promising)
+            level = self.polish(self.refine(promising))
             fits += level
         for f in sorted(fits[1:], key=lambda f: -f.log_evidence)[:3]:
             f.predictive = leave_one_out(f, space)
@@ -203,18 +247,20 @@ class Search:
     def adequate(self, fit: Fit) -> bool:
         """Whether what remains is small or noise."""
         after, deviation = self.gap(fit)
-        before, _ = self.gap(self.nominal())
+        before, _ = self.gap(self.nominal(), calibrated=False)
         return after < 4.0 * deviation or after < 0.02 * before
 
-    def gap(self, fit: Fit, rows: Sequence[str] | None = None) -> tuple[float, float]:
-        """G: mean over pairs of repeats of r_a' W r_b with the model and the nuisances taken out, and its deviation by noise.
+    def gap(self, fit: Fit, *, calibrated: bool = True) -> tuple[float, float]:
+        """G: mean over pairs of repeats of r_a' W r_b with the model taken out, and its deviation by noise.
 
-        Without repeats: energy less its expectation. In single-run units, summed over the conditions.
+        `calibrated`: the nuisances are taken out too. Without repeats: energy less its expectation. In single-run units,
+        summed over the conditions.
         """
         space = self.evidence.space
         assert fit.signature is not None
-        left = space.y - fit.signature
-        explained = fit.signature + space.nuisances @ (space._inner @ (space.nuisances.T @ left))
+        explained = fit.signature
+        if calibrated:
+            explained = explained + space.without(list(fit.values)).explained(space.y - fit.signature)
         total, variance = 0.0, 0.0
         e = self.evidence
         for (_, block), residuals, weight, (one, other) in zip(space.blocks.items(), e.residuals, e.repeats, e.halves, strict=True):
@@ -249,7 +295,7 @@ class _State:
         if length > 0.0:
             self.columns = self.columns + np.outer(signature - self.signature - self.columns @ move, move) / length
         left = space.y - signature
-        energy = float(space.dot(left, left))
+        energy = float(space.without(addresses).dot(left, left))
         fit = quadratic_fit(self.fit.model, space.y, signature, self.columns, new, space)
         if energy < self.energy:
             # its evidence is that of the quadratic about these values, at their real energy

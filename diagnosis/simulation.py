@@ -6,7 +6,7 @@ import multiprocessing
 import re
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -53,7 +53,7 @@ class Laboratory:
         system = self.system
         for component, values in [*self.conditions[index].parameters.items(), *self.quiet.items()]:
             if any(c.name == component for c in system.components):
-                system = _with(system, component, values)
+                system = with_values(system, component, values)
         return system
 
     def simulate(self, index: int, changes: Setting) -> FloatArray | None:
@@ -65,7 +65,7 @@ class Laboratory:
             if component == LOGGING:
                 observed.append((parameter, value))
             else:
-                system = _with(system, component, {parameter: value + self.nominal.get((component, parameter), 0.0)})
+                system = with_values(system, component, {parameter: value + self.nominal.get((component, parameter), 0.0)})
         try:
             result = run(system, None, stop=float(condition.grid[-1]), resolver=self.resolver, convert=self.convert)
         except OrchestrationError:
@@ -85,7 +85,7 @@ def decimate(full: FloatArray, factor: int) -> FloatArray:
     return means
 
 
-def _with(system: System, component: str, values: Mapping[str, Any]) -> System:
+def with_values(system: System, component: str, values: Mapping[str, Any]) -> System:
     """Parameters set anew; an element replaces that of an array which is given as a whole, and the other way round."""
     old = dict(system.component(component).parameters)
     for name, value in values.items():
@@ -101,13 +101,8 @@ def _with(system: System, component: str, values: Mapping[str, Any]) -> System:
             for other in [k for k in old if k.partition("[")[0] == name and k != name]:
                 del old[other]
         old[name] = value
-    missing = {k: None for k in system.component(component).parameters if k not in old}
-    system = system.with_parameters(component, old)
-    if missing:  # with_parameters only adds
-        from dataclasses import replace
-
-        system = replace(system, components=tuple(replace(c, parameters=old) if c.name == component else c for c in system.components))
-    return system
+    components = tuple(replace(c, parameters=old) if c.name == component else c for c in system.components)
+    return replace(system, components=components)
 
 
 def _copied(value: Any) -> list[Any]:

@@ -16,7 +16,7 @@ DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exc
 
 def parser() -> argparse.ArgumentParser:
     """All commands and their options."""
-    from robomill import blind_command
+    from robomill import blind_command, diagnose_command
 
     main_parser = argparse.ArgumentParser("robomill", description=DESCRIPTION, epilog="Start with: robomill run scenarios/groove.toml")
     commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -42,6 +42,7 @@ def parser() -> argparse.ArgumentParser:
         action="store_true",
         help="keep finished runs in the folder, go on with one that has a checkpoint, begin the others anew",
     )
+    run.add_argument("--adopt", type=Path, metavar="FILE.ssv", help="with the effects that `robomill diagnose` found")
     run.add_argument("--no-pictures", action="store_true", help="skip the pictures")
 
     build = _command(commands, "build", "write every FMU", "robomill build --out dist")
@@ -92,6 +93,14 @@ def parser() -> argparse.ArgumentParser:
     bring.add_argument("--label", action="append", default=[], metavar="KEY=VALUE", help="a label beside those of the mapping, or instead")
     bring.add_argument("--overwrite", action="store_true", help="replace a run that is in the folder")
 
+    diagnose = _command(
+        commands,
+        "diagnose",
+        "say where measured runs depart from their simulation, why, and how far that can be mended",
+        "robomill diagnose scenarios/milling_cell.toml runs/slot-* --held-out runs/pocket-*",
+    )
+    diagnose_command.add_arguments(diagnose)
+
     blind = _command(
         commands, "blind", "the benchmark of withheld effects: make, run, score", "robomill blind make results/blind --cases 24"
     )
@@ -110,7 +119,7 @@ def _command(commands: Any, name: str, text: str, example: str) -> argparse.Argu
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; errors that a user can mend become one message on stderr and exit status 2."""
     options = parser().parse_args(arguments)
-    from robomill import blind_command, commands, import_command
+    from robomill import blind_command, commands, diagnose_command, import_command
 
     action = {
         "run": commands.run,
@@ -118,6 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "check": commands.check,
         "plan": commands.plan,
         "import": import_command.run,
+        "diagnose": diagnose_command.run,
         "blind": blind_command.blind,
     }[options.command]
     try:

@@ -19,6 +19,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from diagnosis import adopt
+from diagnosis.simulation import with_values
 from fmus.components import COMPONENTS, component
 from fmus.python.builder import build as build_python
 from models import gcode, point_path
@@ -104,6 +106,7 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     results: list[Result] = []
     with _progress(options.json) as report:
         job = milling.prepare(scenario, folder, options.fmus, report, resume=options.resume, checkpoint_every=options.checkpoint_every)
+        job = replace(job, system=_adopted(job.system, options))  # the plan and its offline force stay nominal
         for variant in scenario.variants:
             recorded, factor = milling.mill(job, variant, report, csv=options.csv)
             results.append(evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor))
@@ -146,6 +149,8 @@ def _table(scenario: Scenario, results: Sequence[Result]) -> Table:
 
 
 def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
+    if options.adopt is not None:
+        raise ScenarioError(f"{scenario.file}: --adopt is for milling scenarios and system files; this one is of the kind {scenario.kind}")
     summary, magnitudes = static_loads.run_static_loads(scenario, options.fmus)
     _write(folder / "summary.json", summary)
     published = {name: figures["mean_displacement_m"] for name, figures in scenario.paper.items() if "mean_displacement_m" in figures}
@@ -169,9 +174,18 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
     return 0
 
 
+def _adopted(system: System, options: Namespace) -> System:
+    """With the parameter set of `--adopt`; its values replace those of the system."""
+    if options.adopt is not None:
+        for component, values in adopt.read(options.adopt).items():
+            system = with_values(system, component, values)
+    return system
+
+
 def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
     if options.step is not None:
         system = replace(system, step=options.step)
+    system = _adopted(system, options)
     if options.fmus is not None:
         system = with_fmus(system, options.fmus)
     if options.csv:
