@@ -1,7 +1,7 @@
 """Other masters on the same ring of FMUs, each driven the way its documentation shows.
 
 Each class prepares a ring of `count` FMUs and has `run(steps)`, which makes that many steps of 4 ms and returns the
-seconds that took. `outputs()` gives all outputs, for the check that everybody computes the same.
+seconds of wall clock and of CPU (all threads) that took. `outputs()` gives all outputs, for the check that everybody computes the same.
 """
 
 from __future__ import annotations
@@ -24,6 +24,23 @@ from benchmarks.ring import STEP
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 
 
+def clocks() -> tuple[float, float]:
+    """Wall clock and CPU time of all threads [s]."""
+    return time.perf_counter(), time.process_time()
+
+
+def since(began: tuple[float, float]) -> tuple[float, float]:
+    """What has passed on both clocks [s]."""
+    wall, cpu = clocks()
+    return wall - began[0], cpu - began[1]
+
+
+def between(first: tuple[int, tuple[float, float]], last: tuple[int, tuple[float, float]], steps: int) -> tuple[float, float]:
+    """Time [s] between two marks (steps done, clocks), scaled to `steps`."""
+    scale = steps / (last[0] - first[0])
+    return (last[1][0] - first[1][0]) * scale, (last[1][1] - first[1][1]) * scale
+
+
 class CLoop:
     """The plain C loop: a process of its own per run, which times itself."""
 
@@ -33,12 +50,12 @@ class CLoop:
         self.libraries = [shutil.copy(library, Path(self.folder.name) / f"ring{k}.so") for k in range(count)]
         self.sum = 0.0
 
-    def run(self, steps: int) -> float:
+    def run(self, steps: int) -> tuple[float, float]:
         """See the module."""
         command = [str(self.program), str(steps), str(int(self.record)), *map(str, self.libraries)]
-        nanoseconds, total = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+        wall, cpu, total = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
         self.sum = float(total)
-        return float(nanoseconds) * 1e-9 * steps
+        return float(wall) * 1e-9 * steps, float(cpu) * 1e-9 * steps
 
 
 class FmpyLoop:
@@ -61,9 +78,9 @@ class FmpyLoop:
         self.y = [s.getReal(self.outs) for s in self.slaves]
         self.rows: list[list[float]] = []
 
-    def run(self, steps: int) -> float:
+    def run(self, steps: int) -> tuple[float, float]:
         """See the module."""
-        began = time.perf_counter()
+        began = clocks()
         for k in range(self.done, self.done + steps):
             for i, slave in enumerate(self.slaves):
                 slave.setReal(self.inputs, self.y[i - 1])
@@ -72,7 +89,7 @@ class FmpyLoop:
             self.y = [slave.getReal(self.outs) for slave in self.slaves]
             if self.record:
                 self.rows.append([(k + 1) * STEP, *(value for y in self.y for value in y)])
-        took = time.perf_counter() - began
+        took = since(began)
         self.done += steps
         self.rows.clear()
         return took
@@ -110,12 +127,12 @@ class Cosim:
             self.last = CosimObserver.create_last_value()
             self.execution.add_observer(self.last)
 
-    def run(self, steps: int) -> float:
+    def run(self, steps: int) -> tuple[float, float]:
         """See the module."""
-        began = time.perf_counter()
+        began = clocks()
         if not self.execution.step(steps):
             raise RuntimeError("libcosim could not step")
-        return time.perf_counter() - began
+        return since(began)
 
     def outputs(self) -> FloatArray:
         """All outputs."""
@@ -146,11 +163,11 @@ class Ecos:
             self.simulation.add_csv_writer(str(Path(self.folder.name) / "results.csv"))
         self.simulation.init()
 
-    def run(self, steps: int) -> float:
+    def run(self, steps: int) -> tuple[float, float]:
         """See the module."""
-        began = time.perf_counter()
+        began = clocks()
         self.simulation.step(steps)
-        return time.perf_counter() - began
+        return since(began)
 
     def outputs(self) -> FloatArray:
         """All outputs."""
