@@ -108,6 +108,7 @@ def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progres
     """
     if tier not in TIERS:
         raise ValueError(f"tier {tier!r}: expected one of {', '.join(TIERS)}")
+    every = plans(cases, seed)
     folder = Path(folder)
     what = {"schema": "robomill-blind/1", "version": VERSION, "cases": cases, "seed": seed, "tier": tier}
     head = folder / "request.json"
@@ -118,7 +119,7 @@ def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progres
         raise ValueError(f"{folder} is not empty and holds no benchmark; choose another folder")
     (folder / "sealed").mkdir(parents=True, exist_ok=True)
     head.write_text(json.dumps(what) + "\n", encoding="utf-8")
-    to_do = [p for p in plans(cases, seed) if not (folder / "sealed" / f"{p.number:04d}.json").is_file()]
+    to_do = [p for p in every if not (folder / "sealed" / f"{p.number:04d}.json").is_file()]
     if workers > 1 and len(to_do) > 1:
         with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
             futures = [pool.submit(make_case, folder, p, seed, tier) for p in to_do]
