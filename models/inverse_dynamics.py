@@ -45,10 +45,15 @@ def prepare_with_errors(s: Record) -> int:
     for k in range(3):
         if s.payload_com_error[k] != 0.0:
             s.payload_com_F[k] += s.payload_com_error[k]
+    xx, yy, zz = s.payload_inertia[0], s.payload_inertia[1], s.payload_inertia[2]
+    for k in range(3):
+        if s.payload_inertia_error[k] != 0.0:
+            s.payload_inertia[k] += s.payload_inertia_error[k]
     prepare_dynamics(s)
     # the parameters are those that were set, also after a second call
     s.payload_mass = mass
     s.payload_com_F[0], s.payload_com_F[1], s.payload_com_F[2] = x, y, z
+    s.payload_inertia[0], s.payload_inertia[1], s.payload_inertia[2] = xx, yy, zz
     return 0
 
 
@@ -214,6 +219,7 @@ MODEL = Model(
         Variable("backlash_torque", "parameter", "Gear torque over which the gap is crossed", "N.m", (), 20.0, 1e-3, 1e4),
         _effect("payload_mass_error", "kg", -1000.0, 1000.0, "payload heavier than payload_mass", ()),
         _effect("payload_com_error", "m", -1.0, 1.0, "centre of gravity of the payload beside payload_com_F, in F", (3,)),
+        _effect("payload_inertia_error", "kg.m2", -500.0, 500.0, "inertia of the payload beside payload_inertia: xx, yy, zz, in F", (3,)),
         _effect("counterbalance_error", "1", -1.0, 1.0, "relative error of the counterbalance torque", ()),
         _effect("rotor_inertia_error", "1", -1.0, 10.0, "relative error of the rotor inertia"),
         _effect("torque_constant_error", "1", -0.9, 2.0, "relative error of the measured motor torque"),

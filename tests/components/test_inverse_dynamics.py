@@ -141,23 +141,25 @@ def test_load_friction_is_proportional_to_the_torque_through_the_gear() -> None:
 
 
 def test_payload_errors_are_those_of_another_payload() -> None:
-    got = run(plain=False, payload_mass_error=40.0, payload_com_error=(0.05, -0.02, 0.1))["torque_motor"]
+    got = run(plain=False, payload_mass_error=40.0, payload_com_error=(0.05, -0.02, 0.1), payload_inertia_error=(3.0, 2.0, 1.0))[
+        "torque_motor"
+    ]
     v = MODEL.variable("payload_com_F").start_values
-    same = inverse_dynamics(
-        Q, QD, QDD, payload_mass=float(MODEL.variable("payload_mass").start_values) + 40.0, payload_com_F=v + np.array([0.05, -0.02, 0.1])
-    )
+    inertia = MODEL.variable("payload_inertia").start_values + np.array([3.0, 2.0, 1.0, 0.0, 0.0, 0.0])
+    mass = float(MODEL.variable("payload_mass").start_values) + 40.0
+    same = inverse_dynamics(Q, QD, QDD, payload_mass=mass, payload_com_F=v + np.array([0.05, -0.02, 0.1]), payload_inertia=inertia)
     np.testing.assert_allclose(got, same / G, rtol=0.0, atol=ROUNDOFF * 100.0)
 
 
 def test_payload_errors_leave_the_parameters_as_they_were() -> None:
     init, _ = MODEL.plain()
     data = MODEL.new()
-    data["payload_mass_error"], data["payload_com_error"] = 40.0, (0.05, -0.02, 0.1)
-    before = data[["payload_mass", "payload_com_F"]].copy()
+    data["payload_mass_error"], data["payload_com_error"], data["payload_inertia_error"] = 40.0, (0.05, -0.02, 0.1), (3.0, 2.0, 1.0)
+    before = data[["payload_mass", "payload_com_F", "payload_inertia"]].copy()
     assert init(record(data)) == 0
     once = data["torque_motor"].copy()
     assert init(record(data)) == 0
-    assert np.all(data[["payload_mass", "payload_com_F"]] == before)
+    assert np.all(data[["payload_mass", "payload_com_F", "payload_inertia"]] == before)
     assert unchanged(data["torque_motor"] - once)
 
 
