@@ -80,6 +80,7 @@ class CompiledLoop:
             gets = [_Call(c, "outputs", b, block) for b, block in enumerate(native.outputs)]
             for phase, calls in zip(phases, (sets, [_Call(c, "step", 0, None)], gets), strict=True):
                 phase.extend(calls)
+        self._wired: npt.NDArray[np.intp] | None = None
         self._calls = [call for phase in phases for call in phase]
         if not jacobi:  # all calls of a component after each other
             self._calls.sort(key=lambda call: call.component)
@@ -140,8 +141,12 @@ class CompiledLoop:
             self._steps = min(2 * self._steps, self.capacity)
 
     def _prepare(self, gather: Gather) -> None:
-        """Write the table of operations: between two chunks overrides may have moved inputs."""
+        """Write the table of operations, at first and when an override has moved inputs since the last chunk."""
         names = list(self._slaves)
+        wired = np.concatenate([gather[name] for name in names])
+        if self._wired is not None and np.array_equal(wired, self._wired):
+            return
+        self._wired = wired
         for o, call in enumerate(self._calls):
             native = self._natives[call.component]
             row = self._operations[o]
