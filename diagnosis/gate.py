@@ -96,7 +96,7 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
             suspects.add(name)
             continue
         found += _spikes(run, name)
-        if not _visible(size[i], noise[i], len(x)):
+        if not _visible(float(x[:, i] @ x[:, i]), noise[i], len(x)):  # measured over measured: whatever its unit is
             continue
         off = ((x[:, i] - s[:, i]) ** 2).sum()
         if off < FAR_OFF * size[i]:
@@ -134,7 +134,7 @@ def _spikes(run: Run, name: str) -> list[Finding]:
     if len(x) < 10:
         return []
     jump = np.minimum(np.abs(x[1:-1] - x[:-2]), np.abs(x[1:-1] - x[2:])) * (np.sign(x[1:-1] - x[:-2]) == np.sign(x[1:-1] - x[2:]))
-    typical = max(float(np.percentile(np.abs(np.diff(x)), 99)), 1e-12)
+    typical = max(float(np.percentile(np.abs(np.diff(x)), 95)), 1e-12)
     count = int((jump > 30.0 * typical).sum())
     if not count:
         return []
@@ -152,9 +152,9 @@ def _arrays(channels: Sequence[str]) -> list[list[int]]:
 def _axes(members: list[int], x: FloatArray, s: FloatArray, channels: Sequence[str], noise: FloatArray) -> list[Finding]:
     """Permuted axes, and rotated triples."""
     found = []
-    size = (s * s).sum(axis=0)
+    size, shown = (s * s).sum(axis=0), (x * x).sum(axis=0)
     for i, j in itertools.combinations(members, 2):
-        if not all(_visible(size[k], noise[k], len(x)) for k in (i, j)):
+        if not all(_visible(shown[k], noise[k], len(x)) for k in (i, j)):
             continue
         straight = ((x[:, [i, j]] - s[:, [i, j]]) ** 2).sum()
         crossed = min(((x[:, [i, j]] - s[:, [j, i]] * np.array(g)) ** 2).sum() for g in itertools.product((1.0, -1.0), repeat=2))
@@ -172,7 +172,7 @@ def _axes(members: list[int], x: FloatArray, s: FloatArray, channels: Sequence[s
         angle > np.deg2rad(20.0)
         and turned < MUCH_BETTER * straight
         and straight > 0.1 * (b * b).sum()
-        and _visible(float((b * b).sum()), float(noise[members].max()), len(x))
+        and _visible(float((a * a).sum()), float(noise[members].max()), len(x))
     ):
         found.append(
             Finding(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from scipy.integrate import quad
 
-from diagnosis.catalogue import Catalogue, CatalogueError, Prior
+from diagnosis.catalogue import Catalogue, CatalogueError, Prior, Tolerance
 from fmus.components import COMPONENTS
 from orchestration.system import System
 from robomill.binding import convert
@@ -45,11 +45,22 @@ class TestShipped:
                     assert candidate.unit == variable.unit
                     assert variable.minimum <= candidate.bounds[0] < candidate.bounds[1] <= variable.maximum
 
-    def test_nominal_values_of_nuisances_are_those_of_the_cell(self) -> None:
+    def test_tolerances_are_of_parameters_that_there_are(self) -> None:
         catalogue = Catalogue.load(SCENARIOS / "catalogue.toml")
         cell = System.load(SCENARIOS / "milling_cell.toml", convert)
-        (loop,) = (n for n in catalogue.nuisances if n.address == ("drive", "loop_frequency"))
-        assert cell.component("drive").parameters["loop_frequency"] == f"{loop.nominal} rad/s"
+        for tolerance in catalogue.tolerances:
+            component, name = tolerance.address
+            variable = COMPONENTS[cell.component(component).source].variable(name)
+            assert variable.causality == "parameter"
+
+
+def test_tolerances_are_resolved_for_each_element() -> None:
+    nominal = {"k[1]": 200.0, "k[2]": -50.0, "k[3]": 0.0, "m": 3.0}
+    relative = Tolerance(("a", "k"), 0.01, relative=True).nuisances(nominal)
+    assert [(n.address[1], n.scale, n.nominal) for n in relative] == [("k[1]", 2.0, 200.0), ("k[2]", 0.5, -50.0)]
+    assert Tolerance(("a", "m"), 0.1, relative=False).nuisances(nominal)[0].scale == 0.1
+    with pytest.raises(CatalogueError, match=r"nuisance a\.c: there is no such parameter; there are"):
+        Tolerance(("a", "c"), 0.1, relative=False).nuisances(nominal)
 
 
 def test_locations_become_candidates(tmp_path: Path) -> None:

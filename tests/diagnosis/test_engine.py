@@ -1,0 +1,198 @@
+"""The engine on a small system: right answers, and none where there is none."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from diagnosis.engine import Diagnosis, Menu, diagnose
+from diagnosis.measured import DataError
+from orchestration.results import Run
+from tests.diagnosis.demo import SYSTEM, catalogue, changed, measure, resolve
+
+STIFF = {"masses": {"stiffness_error[2]": -0.08}}
+
+
+def answer(folder: Path, runs: list[Run], **more: Any) -> Diagnosis:
+    return diagnose(SYSTEM, runs, catalogue(folder), resolver=resolve, **more)
+
+
+def two_conditions(truth: Any = None) -> list[Run]:
+    return measure(truth) + measure(truth, amplitude=0.6, seed=2)
+
+
+class TestVerdict:
+    @pytest.mark.parametrize("seed", range(3))
+    def test_runs_that_are_as_simulated_give_none_and_what_would_have_been_seen(self, tmp_path: Path, seed: int) -> None:
+        result = answer(tmp_path, measure(seed=100 + seed)).result
+        assert result["verdict"] == "none"
+        assert result["which"] == [] or result["which"][0]["probability"] < 0.5
+        seen = {(s["effect"], s["location"]): s["value"] for s in result["smallest_visible"]}
+        assert 0.0 < seen["gain", "sensor 1"] < 0.01
+
+    @pytest.mark.parametrize(
+        ("component", "parameter", "value", "effect", "location"),
+        [
+            ("masses", "stiffness_error[1]", 0.05, "stiffness", "spring 1"),
+            ("masses", "stiffness_error[2]", -0.08, "stiffness", "spring 2"),
+            ("masses", "friction[1]", 0.08, "friction", "mass 1"),
+            ("masses", "friction[2]", 0.04, "friction", "mass 2"),
+            ("sensors", "gain_error[2]", 0.03, "gain", "sensor 2"),
+        ],
+    )
+    def test_one_effect_is_named_with_its_place_and_size(
+        self, tmp_path: Path, component: str, parameter: str, value: float, effect: str, location: str
+    ) -> None:
+        found = answer(tmp_path, two_conditions({component: {parameter: value}}))
+        result = found.result
+        first = result["which"][0]
+        assert result["verdict"] == "identified"
+        assert (first["effect"], first["component"], first["location"]) == (effect, component, location)
+        low, high = first["parameters"][parameter]["interval"]
+        # intervals are of 90 %: half of one more on either side
+        assert low - 0.5 * (high - low) < value < high + 0.5 * (high - low)
+        assert result["where"][0]["component"] == component
+        assert result["where"][0]["share"] > 0.95
+        assert set(found.adopted) == {(component, parameter)}
+
+    def test_two_effects_are_both_named(self, tmp_path: Path) -> None:
+        result = answer(tmp_path, two_conditions({**STIFF, "sensors": {"gain_error[1]": 0.04}})).result
+        assert result["verdict"] == "identified"
+        assert {w["effect"] for w in result["which"] if w["probability"] > 0.9} == {"stiffness", "gain"}
+        assert sum(w["share"] for w in result["where"]) == pytest.approx(1.0, abs=0.05)
+
+    def test_what_no_candidate_can_do_is_unknown_and_described(self, tmp_path: Path) -> None:
+        def disturbed(t: Any, y: Any) -> Any:
+            return y + 2e-3 * np.sin(9.0 * t) * (t > 5.0)
+
+        runs = changed(measure(), "sensors.y[1]", disturbed)
+        found = answer(tmp_path, runs)
+        assert found.result["verdict"] == "unknown"
+        assert found.result["unknown"]["channels"][0]["channel"] == "sensors.y[1]"
+        assert min(a for a, _ in found.result["unknown"]["regime"]) > 4.0
+
+    def test_what_can_not_be_told_apart_is_a_set(self, tmp_path: Path) -> None:
+        text = tmp_path / "twin.toml"
+        catalogue(tmp_path)
+        entry = (tmp_path / "catalogue.toml").read_text()
+        twin = entry.split("[[effect]]")[3].replace('"gain"', '"scale"')
+        text.write_text(f"{entry}\n[[effect]]{twin}")
+        from diagnosis.catalogue import Catalogue
+
+        menu = Menu(experiments={"heavier mass": ("gain",), "nothing": ()})
+        runs = two_conditions({"sensors": {"gain_error[1]": 0.04}})
+        result = diagnose(SYSTEM, runs, Catalogue.load(text), resolver=resolve, menu=menu).result
+        assert result["verdict"] == "ambiguous"
+        assert {w["effect"] for w in result["which"][:2]} == {"gain", "scale"}
+        assert result["which"][0]["probability"] == pytest.approx(0.5, abs=0.02)
+        assert result["which"][0]["confusable_with"]
+        assert result["next_run"]["kind"] == "heavier mass"
+
+
+class TestInvariance:
+    def test_order_of_candidates_and_runs_does_not_matter(self, tmp_path: Path) -> None:
+        runs = two_conditions(STIFF)
+        first = answer(tmp_path, runs).result
+        random.Random(1).shuffle(runs)
+        shuffled = catalogue(tmp_path)
+        candidates = list(shuffled.candidates)
+        random.Random(2).shuffle(candidates)
+        second = diagnose(SYSTEM, runs, replace(shuffled, candidates=tuple(candidates)), resolver=resolve).result
+        assert second["verdict"] == first["verdict"]
+        assert second["which"][0]["effect"] == first["which"][0]["effect"]
+        a, b = (r["which"][0]["parameters"]["stiffness_error[2]"]["value"] for r in (first, second))
+        assert a == pytest.approx(b, rel=1e-6)
+
+    def test_processes_change_nothing(self, tmp_path: Path) -> None:
+        runs = measure(STIFF)
+        one, two = (answer(tmp_path, runs, workers=n).result for n in (1, 2))
+        for r in (one, two):
+            r["effort"] = None
+        assert one == two
+
+
+class TestHowFar:
+    def test_closure_is_measured_on_runs_that_were_held_out(self, tmp_path: Path) -> None:
+        held = measure(STIFF, repeats=2, seed=8) + measure(STIFF, amplitude=1.5, repeats=2, seed=9)
+        far = answer(tmp_path, two_conditions(STIFF), held_out=held).result["how_far"]
+        for kind in ("held-out repeat", "held-out condition"):
+            (whole,) = (h for h in far if h["on"] == kind and h["channel"] == "sensors.y")
+            assert whole["closure"] > 0.99
+            assert whole["interval"][0] < whole["closure"] <= whole["interval"][1] + 1e-9
+            assert whole["unit"] == "m"
+            assert whole["after"] < 0.1 * whole["before"]
+        (repeat,) = (h for h in far if h["on"] == "held-out repeat" and h["channel"] == "sensors.y")
+        assert repeat["ceiling"] == pytest.approx(1.0, abs=0.02)
+
+    def test_runs_labelled_held_out_are_not_fitted(self, tmp_path: Path) -> None:
+        held = measure({"sensors": {"gain_error[1]": 0.2}}, amplitude=1.5, repeats=2, held_out=True)
+        assert answer(tmp_path, measure() + held).result["verdict"] == "none"
+
+
+class TestGate:
+    @pytest.mark.parametrize(
+        ("kind", "function"),
+        [
+            ("unit", lambda t, y: 1e3 * y),
+            ("unit", lambda t, y: y / 1e3),
+            ("sign", lambda t, y: -y),
+            ("constant", lambda t, y: np.full_like(y, 0.01)),
+            ("constant", lambda t, y: np.where((t > 4.0) & (t < 6.0), y[400], y)),
+            ("missing", lambda t, y: np.where((t > 4.0) & (t < 5.0), np.nan, y)),
+            ("range", lambda t, y: np.where(t > 7.9, 9.0, y)),
+            ("spikes", lambda t, y: y + 1.0 * (np.arange(len(t)) % 150 == 7)),
+        ],
+    )
+    def test_a_bad_channel_is_stopped_with_the_reason(self, tmp_path: Path, kind: str, function: Any) -> None:
+        result = answer(tmp_path, changed(measure(STIFF), "sensors.y[2]", function)).result
+        assert result["verdict"] == "bad_log"
+        assert not result["gate"]["usable"]
+        assert (kind, "sensors.y[2]") in {(f["kind"], f["channel"]) for f in result["gate"]["findings"]}
+
+    def test_interchanged_channels_are_stopped(self, tmp_path: Path) -> None:
+        runs = [
+            replace(r, columns={"sensors.y[1]": r.columns["sensors.y[2]"], "sensors.y[2]": r.columns["sensors.y[1]"]}) for r in measure()
+        ]
+        result = answer(tmp_path, runs).result
+        assert "axes" in {f["kind"] for f in result["gate"]["findings"]}
+
+    @pytest.mark.parametrize("lag", [0.01, 0.03])
+    def test_a_late_clock_is_a_clock_and_no_physics(self, tmp_path: Path, lag: float) -> None:
+        def late(t: Any, y: Any) -> Any:
+            return np.interp(t - lag, t, y)
+
+        result = answer(tmp_path, changed(changed(measure(), "sensors.y[1]", late), "sensors.y[2]", late)).result
+        assert result["verdict"] == "bad_log"
+        assert result["which"][0]["component"] == "logging"
+        (finding,) = (f for f in result["gate"]["findings"] if f["kind"] == "lag")
+        assert finding["value"] == pytest.approx(lag, rel=0.02)
+
+    def test_repair_goes_on_with_the_clock_corrected(self, tmp_path: Path) -> None:
+        def late(t: Any, y: Any) -> Any:
+            return np.interp(t - 0.02, t, y)
+
+        result = answer(tmp_path, changed(two_conditions(STIFF), "sensors.y[2]", late), repair=True).result
+        assert result["verdict"] == "identified"
+        assert {"stiffness", "clock"} <= {w["effect"] for w in result["which"] if w["probability"] > 0.9}
+        assert [f["repaired"] for f in result["gate"]["findings"] if f["kind"] == "lag"] == [True]
+
+
+class TestErrors:
+    def test_nothing_measured_that_the_system_has(self, tmp_path: Path) -> None:
+        (run, *_) = measure(repeats=1)
+        other = replace(run, columns={"a.b": run.columns["sensors.y[1]"]}, ports={"a.b": run.ports["sensors.y[1]"]})
+        with pytest.raises(DataError, match=r"no measured column is an output of the system; measured: a\.b; outputs: force\.f"):
+            answer(tmp_path, [other])
+
+    def test_nothing_to_diagnose(self, tmp_path: Path) -> None:
+        with pytest.raises(DataError, match="all of them are held out"):
+            answer(tmp_path, measure(held_out=True))
+
+    def test_too_short(self, tmp_path: Path) -> None:
+        with pytest.raises(DataError, match=r"10 steps of 0.01 s in common; at least 20 are needed"):
+            answer(tmp_path, measure(seconds=0.1))
