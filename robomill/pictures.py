@@ -56,7 +56,7 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
     rows = -(-len(results) // columns)
     size = np.array(workpiece.size[:2]) * 1e3
     width = 6.4 if columns == 2 else 8.0
-    figure = Figure(figsize=(width * columns + 1.2, (0.85 * width * size[1] / size[0] + 1.2) * rows), layout="constrained")
+    figure = Figure(figsize=(width * columns + 1.2, (0.72 * width * size[1] / size[0] + 0.9) * rows), layout="constrained")
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     limit = 1e3 * max(r.surface.max for r in results)
     norm = TwoSlopeNorm(0.0, -limit, limit)
@@ -81,8 +81,9 @@ def _surface(ax: Axes, result: Result, workpiece: Workpiece, norm: TwoSlopeNorm,
     ax.annotate(
         f"{1e3 * s.deviation[s.worst]:+.2f} mm",
         worst,
-        xytext=(18, 18),
+        xytext=(-18 if worst[0] > 0.0 else 18, 18),  # towards the middle, so that it covers nothing beside the picture
         textcoords="offset points",
+        ha="right" if worst[0] > 0.0 else "left",
         arrowprops={"arrowstyle": "->"},
         bbox={"boxstyle": "round", "fc": "white", "alpha": 0.8},
     )
