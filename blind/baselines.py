@@ -34,8 +34,12 @@ class Guess:
 
 Baseline = Callable[[Library, FloatArray], Guess]
 """(library, whitened mean residual) -> guess."""
-NULL_LIMIT = 1.5
-"""Whitened rms of a column below which there is no gap; machines without effects stay below 1.2 in most columns."""
+NULL_LIMIT = 2.5
+"""Whitened rms of the worst column below which there is no gap: twelve machines without effects stayed below it (`FLOOR`)."""
+
+
+def _worst(lib: Library, r: FloatArray) -> float:
+    return float(np.sqrt(np.mean(r.reshape(len(lib.columns), -1) ** 2, axis=1)).max())
 
 
 def residual(folder: Path, c: Condition, names: Sequence[str]) -> FloatArray:
@@ -59,7 +63,7 @@ def _guess(lib: Library, i: int) -> Guess:
 def largest_residual(lib: Library, r: FloatArray) -> Guess:
     """The component whose column deviates most, and the effect listed first for it."""
     rms = np.sqrt(np.mean(r.reshape(len(lib.columns), -1) ** 2, axis=1))
-    if rms.max() < NULL_LIMIT:
+    if _worst(lib, r) < NULL_LIMIT:
         return Guess(None)
     component = lib.columns[int(rms.argmax())].partition(".")[0]
     effect = next(e for e in EFFECTS if e.component == component)
@@ -67,10 +71,12 @@ def largest_residual(lib: Library, r: FloatArray) -> Guess:
 
 
 def fit_all(lib: Library, r: FloatArray) -> Guess:
-    """All effects at once by least squares; the largest in units of its usual size, none if that is below 10 %."""
+    """All effects at once by least squares; the largest in units of its usual size."""
+    if _worst(lib, r) < NULL_LIMIT:
+        return Guess(None)
     theta = np.linalg.lstsq(lib.matrix.T, r, rcond=1e-6)[0]
     best = int(np.abs(theta).argmax())
-    return _guess(lib, best) if abs(theta[best]) > 0.1 else Guess(None)
+    return _guess(lib, best)
 
 
 def _criterion(lib: Library, r: FloatArray, penalty: float) -> Guess:
@@ -99,7 +105,7 @@ def lasso(lib: Library, r: FloatArray, share: float = 0.3, rounds: int = 100) ->
     usable = scale > 1e-9
     A = np.where(usable[:, None], lib.matrix / np.where(usable, scale, 1.0)[:, None], 0.0)
     gram, b = A @ A.T, A @ r
-    if float(np.sqrt(np.mean(r**2))) * np.sqrt(len(lib.columns)) < NULL_LIMIT:
+    if _worst(lib, r) < NULL_LIMIT:
         return Guess(None)
     penalty, x = share * float(np.abs(b).max()), np.zeros(len(b))
     for _ in range(rounds):

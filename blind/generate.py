@@ -27,6 +27,7 @@ from blind.conditions import Condition, draw, known, planned
 from blind.effects import BY_KEY, EFFECTS, Instance
 from blind.effects import draw as draw_effect
 from blind.outside import Changes, Columns
+from blind.signatures import ARRAYS, floor
 from blind.world import (
     NOISE,
     STEP,
@@ -302,23 +303,21 @@ def closure(before: FloatArray, after: FloatArray) -> float:
 def detectability(
     with_them: Mapping[str, FloatArray], without: Mapping[str, FloatArray], nominal_columns: Mapping[str, FloatArray], tier: str
 ) -> dict[str, float]:
-    """By measured array: the largest ratio, over its elements and windows of 0.5 s, of the rms change by the effects to the rms of what
+    """By measured array: the largest ratio, over its elements and windows of 0.5 s, of two rms values.
 
-    is there without them: the gap between this machine and the nominal one, and the noise that six repeats leave.
+    Above: the change by the effects. Below: what is there without them, that is the gap between this machine and the nominal one in
+    that window, and what machine and noise usually leave after six repeats (`signatures.floor`).
     """
-    noise = {array: np.sqrt(w * w / REPEATS + c * c / REPEATS + o * o / REPEATS) for array, (w, c, o) in NOISE.items()}
-    noise |= {"sensor.f_S_raw": 0.5, "sensor.m_S_raw": 0.05, "sensor.f_T_T": 0.3, "sensor.m_T_T": 0.03}  # offsets of six repeats left over
-    noise |= {"controller.correction_B": 1e-6, "controller.correction_q": 1e-6}
     result: dict[str, float] = {}
     for name, y0 in without.items():
         array = name.partition("[")[0]
-        if array not in noise or (tier == "T0" and array == TRACKER):
+        if array not in ARRAYS or (tier == "T0" and array == TRACKER):
             continue
         n = min(len(y0), len(with_them[name]), len(nominal_columns[name]))
         change, gap = with_them[name][:n] - y0[:n], y0[:n] - nominal_columns[name][:n]
-        floor = float(np.sqrt(np.mean(gap**2)))
+        usual = floor(name, nominal_columns[name])[:n]
         for k in range(0, max(n - WINDOW, 1), WINDOW):
-            local = np.sqrt(np.mean(gap[k : k + WINDOW] ** 2))
-            below = np.sqrt(0.5 * (local**2 + floor**2) + noise[array] ** 2)
-            result[array] = max(result.get(array, 0.0), float(np.sqrt(np.mean(change[k : k + WINDOW] ** 2)) / below))
+            window = slice(k, k + WINDOW)
+            below = np.sqrt(np.mean(gap[window] ** 2) + np.mean(usual[window] ** 2))
+            result[array] = max(result.get(array, 0.0), float(np.sqrt(np.mean(change[window] ** 2)) / below))
     return result
