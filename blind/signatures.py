@@ -31,7 +31,8 @@ FLOOR: Mapping[str, float] = {
     "milling.spindle_torque": 0.03,
 }
 """Rms, by array, of the mean of six repeats of a machine without effects minus the nominal run: 90 % of the elements of twelve such
-machines (two per training condition) are below. `correction_q` is not sent in the training conditions; its value is that of 7 um at 1.4 m."""
+machines (two per training condition) are below.
+`correction_q` is not sent in the training conditions; its value is that of 7 um at 1.4 m."""
 CLOCK = 5e-5
 """Uncertainty of the timestamps [s] after averaging."""
 
