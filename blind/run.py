@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import os
 import shutil
 import traceback
 from collections.abc import Callable
@@ -37,6 +38,7 @@ def run_cases(folder: str | Path, diagnose: Diagnose, workers: int = 2, progress
     cases = sorted(p for p in (folder / "cases").iterdir() if p.is_dir())
     to_do = [c for c in cases if not _complete(folder / "predictions" / c.name / "diagnosis.json")]
     failed: dict[str, str] = {}
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes take it over: one core each
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
         futures = {pool.submit(_diagnose, diagnose, c, folder / "predictions" / c.name): c.name for c in to_do}
         for done, future in enumerate(as_completed(futures), 1):
