@@ -26,6 +26,7 @@ from benchmarks import peers, ring
 from benchmarks.milling import Cell, Milling
 from orchestration.assembly import assemble
 from orchestration.master import Master
+from orchestration.memory import Memory
 from orchestration.recorder import Recorder
 
 ROOT = Path(__file__).parent.parent
@@ -38,7 +39,7 @@ FMUS, SIGNALS = 4, 12
 class Ours:
     """Our master on the ring. Starts once; each measurement is a run of its own from t = 0."""
 
-    def __init__(self, file: Path, count: int, record: bool, loop: str) -> None:
+    def __init__(self, file: Path, count: int, record: bool | str, loop: str) -> None:
         self.assembly = assemble(ring.system(file, count))
         self.loop, self.record = loop, record
         self.closing = 0.0
@@ -50,7 +51,7 @@ class Ours:
         """
         a, s = self.assembly, self.assembly.system
         with tempfile.TemporaryDirectory() as folder:
-            observers = [Recorder(Path(folder) / "run")] if self.record else []
+            observers: list[Any] = [Memory()] if self.record == "memory" else [Recorder(Path(folder) / "run")] if self.record else []
             marks: list[tuple[int, tuple[float, float]]] = []
             master = Master(a.slaves, a.wiring, s.step, s.algorithm, observers, loop=self.loop)
             warm = 100
@@ -96,6 +97,9 @@ class Row:
 def rows(fmu: Path, library: Path, loop: Path, count: int) -> list[Row]:
     """All masters to be measured, with and without results."""
     made: list[Row] = []
+    made.append(
+        Row("robomill, compiled loop, to memory", True, lambda: Ours(fmu, count, "memory", "compiled"), "guards on, rows to memory")
+    )
     for record in (False, True):
         made += [
             Row("plain C loop", record, lambda r=record: peers.CLoop(loop, library, count, r), "rows to memory" if record else ""),

@@ -23,7 +23,8 @@ class Memory:
     def begin(self, wiring: Wiring, step: float) -> None:
         """Forget what was there before."""
         self._wiring = wiring
-        self._t: list[float] = []
+        self._blocks: list[FloatArray] = []  # rows of t and the outputs
+        self._t: list[float] = []  # rows that came one by one since the last block
         self._rows: list[FloatArray] = []
         self._outcome, self._message = "running", ""
 
@@ -34,8 +35,14 @@ class Memory:
 
     def observe_rows(self, rows: FloatArray) -> None:
         """Keep a copy of many rows at once: t [s] and the outputs."""
-        self._t.extend(rows[:, 0].tolist())
-        self._rows.extend(rows[:, 1:].copy())
+        self._gather()
+        self._blocks.append(rows.copy(order="K"))
+
+    def _gather(self) -> None:
+        if self._t:
+            data = np.array(self._rows).reshape(len(self._rows), self._wiring.n_outputs)
+            self._blocks.append(np.column_stack([np.array(self._t), data]))
+            self._t, self._rows = [], []
 
     def end(self, outcome: str, message: str) -> None:
         """Remember how it ended."""
@@ -43,11 +50,13 @@ class Memory:
 
     def run(self) -> Run:
         """What has been observed so far."""
-        data = np.array(self._rows).reshape(len(self._rows), self._wiring.n_outputs)
+        self._gather()
+        data = np.concatenate([np.empty((0, 1 + self._wiring.n_outputs)), *self._blocks])
+        t, data = data[:, 0].copy(), data[:, 1:]
         columns = {f"{c}.{p.name}": np.ascontiguousarray(data[:, i]) for i, (c, p) in enumerate(self._wiring.outputs)}
         ports = {f"{c}.{p.name}": _plain(p) for c, p in self._wiring.outputs}
         info = {**self.about, "outcome": self._outcome, "message": self._message}
-        return Run(Path(), np.array(self._t), columns, ports, info)
+        return Run(Path(), t, columns, ports, info)
 
 
 def _plain(p: Any) -> PortData:
