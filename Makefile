@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: run test check quick build golden figures clean help
+.PHONY: run test check quick build golden figures diagnose-real clean help
 
 run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictures in results/test_part
 	$(BIN)/robomill build
@@ -30,6 +30,9 @@ golden: $(READY) ## write the golden results anew; review the diff
 figures: $(READY) ## the studies and pictures of docs/validation.md
 	$(BIN)/python docs/studies.py
 
+diagnose-real: $(READY) ## the gap between model and robot on the KR 300 recordings: docs/real_gap.md
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m robomill.real_gap_report
+
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "robomill needs Python 3.11 or newer; set PYTHON=/path/to/python3.11")'
 	$(PYTHON) -m venv .venv
@@ -41,4 +44,4 @@ clean: ## remove the environment and everything that was made
 	rm -rf .venv dist results
 
 help: ## this list
-	@grep -E '^[a-z]+:.*##' Makefile | sed 's/:.*##/\t/'
+	@grep -E '^[a-z-]+:.*##' Makefile | sed 's/:.*##/\t/'
