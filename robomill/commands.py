@@ -30,6 +30,7 @@ from models.replay import replay_model
 from models.trajectory import Placement
 from models.trajectory import plan as plan_path
 from orchestration.assembly import run as run_once
+from orchestration.errors import OrchestrationError
 from orchestration.results import Run
 from orchestration.ssp_import import open_ssp
 from orchestration.system import System
@@ -64,10 +65,20 @@ def run(options: Namespace) -> int:
         return _run_system(System.load(options.file, convert), options)
     if experiments.is_experiment(options.file):
         return _run_experiment(options)
-    scenario = _chosen(load_scenario(options.file), options.variant)
+    _only_systems_take(options, "step", "stop")
+    scenario = load_scenario(options.file)
     folder = options.out or RESULTS / scenario.name
     folder.mkdir(parents=True, exist_ok=True)
     return _run_milling(scenario, folder, options) if scenario.kind == "milling" else _run_static(scenario, folder, options)
+
+
+def _only_systems_take(options: Namespace, *names: str) -> None:
+    """Refuse options that a scenario would silently ignore."""
+    given = [f"--{n}" for n in names if getattr(options, n) is not None]
+    if given:
+        raise ValueError(
+            f"{', '.join(given)} goes with system files and packages; a scenario takes its step and its end from its system and program"
+        )
 
 
 def _chosen(scenario: Scenario, names: Sequence[str] | None) -> Scenario:
@@ -103,15 +114,21 @@ def _run_experiment(options: Namespace) -> int:
 
 def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     assert scenario.workpiece is not None  # load_scenario checks it for this kind
+    chosen = _chosen(scenario, options.variant).variants
     results: list[Result] = []
-    with _progress(options.json) as report:
-        job = milling.prepare(scenario, folder, options.fmus, report, resume=options.resume, checkpoint_every=options.checkpoint_every)
-        job = replace(job, system=_adopted(job.system, options))  # the plan and its offline force stay nominal
-        for variant in scenario.variants:
-            recorded, factor = milling.mill(job, variant, report, csv=options.csv)
-            results.append(evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor))
-    summary = {"scenario": scenario.name, "variants": {r.name: r.figures for r in results}}
-    _write(folder / "summary.json", summary)
+    try:
+        with _progress(options.json) as report:
+            job = milling.prepare(scenario, folder, options.fmus, report, resume=options.resume, checkpoint_every=options.checkpoint_every)
+            job = replace(job, system=_adopted(job.system, options))  # the plan and its offline force stay nominal
+            milling.check_variants(job, chosen)
+            for variant in chosen:
+                recorded, factor = milling.mill(job, variant, report, csv=options.csv)
+                results.append(evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor))
+                summary = _merged_summary(scenario, folder, results)
+    except (OrchestrationError, KeyboardInterrupt):
+        if results and not options.json:
+            _console().print(_table(scenario, results), "These variants are complete; go on with --resume.", highlight=False)
+        raise
     files: list[Path] = []
     if not options.no_pictures:
         from robomill import pictures  # matplotlib takes a second to load
@@ -126,10 +143,22 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
         console.print(f"{result.title}: largest deviation: {result.figures['max_deviation_location']}", highlight=False)
     for text in job.plan.reduced:
         console.print(f"note: {text}", highlight=False)
-    console.print(
-        f"Recordings, summary.json and {len(files)} pictures are in {folder}/ (start with {folder / 'surfaces.png'})", highlight=False
-    )
+    pictures_note = f" and {len(files)} pictures (start with {files[0].name})" if files else ""
+    console.print(f"In {folder}/: a recording per variant, summary.json{pictures_note}", highlight=False)
     return 0
+
+
+def _merged_summary(scenario: Scenario, folder: Path, results: Sequence[Result]) -> dict[str, Any]:
+    """Write summary.json: the results so far, and what it already held of other variants of this scenario."""
+    file = folder / "summary.json"
+    try:
+        old = json.loads(file.read_text(encoding="utf-8"))["variants"]
+    except (OSError, ValueError, KeyError, TypeError):
+        old = {}
+    figures = {**old, **{r.name: r.figures for r in results}}
+    summary = {"scenario": scenario.name, "variants": {v.name: figures[v.name] for v in scenario.variants if v.name in figures}}
+    _write(file, summary)
+    return summary
 
 
 def _table(scenario: Scenario, results: Sequence[Result]) -> Table:
@@ -183,6 +212,8 @@ def _adopted(system: System, options: Namespace) -> System:
 
 
 def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
+    if options.variant:
+        raise ValueError("--variant goes with scenarios; a system file or package is one run")
     if options.step is not None:
         system = replace(system, step=options.step)
     system = _adopted(system, options)

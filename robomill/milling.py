@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from models import gcode, point_path
 from models.declaration import FloatArray
 from models.trajectory import Placement, Plan, pilot_table, plan
-from orchestration.assembly import run
+from orchestration.assembly import assemble, run
 from orchestration.errors import SlaveError
 from orchestration.fmu_description import open_fmu
 from orchestration.results import Run
@@ -126,6 +126,12 @@ def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool
         resume=job.resume,
     )
     return result, watch.factor
+
+
+def check_variants(job: Job, variants: Sequence[Variant]) -> None:
+    """Assemble every variant once, so that what cannot run is refused before any recording is replaced."""
+    for variant in variants:
+        assemble(with_parameters(job.system, variant.parameters), resolve, convert).close()
 
 
 class _Stopwatch:

@@ -28,12 +28,12 @@ COLOURS = {"uncompensated": "tab:gray", "cartesian": "tab:blue", "axis": "tab:or
 
 
 def draw_all(scenario: Scenario, results: Sequence[Result], folder: Path) -> list[Path]:
-    """Draw every picture of a milling scenario into `folder`; returns the files."""
+    """Draw every picture of a milling scenario into `folder`; returns the files. Those of all variants need all variants."""
     assert scenario.workpiece is not None
-    files = [
-        _save(surfaces(results, scenario.workpiece), folder / "surfaces.png"),
-        _save(deviations(results, scenario.workpiece), folder / "deviation.png"),
-    ]
+    files = []
+    if len(results) == len(scenario.variants):
+        files.append(_save(surfaces(results, scenario.workpiece), folder / "surfaces.png"))
+        files.append(_save(deviations(results, scenario.workpiece), folder / "deviation.png"))
     for result in results:
         files.append(_save(surfaces([result], scenario.workpiece), folder / result.name / "surface.png"))
         files.append(_save(forces(result), folder / result.name / "force.png"))

@@ -82,7 +82,31 @@ def test_json_and_nothing_else(cell, capsys):
     assert json.loads(capsys.readouterr().out)["scenario"] == "part"
 
 
+def test_one_variant_again_keeps_the_figures_of_the_others(cell, capsys):
+    edit(cell / "part.toml", "[variants.cartesian]", "[variants.uncompensated]\nparameters.controller.mode = 0\n[variants.cartesian]")
+    assert main(["run", "part.toml", "--no-pictures"]) == 0
+    file = cell / "results" / "part" / "summary.json"
+    before = json.loads(file.read_text())["variants"]
+    assert main(["run", "part.toml", "--no-pictures", "--variant", "cartesian"]) == 0
+    after = json.loads(file.read_text())["variants"]
+    assert list(after) == ["uncompensated", "cartesian"]
+    assert after["uncompensated"] == before["uncompensated"]
+
+
+def test_a_variant_that_cannot_run_is_refused_before_any_recording_is_replaced(cell, capsys):
+    assert main(["run", "part.toml", "--no-pictures"]) == 0
+    recording = (cell / "results" / "part" / "cartesian" / "signals.parquet").read_bytes()
+    (cell / "part.toml").write_text((cell / "part.toml").read_text() + "[variants.bad]\nparameters.controller.mode = 9\n")
+    assert "maximum 2" in refused(capsys, "run", "part.toml", "--no-pictures")
+    assert (cell / "results" / "part" / "cartesian" / "signals.parquet").read_bytes() == recording
+
+
 class TestBadInput:
+    def test_options_that_do_not_apply_are_refused(self, cell, capsys):
+        assert "--step goes with system files" in refused(capsys, "run", "part.toml", "--step", "0.001")
+        (cell / "one.toml").write_text('name = "one"\nstep = 0.004\nstop = 0.1\n[components.path]\nsource = "path_interpolator"\n')
+        assert "--variant goes with scenarios" in refused(capsys, "run", "one.toml", "--variant", "axis")
+
     def test_malformed_program_names_the_line(self, cell, capsys):
         edit(cell / "part.ngc", "X20.", "X2O.")
         assert "part.ngc line 6" in refused(capsys, "run", "part.toml")
