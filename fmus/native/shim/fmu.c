@@ -360,8 +360,10 @@ static Instance *create(const char *name, const char *token, Logger2 *logger2, L
         I->record = malloc((WORDS + 1) * sizeof(Word));
         I->paths = calloc(TABLE_COUNT + 1, sizeof *I->paths);
         I->name = malloc(strlen(nobody.name) + 1);
+        if (I->name)
+            strcpy(I->name, nobody.name);
         if (I->record && I->paths && I->name && reset(I) == OK)
-            return strcpy(I->name, nobody.name), I;
+            return I;
         destroy(I);
     }
     put(&t, "needs %u bytes of memory, which are not there", WORDS * (unsigned)sizeof(Word));
@@ -534,11 +536,9 @@ static int serialise(const Instance *I, const State *S, void *bytes, size_t size
 
 /* Whether the bytes are a state of this FMU, down to the last one. */
 static bool sound(const char *bytes, uint64_t size) {
-    State head;
-    if (size < sizeof head + TABLES_AT * sizeof(Word))
-        return false;
-    memcpy(&head, bytes, sizeof head);
-    if (head.size > size || strncmp(head.token, TOKEN, sizeof head.token))
+    State head = {.size = 0};
+    memcpy(&head, bytes, size < sizeof head ? size : sizeof head);
+    if (head.size < sizeof head + TABLES_AT * sizeof(Word) || head.size > size || strncmp(head.token, TOKEN, sizeof head.token))
         return false;
     uint64_t at = sizeof head + TABLES_AT * sizeof(Word);
     for (uint32_t i = 0; i < TABLE_COUNT; i++) {
