@@ -215,7 +215,7 @@ def picture(candidates: list[Row], file: Path) -> None:
             axes.text(max(r.times) * 1.08, y, f"{r.median:.3g}", va="center", fontsize=8)
     handles, labels = axes.get_legend_handles_labels()
     unique = dict(zip(labels, handles, strict=True))
-    axes.legend(unique.values(), unique.keys(), loc="lower right", frameon=False)
+    axes.legend(unique.values(), unique.keys(), loc="upper right", frameon=False)
     axes.set(xscale="log", xlabel="microseconds per macro step (4 FMUs, 12 inputs and 12 outputs each)")
     axes.set_yticks([len(names) - i for i in range(len(names))], names)
     axes.set_xlim(right=max(max(r.times) for r in candidates) * 2)
