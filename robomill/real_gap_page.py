@@ -84,7 +84,7 @@ def as_json(r: Result) -> dict[str, Any]:
             "probability": _probability(u.loss),
             "log_evidence_gain": u.loss,
             "gap_growth_on_held_out_without": u.transfer,
-            "transfers": u.transfer > 0.0,
+            "transfers": bool(u.transfer > 0.0),
             "parameters": {
                 p: {"value": r.best.by_name[p], "interval": list(r.best.interval(p)), "unit": u.candidate.unit}
                 for p in u.candidate.parameters
