@@ -42,6 +42,7 @@ from blind.world import (
     simulate_nominal,
 )
 from models.declaration import FloatArray
+from orchestration.errors import RunError
 from orchestration.recorder import SCHEMA, frame_of
 from orchestration.results import RUN, SIGNALS
 from orchestration.slave import PortData
@@ -148,8 +149,19 @@ def hashes(folder: Path, exclude: Sequence[str] = ()) -> dict[str, str]:
 
 
 def make_case(folder: Path, plan: Plan, seed: int, tier: str) -> None:
-    """Simulate, write and seal one case. Its truth is written last."""
-    random = np.random.default_rng([VERSION, seed, plan.number])
+    """Simulate, write and seal one case. A machine on which the program cannot be run (RunError) is drawn anew, at most four times."""
+    for attempt in range(5):
+        try:
+            _attempt(folder, plan, tier, np.random.default_rng([VERSION, seed, plan.number, attempt]))
+        except RunError:
+            if attempt == 4:
+                raise
+        else:
+            return
+
+
+def _attempt(folder: Path, plan: Plan, tier: str, random: np.random.Generator) -> None:
+    """One try; the truth is written last."""
     conditions = draw(random)
     machine = draw_machine(random)
     truth, effects, changes, fault = _subject(plan, tier, random)

@@ -248,7 +248,7 @@ OUTSIDE = (
         "periodic_stiffness", "compliance", 2e-7, 1e-6, "rad/(N.m)", _periodic_stiffness, "compliance of a gear that varies with its angle"
     ),
     Outside("axis_coupling", "drive", 2e-4, 2e-3, "1", _coupling, "an axis moves with another one"),
-    Outside("quadratic_windup", "drive", 0.02, 0.2, "s2/rad", _windup, "deviation with the square of the axis speed"),
+    Outside("quadratic_windup", "drive", 1e-3, 1e-2, "s2/rad", _windup, "deviation with the square of the axis speed"),
     Outside("creep", "compliance", 2e-7, 1e-6, "rad/(N.m)", _creep, "deflection that goes on growing under load"),
     Outside("reversal_ringing", "drive", 50e-6, 300e-6, "rad", _ringing, "decaying oscillation after a reversal"),
     Outside("floor_vibration", None, 20e-6, 150e-6, "rad", _floor, "sinusoid independent of the process"),
