@@ -22,6 +22,7 @@ from rich.table import Table
 from diagnosis import adopt
 from diagnosis.simulation import with_values
 from fmus.components import COMPONENTS, component
+from fmus.documentation import reference_files
 from fmus.python.builder import build as build_python
 from models import gcode, point_path
 from models.declaration import Model
@@ -256,12 +257,8 @@ def build(options: Namespace) -> int:
             raise ValueError("--replay needs exactly one --component: the one that the recording stands in for")
         models = [_replay_model(Run.load(options.replay), names[0], options.recorded_as or names[0])]
     options.out.mkdir(parents=True, exist_ok=True)
-    files: list[Path] = []
     with _progress(options.json) as report:
-        for i, model in enumerate(models):
-            report(f"build {model.name}", i, len(models))
-            files.append(_build(model, options))
-        report("build", len(models), len(models))
+        files = _build(models, options, report)
         written = ssp.write(packages, options.out, options.out, report)
     if options.json:
         print(json.dumps({"fmus": [str(f) for f in files], "packages": [str(f) for f in written]}))
@@ -271,20 +268,34 @@ def build(options: Namespace) -> int:
     return 0
 
 
-def _build(model: Model, options: Namespace) -> Path:
-    """One FMU with the backend that was asked for."""
-    if options.backend == "native":
-        from fmus.native.builder import build as build_native  # needs LLVM: a second to load
+def _build(models: Sequence[Model], options: Namespace, report: milling.Progress) -> list[Path]:
+    """FMUs of all models with the backend that was asked for."""
+    report("build", 0, len(models))
+    files: list[Path] = []
 
-        return build_native(model, options.out, fmi=options.fmi, platforms=tuple(options.platform or ["linux64"]))
+    def done(file: Path) -> None:
+        files.append(file)
+        report("build", len(files), len(models))
+
+    if options.backend == "native":
+        from fmus.native.builder import build_all  # needs LLVM: a second to load
+
+        platforms = tuple(options.platform or ["linux64"])
+        return build_all(models, options.out, fmi=options.fmi, platforms=platforms, reference=lambda m: reference_files(m.name), done=done)
     if options.fmi != 2 or options.platform:
         raise ValueError("--fmi 3 and --platform go with --backend native; Python FMUs are FMI 2 for linux64 and win64")
-    return build_python(model, options.out)
+    for model in models:
+        done(build_python(model, options.out))
+    return files
 
 
 def _replay_model(recorded: Run, component_name: str, recorded_as: str) -> Model:
     """The model that plays back what `recorded_as` did in a run, in place of the component `component_name`."""
     model = component(component_name)
+    if recorded_as not in recorded.components:
+        raise ValueError(
+            f"{recorded.folder} has no component {recorded_as!r}; it has {', '.join(recorded.components)}: say which one with --as"
+        )
     outputs = [v.name for v in model.variables if v.causality == "output"]
     columns = {name: recorded[f"{recorded_as}.{name}"] for name in outputs}
     return replay_model(model, recorded.t - recorded.t[0], columns)
