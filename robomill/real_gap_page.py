@@ -481,6 +481,8 @@ Chosen on A by evidence: **{r.link_best}**. Closure on B against the offset alon
 
 - Two recordings of 10 s, one trajectory each, no repeats: intervals rest on a noise model that was fitted to the same residual, and one held-out
   condition is one. The bootstrap over blocks of 0.5 s does not know of other trajectories, temperatures or days.
+- B was held out from every fit and choice that the program makes, but not from its author: that the lag of the torques is read from the ripple and not
+  fitted, and that the payload's inertia is in the catalogue, was decided after looking at fits of both recordings.
 - Friction at standstill is not modelled (no presliding, no memory): with all samples the rms closes less, see the table.
 - The Stribeck speed (0.02 rad/s) and the smoothing speed (1 mrad/s) are fixed, not fitted.
 - Wrist couplings of the gears and gyroscopic moments of the rotors are not in the model.
