@@ -134,7 +134,8 @@ def _nuisances(
             starts = {p.name: p.start for p in slave.ports if p.causality == "parameter" and p.type == "real"}
             given = {**starts, **assembly.parameters.get(name, {})}
             values[name] = {k: float(v) for k, v in given.items() if k in starts and isinstance(v, int | float)}
-    return [u for t in catalogue.tolerances if t.address[0] in values for u in t.nuisances(values[t.address[0]])]
+    clocks = [Nuisance(t.address, t.size) for t in catalogue.tolerances if t.address[0] == LOGGING]
+    return clocks + [u for t in catalogue.tolerances if t.address[0] in values for u in t.nuisances(values[t.address[0]])]
 
 
 def _gate(
