@@ -58,6 +58,10 @@ def run(options: Namespace) -> int:
             return _run_system(package.system, options, package.start)
     if not options.file.is_file():
         load_scenario(options.file)  # says what there is
+    if options.file.suffix in (".ngc", ".nc", ".gcode"):
+        raise ValueError(
+            f"{options.file} is a program: `robomill plan` looks at it, a scenario that names it (scenarios/groove.toml) mills it"
+        )
     try:
         is_scenario = "scenario" in tomllib.loads(options.file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):

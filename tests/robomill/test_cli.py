@@ -107,6 +107,9 @@ class TestBadInput:
         (cell / "one.toml").write_text('name = "one"\nstep = 0.004\nstop = 0.1\n[components.path]\nsource = "path_interpolator"\n')
         assert "--variant goes with scenarios" in refused(capsys, "run", "one.toml", "--variant", "axis")
 
+    def test_a_program_is_no_scenario(self, cell, capsys):
+        assert "`robomill plan` looks at it" in refused(capsys, "run", "part.ngc")
+
     def test_malformed_program_names_the_line(self, cell, capsys):
         edit(cell / "part.ngc", "X20.", "X2O.")
         assert "part.ngc line 6" in refused(capsys, "run", "part.toml")
