@@ -129,7 +129,7 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
             for variant in chosen:
                 recorded, factor = milling.mill(job, variant, report, csv=options.csv)
                 results.append(evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor))
-                summary = _merged_summary(scenario, folder, results)
+                summary = _write_summary(scenario, folder, results)
     except (OrchestrationError, KeyboardInterrupt):
         if results and not options.json:
             _console().print(_table(scenario, results), "These variants are complete; go on with --resume.", highlight=False)
@@ -153,7 +153,7 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     return 0
 
 
-def _merged_summary(scenario: Scenario, folder: Path, results: Sequence[Result]) -> dict[str, Any]:
+def _write_summary(scenario: Scenario, folder: Path, results: Sequence[Result]) -> dict[str, Any]:
     """Write summary.json: the results so far, and what it already held of other variants of this scenario."""
     file = folder / "summary.json"
     try:
