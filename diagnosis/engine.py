@@ -61,7 +61,8 @@ class Diagnosis:
     fits: tuple[Fit, ...] = ()
     channels: tuple[str, ...] = ()
     curves: Mapping[str, dict[str, FloatArray]] = field(default_factory=dict)
-    """condition -> t, measured (mean), nominal, adopted; [samples, channels]."""
+    """condition -> t [samples]; measured (mean of the repeats), nominal, adopted [samples, channels]; spread (standard
+    deviation) of the repeats [channels], 0 for a single one. Without `adopted` where nothing was fitted."""
 
 
 def diagnose(
@@ -98,7 +99,9 @@ def diagnose(
     with Simulator(laboratory, workers, report) as simulator:
         findings = _gate(laboratory, simulator, groups, n, channels, ranges)
         if any(f.fatal for f in findings):
-            return Diagnosis(_result("bad_log", findings, began, simulator.count), {})
+            result = _result("bad_log", findings, began, simulator.count)
+            curves = _curves(laboratory, groups, simulator.repeated(range(n), (), NOMINAL))
+            return Diagnosis(result, {}, channels=tuple(channels), curves=curves)
         search = Search(catalogue, simulator, groups[:n], nuisances)
         fits = search.run()
         return _Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu, repair, began).diagnosis()
@@ -465,22 +468,33 @@ class _Conclusion:
 
     def curves(self, adopted: Mapping[Address, float]) -> dict[str, dict[str, FloatArray]]:
         """Means over the repeats beside both simulations."""
-        changes = setting(adopted)
         everywhere = range(len(self.laboratory.conditions))
-        before, after = self.simulator.repeated(everywhere, (), CLOSING), self.simulator.repeated(everywhere, changes, CLOSING)
-        out = {}
-        for i, c in enumerate(self.laboratory.conditions):
-            b, a = before[i], after[i]
-            if b is not None and a is not None:
-                mean = np.mean(self.groups[i], axis=0)
-                t = decimate(c.grid[:, None], self.laboratory.decimation)[:, 0]
-                out[f"{c.name}{' (held out)' if c.held_out else ''}"] = {
-                    "t": t,
-                    "measured": mean,
-                    "nominal": np.mean(b, axis=0),
-                    "adopted": np.mean(a, axis=0),
-                }
-        return out
+        before, after = (self.simulator.repeated(everywhere, changes, CLOSING) for changes in ((), setting(adopted)))
+        return _curves(self.laboratory, self.groups, before, after)
+
+
+def _curves(
+    laboratory: Laboratory,
+    groups: Sequence[Sequence[FloatArray]],
+    nominal: Sequence[Sequence[FloatArray] | None],
+    adopted: Sequence[Sequence[FloatArray] | None] = (),
+) -> dict[str, dict[str, FloatArray]]:
+    """See `Diagnosis.curves`; for as many conditions as were simulated, without those that cannot run."""
+    curves = {}
+    for i, before in enumerate(nominal):
+        after = adopted[i] if adopted else ()
+        if before is None or after is None:
+            continue
+        c, repeats = laboratory.conditions[i], np.stack(groups[i])
+        found = curves[f"{c.name}{' (held out)' if c.held_out else ''}"] = {
+            "t": decimate(c.grid[:, None], laboratory.decimation)[:, 0],
+            "measured": repeats.mean(axis=0),
+            "spread": np.sqrt(repeats.var(axis=0, ddof=min(1, len(repeats) - 1)).mean(axis=0)),
+            "nominal": np.mean(before, axis=0),
+        }
+        if after:
+            found["adopted"] = np.mean(after, axis=0)
+    return curves
 
 
 def _halves(group: Sequence[FloatArray], weight: FloatArray, index: Any) -> tuple[FloatArray, FloatArray]:
