@@ -25,6 +25,7 @@ An experiment file is a scenario of kind "experiment"::
     load = [["1 s", 0, 0, 0], ["1.5 s", 300, 0, 0]] # time, force on the tool in B [N]; lines between
     weight = "25 kg"                # hangs from the tool tip all the time
     held_out = true
+    minutes = 5                     # what its repeats cost on the machine, with setting up (scenarios/next_runs)
     parameters.compliance.warm_up_time = "30 min"
 
 Each repeat is a run folder with the labels condition, repeat, held_out, kind, tier, and `parameters`: what the experimenter set. A
@@ -44,7 +45,7 @@ from scipy.spatial.transform import Rotation
 
 from models import gcode, point_path
 from models.declaration import FloatArray
-from models.trajectory import Placement, plan
+from models.trajectory import Placement, Plan, plan
 from orchestration.assembly import run
 from orchestration.parameters import quantity
 from orchestration.results import RUN, Run, read_info
@@ -54,10 +55,12 @@ from robomill.binding import convert, resolve, with_fmus
 from robomill.milling import Progress, with_parameters
 from robomill.scenario import ComponentParameters, ScenarioError
 
+PATH, LOAD = "segments.npy", "profile.npy"
+"""Tables in the folder of a run: the planned program, the applied load."""
 GRAVITY = 9.81
 """m/s2, as in the models."""
 _TOP = {"scenario", "experiment", "parameters", "machine", "condition"}
-_CONDITION = {"name", "program", "position", "abc", "size", "load", "weight", "held_out", "parameters"}
+_CONDITION = {"name", "program", "position", "abc", "size", "load", "weight", "held_out", "minutes", "parameters"}
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,8 @@ class ExperimentCondition:
     """(n, 7): time [s], force [N], moment [N m] on the tool in B; (0, 7): no applied load."""
     held_out: bool
     parameters: ComponentParameters
+    minutes: float = 0.0
+    """What all its repeats cost on the machine, with setting up; 0: not said."""
 
 
 @dataclass(frozen=True)
@@ -176,6 +181,7 @@ def _condition(file: Path, number: int, entry: Any) -> ExperimentCondition:
         load if rows or weight else load[:0],
         bool(entry.get("held_out", False)),
         entry.get("parameters", {}),
+        _si(file, f"{where} minutes", entry.get("minutes", 0.0), "min"),
     )
 
 
@@ -192,25 +198,38 @@ def known_parameters(experiment: Experiment, c: ExperimentCondition, system: Sys
     return known
 
 
-def run_condition(
-    experiment: Experiment, c: ExperimentCondition, repeat: int, folder: Path, fmus: Path | None = None, csv: bool = False, tier: str = "T1"
-) -> Run:
-    """One repeat into `folder` (overwritten). Raises what reader, planner and master raise."""
-    system = System.load(experiment.system, convert)
+def prepare(experiment: Experiment, c: ExperimentCondition, system: System, folder: Path) -> tuple[Plan, dict[str, dict[str, Any]]]:
+    """Plan the condition for `system` and write its tables into `folder` (made).
+
+    Returns the plan and all that the experimenter sets, files by their names in the folder. Raises what reader and planner raise.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     source = point_path.read_points(c.program) if c.program.suffix == ".toml" else gcode.read(c.program)
     x, y, z = c.position
     a, b, g = c.abc
     planned = plan(source, Placement((x, y, z), (a, b, g)))
-    np.save(folder / "segments.npy", planned.table)
+    np.save(folder / PATH, planned.table)
     known = known_parameters(experiment, c, system)
-    files = {"path": {"segments": "segments.npy"}}
+    known["path"] = {**known["path"], "segments": PATH}
     if any(component.name == "load" for component in system.components):
-        np.save(folder / "profile.npy", c.load)
-        files["load"] = {"profile": "profile.npy"}
+        np.save(folder / LOAD, c.load)
+        known["load"] = {**known.get("load", {}), "profile": LOAD}
+    return planned, known
+
+
+def in_folder(known: ComponentParameters, folder: Path) -> dict[str, dict[str, Any]]:
+    """The same with the tables of path and load found from everywhere."""
+    return {k: {n: str((folder / v).resolve()) if v in (PATH, LOAD) else v for n, v in values.items()} for k, values in known.items()}
+
+
+def run_condition(
+    experiment: Experiment, c: ExperimentCondition, repeat: int, folder: Path, fmus: Path | None = None, csv: bool = False, tier: str = "T1"
+) -> Run:
+    """One repeat into `folder` (overwritten). Raises what reader, planner and master raise."""
+    system = System.load(experiment.system, convert)
+    planned, known = prepare(experiment, c, system, folder)
     seed = {"sensor": {"seed": 1000 * (1 + experiment.conditions.index(c)) + repeat}}
-    configured = with_parameters(with_parameters(with_parameters(system, seed), experiment.machine), known)
-    configured = with_parameters(configured, {k: {n: str((folder / f).resolve()) for n, f in v.items()} for k, v in files.items()})
+    configured = with_parameters(with_parameters(with_parameters(system, seed), experiment.machine), in_folder(known, folder))
     configured = replace(configured, name=experiment.name, recording=replace(configured.recording, csv=csv))
     if fmus is not None:
         configured = with_fmus(configured, fmus)
@@ -225,7 +244,7 @@ def run_condition(
     }
     run(configured, folder, resolver=resolve, convert=convert, labels=labels, overwrite=True)
     info = read_info(folder)
-    info["parameters"] = {k: {**known.get(k, {}), **files.get(k, {})} for k in dict.fromkeys([*known, *files])}
+    info["parameters"] = known
     (folder / RUN).write_text(dump(info), encoding="utf-8")
     return Run.load(folder)
 
