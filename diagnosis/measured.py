@@ -31,6 +31,8 @@ class Condition:
     grid: FloatArray
     """Communication points [s] of the simulation that all repeats cover, float64[n]."""
     held_out: bool = False
+    system: System | None = None
+    """What makes it, where that is another system than the one that is diagnosed."""
 
     def matrix(self, run: Run, channels: Sequence[str]) -> FloatArray:
         """The channels of a repeat at the grid, float64[n, channels]; samples that are not finite are bridged linearly."""

@@ -50,7 +50,7 @@ class Laboratory:
 
     def configured(self, index: int) -> System:
         """The nominal system of condition `index`, without noise."""
-        system = self.system
+        system = self.conditions[index].system or self.system
         for component, values in [*self.conditions[index].parameters.items(), *self.quiet.items()]:
             if any(c.name == component for c in system.components):
                 system = with_values(system, component, values)
@@ -64,7 +64,7 @@ class Laboratory:
         for (component, parameter), value in changes:
             if component == LOGGING:
                 observed.append((parameter, value))
-            else:
+            elif condition.system is None or any(c.name == component for c in system.components):
                 system = with_values(system, component, {parameter: value + self.nominal.get((component, parameter), 0.0)})
         try:
             result = run(system, None, stop=float(condition.grid[-1]), resolver=self.resolver, convert=self.convert)
@@ -72,7 +72,9 @@ class Laboratory:
             if not changes:
                 raise
             return None
-        full = np.stack([np.interp(condition.grid, result.t, result.columns[name]) for name in self.channels], axis=1)
+        # a channel that another system does not have says nothing
+        columns = [result.columns.get(name, np.zeros(len(result.t))) for name in self.channels]
+        full = np.stack([np.interp(condition.grid, result.t, column) for column in columns], axis=1)
         for parameter, value in observed:
             _observe(full, condition.grid, self.channels, parameter, value)
         return decimate(full, self.decimation)
