@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from diagnosis import closure, gate
+from diagnosis import closure, gate, isolability, next_run
 from diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
 from diagnosis.estimation import Fit, probabilities
 from diagnosis.measured import Condition, DataError, sort_by_condition
@@ -38,6 +38,8 @@ UNEXPLAINED = 0.25
 """Share of the gap that an adequate model may leave."""
 CLEAR = 6.0
 """Log of the (tempered) odds from which an effect is believed to be there at all."""
+LISTED = 0.01
+"""Probability from which a candidate is listed."""
 SIGNIFICANT = 6.0
 """Deviations of noise above which a gap is there."""
 
@@ -48,8 +50,8 @@ class Menu:
 
     titles: Mapping[str, str] = field(default_factory=dict)
     """array or column -> what people call it."""
-    experiments: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """kind of run -> names of the effects that show in it."""
+    offers: Callable[[], Mapping[str, next_run.Offer]] = dict
+    """Kinds of runs that could be made next; called when they are needed."""
 
 
 @dataclass(frozen=True)
@@ -235,6 +237,10 @@ class _Conclusion:
             text = f"the clock of the {c.location} is late by {1e3 * value:.1f} ms"
             self.findings.append(gate.Finding(c.parameters[0].partition(" ")[2], "lag", value, "s", text, not self.repair, self.repair))
         result = _result(verdict, self.findings, self.began, 0)
+        self.pairs = isolability.pairs(self.fits, [c for c, p in marginal.items() if p >= LISTED], self.search.evidence.space, TEMPERATURE)
+        result["isolability"] = [
+            {"pair": [p.one.name, p.other.name], "distance": p.distance, "confusable": p.confusable} for p in self.pairs
+        ]
         result["gap"] = {
             "before": before,
             "within_calibration": before - calibrated,
@@ -252,7 +258,7 @@ class _Conclusion:
             result["which"] = self.which(marginal)
             result["where"] = self.where()
             result["how_far"] = self.how_far(adopted) if adopted else []
-            result["next_run"] = self.next_run(marginal) if verdict in ("ambiguous", "unknown") else None
+            result["next_run"] = self.next_run(verdict) if verdict in ("identified", "ambiguous", "unknown") else None
             result["predictive"] = {f.name: f.predictive for f in self.fits if f.predictive}
         if verdict == "unknown":
             result["unknown"] = self.describe()
@@ -262,9 +268,13 @@ class _Conclusion:
     def which(self, marginal: Mapping[Candidate, float]) -> list[dict[str, Any]]:
         """Every candidate above 1 %."""
         listed = []
-        sets = self.confusable()
+        sets: dict[str, list[str]] = {}
+        for pair in self.pairs:
+            if pair.confusable:
+                sets.setdefault(pair.one.name, []).append(pair.other.name)
+                sets.setdefault(pair.other.name, []).append(pair.one.name)
         for c, p in marginal.items():
-            if p < 0.01:
+            if p < LISTED:
                 continue
             fit = max((f for f in self.fits if c in f.model), key=lambda f: float(self.weights[self.fits.index(f)]))
             parameters = {}
@@ -287,20 +297,6 @@ class _Conclusion:
     def tolerance(self, address: Address) -> float:
         """Standard deviation to which the nominal value is believed [unit]."""
         return math.hypot(*self.search.evidence.space.alike.get(address, {}).values())
-
-    def confusable(self) -> dict[str, list[str]]:
-        """Single candidates whose best signatures the data cannot tell apart (3 deviations, in tempered noise)."""
-        space = self.search.evidence.space
-        single = [f for f in self.fits if len(f.model) == 1 and f.signature is not None]
-        pairs: dict[str, list[str]] = {}
-        for a, b in combinations(single, 2):
-            assert a.signature is not None
-            assert b.signature is not None
-            d = a.signature - b.signature
-            if math.sqrt(max(float(space.dot(d, d)), 0.0) / TEMPERATURE) < 3.0:
-                pairs.setdefault(a.name, []).append(b.name)
-                pairs.setdefault(b.name, []).append(a.name)
-        return pairs
 
     def where(self) -> list[dict[str, Any]]:
         """Share of each component in the gap: exact Shapley values of the effects of the best model, and what remains."""
@@ -429,20 +425,15 @@ class _Conclusion:
                 )
         return listed
 
-    def next_run(self, marginal: Mapping[Candidate, float]) -> dict[str, Any] | None:
-        """From the menu: the kind of run in which some of the likely effects show and others do not."""
-        likely = [c for c, p in marginal.items() if p > 0.05][:6]
-        if not self.menu.experiments or not likely:
+    def next_run(self, verdict: str) -> dict[str, Any] | None:
+        """The run on the menu that tells the likely models apart; None where there is only one, or no menu."""
+        rivals = next_run.rivals(self.fits, self.weights, self.search, TEMPERATURE, known=verdict != "unknown")
+        offers = self.menu.offers() if len(rivals) > 1 else {}
+        if not offers:
             return None
-        have = {str(r.info.get("labels", {}).get("kind", "")) for c in self.laboratory.conditions for r in c.runs}
-        effects = list(dict.fromkeys(c.effect for c in likely))
-
-        def split(kind: str) -> tuple[bool, int]:
-            shown = sum(e in self.menu.experiments[kind] for e in effects)
-            return kind not in have, min(shown, len(effects) - shown)
-
-        kind = max(self.menu.experiments, key=split)
-        return {"kind": kind, "separates": [c.name for c in likely]}
+        fits, weights = [self.fits[i] for i in rivals], [max(float(self.weights[i]), LISTED) for i in rivals]
+        with self.simulator.beside(next_run.laboratory(self.laboratory, offers)) as simulator:
+            return next_run.recommend(fits, weights, offers, self.search, simulator, TEMPERATURE)
 
     def describe(self) -> dict[str, Any]:
         """What is known of an effect that is not in the catalogue: where its energy is."""

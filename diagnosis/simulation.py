@@ -159,6 +159,10 @@ class Simulator:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
+    def beside(self, laboratory: Laboratory) -> Simulator:
+        """Another one for another laboratory; what it simulates is counted there."""
+        return Simulator(laboratory, self._workers, self._report)
+
     def many(self, tasks: Sequence[tuple[int, Setting]], what: str = "simulations") -> list[FloatArray | None]:
         """Results in the order of the tasks."""
         new = [t for t in dict.fromkeys(tasks) if t not in self._known]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from argparse import SUPPRESS, Namespace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from rich.box import SIMPLE
@@ -41,10 +42,13 @@ def diagnose_case(case: Path, out: Path) -> None:
     from diagnosis.engine import diagnose
     from orchestration.results import Run
     from orchestration.system import System
+    from robomill.diagnose_command import menu
 
     runs = [Run.load(f) for f in sorted((case / "runs").iterdir()) if f.is_dir()]
     system = System.load(case / "system.toml", convert)
-    found = diagnose(system, runs, Catalogue.load(CATALOGUE), resolver=resolve, convert=convert)
+    with TemporaryDirectory() as folder:
+        told = menu(system, Path(folder))
+        found = diagnose(system, runs, Catalogue.load(CATALOGUE), resolver=resolve, convert=convert, menu=told)
     (out / "diagnosis.json").write_text(json.dumps(found.result, indent=1) + "\n", encoding="utf-8")
 
 

@@ -5,40 +5,42 @@ from __future__ import annotations
 import json
 from argparse import Namespace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from diagnosis import adopt
 from diagnosis.catalogue import LOGGING, Catalogue
 from diagnosis.engine import Menu, diagnose
+from diagnosis.next_run import Offer
 from orchestration.results import Run
 from orchestration.system import System
+from robomill import next_runs
 from robomill.binding import convert, resolve
 
 CATALOGUE = "catalogue.toml"
-MENU = Menu(
-    titles={
-        "compliance.p_BT_B": "tool-tip path error",
-        "sensor.f_T_T": "compensated force error",
-        "sensor.f_S_raw": "sensor force error",
-        "drive.torque_motor": "motor torque error",
-        "drive.q_motor": "motor angle error",
-        "controller.correction_B": "correction error",
-        "milling.spindle_torque": "spindle torque error",
-    },
-    experiments={
-        "free motion": ("friction_viscous", "friction_coulomb", "transmission_error", "tracking_lag", "geometry_error", "inertial_force"),
-        "reversals": ("backlash", "reversal_friction", "gear_hysteresis", "friction_coulomb", "friction_stribeck", "tracking_lag"),
-        "static loads": ("stiffness_error", "tilt_compliance", "base_compliance", "tool_compliance", "stiffness_asymmetry", "sensor_gain"),
-        "static loads with a hanging weight": ("payload_error", "weight_error", "counterbalance_error", "stiffness_error"),
-        "force staircase": ("stiffness_hardening", "gear_hysteresis", "dead_band", "clipping", "sensor_gain", "sensor_gain_axis"),
-        "sensor poses": ("weight_error", "misalignment", "hose_force", "zero_drift", "cross_talk", "sensor_gain_axis"),
-        "second depth": ("tool_wear", "cutting_coefficient", "stock_error", "workpiece_compliance", "correction_limit"),
-        "second feed": ("size_effect", "tool_wear", "cutting_coefficient", "tracking_lag", "extra_delay", "sensor_lag"),
-        "second direction": ("frame_error", "stiffness_error", "base_compliance", "stiffness_table_error", "engagement_error"),
-        "warm-up": ("thermal_growth", "zero_drift"),
-        "tap test": ("structural_mode", "tool_compliance", "workpiece_compliance"),
-    },
-)
+TITLES = {
+    "compliance.p_BT_B": "tool-tip path error",
+    "sensor.f_T_T": "compensated force error",
+    "sensor.f_S_raw": "sensor force error",
+    "drive.torque_motor": "motor torque error",
+    "drive.q_motor": "motor angle error",
+    "controller.correction_B": "correction error",
+    "milling.spindle_torque": "spindle torque error",
+}
+
+
+def menu(system: System, folder: Path) -> Menu:
+    """What the engine is told about a system: titles and, for a milling cell, runs that could be made next (tables go to `folder`)."""
+
+    def offers() -> dict[str, Offer]:
+        made = {}
+        for kind in next_runs.kinds() if next_runs.is_cell(system) else ():
+            r = next_runs.prepare(system, kind, folder / kind)
+            shown = {c: {k: v for k, v in values.items() if k not in ("segments", "profile")} for c, values in r.parameters.items()}
+            made[kind] = Offer(r.system, r.parameters, r.seconds, r.minutes, r.repeats, {c: v for c, v in shown.items() if v})
+        return made
+
+    return Menu(TITLES, offers)
 
 
 def add_arguments(command: Any) -> None:
@@ -63,7 +65,7 @@ def run(options: Namespace) -> int:
         raise FileNotFoundError(f"no catalogue {file}; name one with --catalogue (the milling cell's is scenarios/{CATALOGUE})")
     catalogue, system = Catalogue.load(file), System.load(options.system, convert)
     runs, held = [Run.load(f) for f in options.runs], [Run.load(f) for f in options.held_out]
-    with _progress(options.json) as report:
+    with _progress(options.json) as report, TemporaryDirectory() as folder:
         found = diagnose(
             system,
             runs,
@@ -73,7 +75,7 @@ def run(options: Namespace) -> int:
             convert=convert,
             workers=max(1, options.jobs),
             report=report,
-            menu=MENU,
+            menu=menu(system, Path(folder)),
             repair=options.repair,
         )
     options.out.mkdir(parents=True, exist_ok=True)
@@ -108,5 +110,8 @@ def lines(result: dict[str, Any]) -> list[str]:
             closed = "not measurable" if h["closure"] is None else f"closure {100 * h['closure']:.0f} %"
             out.append(f"how far: {h['metric']}, {h['on']}: {h['before']:.3g} -> {h['after']:.3g} {h['unit']}, {closed}")
     if result["next_run"]:
-        out.append(f"next run: {result['next_run']['kind']}, to separate {', '.join(result['next_run']['separates'])}")
+        r = result["next_run"]
+        text = f"{r['kind']}, {r['minutes']:.0f} min, to separate {', '.join(r['separates'])}"
+        text += f": {r['distance']:.1f} deviations apart instead of {r['now']:.1f}"
+        out.append(f"next run: {text if r['separated'] else 'none on the menu would separate ' + ', '.join(r['separates'])}")
     return out

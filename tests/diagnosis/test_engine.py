@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis.engine import Diagnosis, Menu, diagnose
+from diagnosis.engine import Diagnosis, diagnose
 from diagnosis.measured import DataError
 from orchestration.results import Run
 from tests.diagnosis.demo import SYSTEM, catalogue, changed, measure, resolve
@@ -84,14 +84,14 @@ class TestVerdict:
         text.write_text(f"{entry}\n[[effect]]{twin}")
         from diagnosis.catalogue import Catalogue
 
-        menu = Menu(experiments={"heavier mass": ("gain",), "nothing": ()})
         runs = two_conditions({"sensors": {"gain_error[1]": 0.04}})
-        result = diagnose(SYSTEM, runs, Catalogue.load(text), resolver=resolve, menu=menu).result
+        result = diagnose(SYSTEM, runs, Catalogue.load(text), resolver=resolve).result
         assert result["verdict"] == "ambiguous"
         assert {w["effect"] for w in result["which"][:2]} == {"gain", "scale"}
         assert result["which"][0]["probability"] == pytest.approx(0.5, abs=0.02)
         assert result["which"][0]["confusable_with"]
-        assert result["next_run"]["kind"] == "heavier mass"
+        assert result["isolability"][0] == {"pair": ["gain @ sensor 1", "scale @ sensor 1"], "distance": 0.0, "confusable": True}
+        assert result["next_run"] is None  # there is no menu
 
 
 class TestInvariance:

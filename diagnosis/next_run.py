@@ -1,0 +1,203 @@
+"""The run that tells apart what the given ones cannot: each run on the menu is simulated with each of the rival models.
+
+The whitened distance d between two models in a run is that of their simulations, in the noise of the given repeats. Calibrated
+numbers and fitted values are not exactly known; what they do along the difference u = d / |d| counts as noise too, so the variance
+along u is 1 + mean (u . n)^2 + (relative deviation of the values)^2 (u . s)^2 with n the change that random draws of the nuisances make,
+and s the signature itself. This is the variance of a matched filter, so the distance is a lower bound of what is possible.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from diagnosis.estimation import Fit
+from diagnosis.isolability import CONFUSABLE, distance
+from diagnosis.measured import Condition
+from diagnosis.search import Search
+from diagnosis.simulation import Laboratory, Setting, Simulator, setting
+from orchestration.slave import FloatArray
+from orchestration.system import System
+
+ENOUGH = 6.0
+"""Distance from which more does not count: the pair is told apart."""
+SHORT_LIST = 4
+"""Runs that are looked at with the nuisances too."""
+DRAWS = 3
+"""Draws of the nuisances."""
+LIKELY, RIVALS = 0.05, 3
+"""Probability from which a model is a rival, and how many there are at most."""
+NEARLY = 0.9
+"""Runs that separate this part of what the best one does compete by distance per minute."""
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A run that could be made."""
+
+    system: System
+    """What makes it: components are called as in the system that is diagnosed, but some may be others."""
+    parameters: Mapping[str, Mapping[str, Any]]
+    """What the experimenter sets, component -> parameter -> value."""
+    seconds: float
+    """Length of one repeat."""
+    minutes: float
+    """What all repeats take, with setting up."""
+    repeats: int
+    shown: Mapping[str, Mapping[str, Any]]
+    """The part of `parameters` that people want to see."""
+
+
+@dataclass
+class _Tried:
+    """A run on the menu with what was found."""
+
+    kind: str
+    offer: Offer
+    distances: dict[tuple[int, int], float]
+
+    def separated(self, weights: Mapping[tuple[int, int], float]) -> float:
+        """Weighted part of the pairs that it tells apart, softly."""
+        return sum(w * min(self.distances[p] / ENOUGH, 1.0) for p, w in weights.items())
+
+    @property
+    def least(self) -> float:
+        return min(self.distances.values())
+
+    @property
+    def per_minute(self) -> float:
+        return self.least / self.offer.minutes
+
+
+def rivals(fits: Sequence[Fit], weights: FloatArray, search: Search, temperature: float, *, known: bool) -> list[int]:
+    """Indices of the models that a next run should tell apart, the best first; one where there is nothing to tell.
+
+    Those that are likely and those that the data cannot tell from the best. Where the answer is not `known`, the best model and none at
+    all (the first of `fits`): a run in which the best one shows most says whether it is that.
+    """
+    order = [int(i) for i in np.argsort(-weights, kind="stable") if fits[i].model]
+    best = fits[order[0]]
+    if not known:
+        return [order[0], 0]
+    close = [i for i in order[1:] if weights[i] > LIKELY or _instead(fits[i], best, search, temperature)]
+    return [order[0], *close[: RIVALS - 1]]
+
+
+def _instead(fit: Fit, best: Fit, search: Search, temperature: float) -> bool:
+    """Whether a model that differs from the best in one candidate is the same to the data."""
+    one = len(fit.model) == len(best.model) and len(set(fit.model) - set(best.model)) == 1
+    return one and distance(fit, best, search.evidence.space, temperature) < CONFUSABLE
+
+
+def recommend(
+    fits: Sequence[Fit],
+    weights: Sequence[float],
+    offers: Mapping[str, Offer],
+    search: Search,
+    simulator: Simulator,
+    temperature: float,
+) -> dict[str, Any] | None:
+    """What `next_run` holds, for models of these weights; None where no run on the menu can be simulated.
+
+    The laboratory of `simulator` has one condition per offer, in that order (`laboratory`).
+    """
+    space = search.evidence.space
+    now = {(i, j): distance(fits[i], fits[j], space, temperature) for i, j in combinations(range(len(fits)), 2)}
+    together = {(i, j): weights[i] * weights[j] for i, j in now}
+    shares = {p: w / sum(together.values()) for p, w in together.items()}
+    places = list(offers)
+    settings = [simulator.seeded(setting(f.values)) for f in fits]
+    results = iter(simulator.many([(k, s) for k in range(len(places)) for s in settings], "next run"))
+    simulated = {kind: [next(results) for _ in fits] for kind in places}
+
+    def distances(kind: str, noise: Sequence[FloatArray] = (), nominal: FloatArray | None = None) -> dict[tuple[int, int], float]:
+        found = {}
+        for i, j in shares:
+            a, b = simulated[kind][i], simulated[kind][j]
+            assert a is not None
+            assert b is not None
+            difference = white(a - b, kind)
+            length = float(np.linalg.norm(difference))
+            variance = temperature
+            if length > 0.0 and nominal is not None:
+                along = difference / length
+                variance += float(np.mean([(along @ n) ** 2 for n in noise])) if noise else 0.0
+                for k, x in ((i, a), (j, b)):
+                    variance += temperature * (_uncertainty(fits[k]) * float(along @ white(x - nominal, kind))) ** 2
+            found[i, j] = math.hypot(length / math.sqrt(variance), now[i, j])
+        return found
+
+    def white(change: FloatArray, kind: str) -> FloatArray:
+        return search.evidence.whitening.apply(change[:, search.active], offers[kind].repeats)
+
+    tried = [_Tried(k, offers[k], distances(k)) for k in places if all(x is not None for x in simulated[k])]
+    if not tried:
+        return None
+    random = np.random.default_rng(0)
+    draws: list[Setting] = [()]
+    draws += [setting({n.address: n.scale * float(random.standard_normal()) for n in search.nuisances}) for _ in range(DRAWS)]
+    tried = _ranked(tried, shares)[:SHORT_LIST]
+    results = iter(simulator.many([(places.index(t.kind), simulator.seeded(d)) for t in tried for d in draws], "next run"))
+    for t in tried:
+        nominal, *others = [next(results) for _ in draws]
+        if nominal is not None:
+            noise = [white(x - nominal, t.kind) for x in others if x is not None]
+            t.distances = distances(t.kind, noise, nominal)
+    best, *rest = _ranked(tried, shares)
+    return {
+        "kind": best.kind,
+        "separates": [_name(f) for f in fits],
+        "separated": best.least >= CONFUSABLE,
+        "distance": best.least,
+        "now": min(now.values()),
+        "minutes": best.offer.minutes,
+        "per_minute": best.per_minute,
+        "repeats": best.offer.repeats,
+        "parameters": {c: dict(v) for c, v in best.offer.shown.items()},
+        "models": {_name(f): _table(f) for f in fits},
+        "alternatives": [{"kind": t.kind, "distance": t.least, "minutes": t.offer.minutes, "per_minute": t.per_minute} for t in rest],
+    }
+
+
+def _name(fit: Fit) -> str:
+    return fit.name if fit.model else "something else"
+
+
+def _table(fit: Fit) -> dict[str, dict[str, float]]:
+    """Component -> parameter -> value."""
+    table: dict[str, dict[str, float]] = {}
+    for (component, name), value in fit.values.items():
+        table.setdefault(component, {})[name] = value
+    return table
+
+
+def _uncertainty(fit: Fit) -> float:
+    """Largest relative deviation of the values."""
+    return max((fit.deviations[a] / abs(v) for a, v in fit.values.items() if v), default=0.0)
+
+
+def _ranked(tried: Sequence[_Tried], weights: Mapping[tuple[int, int], float]) -> list[_Tried]:
+    """Best first: runs that separate nearly as much as the best one by distance per minute, then the others by what they separate."""
+    most = max(t.separated(weights) for t in tried)
+
+    def key(t: _Tried) -> tuple[bool, float]:
+        good = t.separated(weights) >= NEARLY * most
+        return good, min(t.least, ENOUGH) / t.offer.minutes if good else t.separated(weights)
+
+    return sorted(tried, key=key, reverse=True)
+
+
+def laboratory(given: Laboratory, offers: Mapping[str, Offer]) -> Laboratory:
+    """The laboratory that simulates the menu as `given` simulates the runs."""
+    step = given.system.step
+    conditions = [
+        Condition(kind, o.parameters, (), np.arange(math.ceil(o.seconds / step) + 1) * step, system=o.system) for kind, o in offers.items()
+    ]
+    return Laboratory(
+        given.system, conditions, given.channels, given.resolver, given.convert, given.quiet, given.nominal, given.decimation, given.seeds
+    )
