@@ -196,7 +196,8 @@ def laboratory(given: Laboratory, offers: Mapping[str, Offer]) -> Laboratory:
     """The laboratory that simulates the menu as `given` simulates the runs."""
     step = given.system.step
     conditions = [
-        Condition(kind, o.parameters, (), np.arange(math.ceil(o.seconds / step) + 1) * step, system=o.system) for kind, o in offers.items()
+        Condition(kind, o.parameters, (), np.asarray(np.arange(math.ceil(o.seconds / step) + 1) * step, dtype=np.float64), system=o.system)
+        for kind, o in offers.items()
     ]
     return Laboratory(
         given.system, conditions, given.channels, given.resolver, given.convert, given.quiet, given.nominal, given.decimation, given.seeds
