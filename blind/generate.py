@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import shutil
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +26,7 @@ from blind.effects import BY_KEY, EFFECTS, Instance
 from blind.effects import draw as draw_effect
 from blind.outside import Changes, Columns
 from blind.signatures import ARRAYS, floor
+from blind.workers import Progress, work
 from blind.world import (
     NOISE,
     STEP,
@@ -48,7 +47,7 @@ from orchestration.results import RUN, SIGNALS
 from orchestration.slave import PortData
 from orchestration.toml_text import dump
 
-VERSION = 1
+VERSION = 2
 """Of the generator: numbers change only with it."""
 TIERS = ("T0", "T1")
 PROPORTIONS: Mapping[str, float] = {"null": 0.20, "single": 0.38, "double": 0.15, "triple": 0.04, "outside": 0.15, "bad_log": 0.08}
@@ -56,7 +55,6 @@ PROPORTIONS: Mapping[str, float] = {"null": 0.20, "single": 0.38, "double": 0.15
 REPEATS, HELD_REPEATS, OTHER_REPEATS = 6, 2, 2
 WINDOW = 125
 """Rows of the windows (0.5 s) in which detectability is looked at."""
-Progress = Callable[[str, int, int], object]
 
 
 @dataclass(frozen=True)
@@ -101,10 +99,10 @@ class _Deck:
         return self._left.pop()
 
 
-def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progress | None = None, workers: int = 1) -> dict[str, Any]:
+def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progress | None = None, workers: int | None = 1) -> dict[str, Any]:
     """Make a benchmark in `folder` and return what benchmark.json says. Cases that are complete are kept, so it can be interrupted.
 
-    With more than one of `workers` the cases are made in processes of their own; the bits are the same.
+    With more than one of `workers` (None: all cores) the cases are made in processes of their own; the bits are the same.
 
     ValueError: an unknown tier, or a folder that holds another benchmark.
     """
@@ -120,26 +118,24 @@ def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progres
     elif folder.exists() and any(folder.iterdir()):
         raise ValueError(f"{folder} is not empty and holds no benchmark; choose another folder")
     (folder / "sealed").mkdir(parents=True, exist_ok=True)
-    head.write_text(json.dumps(what) + "\n", encoding="utf-8")
+    write(head, json.dumps(what) + "\n")
     to_do = [p for p in every if not (folder / "sealed" / f"{p.number:04d}.json").is_file()]
-    if workers > 1 and len(to_do) > 1:
-        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-            futures = [pool.submit(make_case, folder, p, seed, tier) for p in to_do]
-            for done, future in enumerate(as_completed(futures), 1):
-                future.result()
-                if progress is not None:
-                    progress("make", done, len(to_do))
-    else:
-        for done, p in enumerate(to_do, 1):
-            make_case(folder, p, seed, tier)
-            if progress is not None:
-                progress("make", done, len(to_do))
+    for done, _ in enumerate(work(make_case, [(folder, p, seed, tier) for p in to_do], workers), 1):
+        if progress is not None:
+            progress("make", done, len(to_do))
     manifest = hashes(folder / "sealed", exclude=("manifest.json",))
     text = json.dumps(manifest, indent=0, sort_keys=True) + "\n"
-    (folder / "sealed" / "manifest.json").write_text(text, encoding="utf-8")
+    write(folder / "sealed" / "manifest.json", text)
     result = {**what, "truth": hashlib.sha256(text.encode()).hexdigest(), "files": hashes(folder / "cases")}
-    (folder / "benchmark.json").write_text(json.dumps(result, indent=0, sort_keys=True) + "\n", encoding="utf-8")
+    write(folder / "benchmark.json", json.dumps(result, indent=0, sort_keys=True) + "\n")
     return result
+
+
+def write(file: Path, text: str) -> None:
+    """Write a file in one move: it is there as a whole or not at all."""
+    part = file.with_name(f".{file.name}.part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(file)
 
 
 def hashes(folder: Path, exclude: Sequence[str] = ()) -> dict[str, str]:
@@ -164,13 +160,13 @@ def _attempt(folder: Path, plan: Plan, tier: str, random: np.random.Generator) -
     """One try; the truth is written last."""
     conditions = draw(random)
     machine = draw_machine(random)
-    truth, effects, changes, fault = _subject(plan, tier, random)
+    truth, changes, fault = _subject(plan, tier, random)
     place = folder / "cases" / f"{plan.number:04d}"
     shutil.rmtree(place, ignore_errors=True)
     (place / "runs").mkdir(parents=True)
     shutil.copyfile(SYSTEM, place / "system.toml")
-    parameters, parametric = _formulation(effects, random)
-    everything = outside.merged([changes, *parametric])
+    parameters, others = switched_on(truth["effects"])
+    everything = outside.merged([changes, *others])
     for c, count, held in (
         (conditions[0], REPEATS + HELD_REPEATS, False),
         (conditions[1], OTHER_REPEATS, True),
@@ -187,14 +183,13 @@ def _attempt(folder: Path, plan: Plan, tier: str, random: np.random.Generator) -
             name = c.name.replace(" ", "-") + ("-held" if held_out and not held else "")
             labels = {"condition": c.name, "repeat": number, "held_out": held_out, "tier": tier, "kind": "milling"}
             write_run(place / "runs" / f"{name}-{number}", stamped, columns, ports, c, labels)
-    truth |= {"case": plan.number, "tier": tier, "conditions": [vars(c) for c in conditions]}
-    truth |= _oracle(folder / "sealed" / f"{plan.number:04d}", conditions, machine, parameters, everything, effects, tier)
-    text = json.dumps(truth, indent=1) + "\n"
-    (folder / "sealed" / f"{plan.number:04d}.json").write_text(text, encoding="utf-8")
+    truth |= {"case": plan.number, "tier": tier, "machine": machine.parameters, "conditions": [vars(c) for c in conditions]}
+    _oracle(folder / "sealed" / f"{plan.number:04d}", truth, conditions, machine, (parameters, everything), fault)
+    write(folder / "sealed" / f"{plan.number:04d}.json", json.dumps(truth, indent=1) + "\n")
 
 
-def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[dict[str, Any], list[Instance], Changes, bad_logs.BadLog | None]:
-    """Truth, catalogue effects, out-of-catalogue changes and fault of the log of a case."""
+def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[dict[str, Any], Changes, bad_logs.BadLog | None]:
+    """Truth, out-of-catalogue changes and fault of the log of a case."""
     truth: dict[str, Any] = {"kind": plan.kind, "effects": []}
     effects: list[Instance] = []
     changes, fault = Changes(), None
@@ -209,31 +204,43 @@ def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[dict[s
         truth["bad_log"] = {"kind": fault.kind, "channel": fault.channel, "value": fault.value, "unit": fault.unit}
         if random.random() < 0.5:  # a bad log with something real in it must be stopped just the same
             effects = [draw_effect(EFFECTS[int(random.integers(len(EFFECTS)))], random)]
+    formulations = [_formulation(e, random) for e in effects]
     truth["effects"] = [
         {"component": e.effect.component, "effect": e.effect.name, "parameter": e.parameter, "index": e.index, "value": e.value}
-        | {"unit": e.effect.unit}
-        for e in effects
+        | {"unit": e.effect.unit, "formulation": how}
+        for e, how in zip(effects, formulations, strict=True)
     ]
-    return truth, effects, changes, fault
+    return truth, changes, fault
 
 
-def _formulation(effects: Sequence[Instance], random: np.random.Generator) -> tuple[list[Instance], list[Changes]]:
-    """Effects that are switched on by their parameter, and those that get another formulation (every second one where there is one).
+_OTHER = {"gear_hysteresis": "bouc_wen", "friction_coulomb": "dahl"}
+"""Effects of which there is another formulation; every second one gets it."""
 
-    Never two inserts at one place, so only one of the hysteresis kind.
-    """
+
+def _formulation(e: Instance, random: np.random.Generator) -> str:
+    """How an effect is made: by its `parameter`, or otherwise."""
+    return _OTHER.get(e.effect.name, "parameter") if random.random() < 0.5 else "parameter"
+
+
+def switched_on(effects: Sequence[Mapping[str, Any]]) -> tuple[list[Instance], list[Changes]]:
+    """Effects as they stand in a truth: those that are switched on by their parameter, and the changes that make the others."""
     parameters: list[Instance] = []
     changes: list[Changes] = []
     for e in effects:
-        other = random.random() < 0.5
-        if other and e.effect.name == "gear_hysteresis":
-            torque = (94.0, 94.0, 94.0, 20.0, 18.0, 11.0)[e.index - 1]
-            changes.append(outside.bouc_wen(e.index - 1, e.value, torque))
-        elif other and e.effect.name == "friction_coulomb":
-            changes.append(outside.dahl(e.index - 1, e.value))
+        instance = instance_of(e)
+        if e["formulation"] == "bouc_wen":
+            torque = (94.0, 94.0, 94.0, 20.0, 18.0, 11.0)[instance.index - 1]
+            changes.append(outside.bouc_wen(instance.index - 1, instance.value, torque))
+        elif e["formulation"] == "dahl":
+            changes.append(outside.dahl(instance.index - 1, instance.value))
         else:
-            parameters.append(e)
+            parameters.append(instance)
     return parameters, changes
+
+
+def instance_of(e: Mapping[str, Any]) -> Instance:
+    """An effect of a truth."""
+    return Instance(BY_KEY[f"{e['component']}.{e['effect']}"], int(e["index"]), float(e["value"]))
 
 
 def write_run(
@@ -272,30 +279,40 @@ def write_run(
 
 def _oracle(
     sealed: Path,
+    truth: dict[str, Any],
     conditions: Sequence[Condition],
     machine: Machine,
-    parameters: Sequence[Instance],
-    changes: Changes,
-    effects: Sequence[Instance],
-    tier: str,
-) -> dict[str, Any]:
-    """What only the generator can know: how far the effects stand out, the noise-free gaps, and what adopting the truth would close.
+    world: tuple[Sequence[Instance], Changes],
+    fault: bad_logs.BadLog | None,
+) -> None:
+    """What only the generator can know, put into the truth: how far effects and fault stand out, and what adopting the truth would close.
 
     `<condition>.npy` in `sealed`: float32[n, 6], noise-free minus nominal, tool tip [m] and compensated force [N].
     """
     sealed.mkdir(parents=True, exist_ok=True)
-    _, with_them, _ = simulate(conditions[0], machine, parameters, changes, None)
-    _, without, _ = simulate(conditions[0], machine, (), Changes(), None)
-    groups = detectability(with_them, without, nominal(conditions[0]).columns, tier)
-    ceilings: dict[str, Any] = {}
+    main, tier, usual = conditions[0], truth["tier"], nominal(conditions[0]).columns
+    t, with_them, _ = simulate(main, machine, *world, None)
+    _, without, _ = simulate(main, machine, (), Changes(), None)
+    groups = detectability(with_them, without, usual, tier)
+    truth |= {"detectability": max(groups.values()), "detectability_by_array": groups}
+    for e in truth["effects"]:
+        alone = with_them
+        if len(truth["effects"]) > 1:
+            parameters, changes = switched_on([e])
+            _, alone, _ = simulate(main, machine, parameters, outside.merged(changes), None)
+        e["detectability"] = max(detectability(alone, without, usual, tier).values())
+    if fault is not None:
+        logged = {name: values.copy() for name, values in with_them.items()}
+        fault.apply(logged, t)
+        truth["bad_log"]["detectability"] = max(detectability(logged, with_them, usual, tier).values())
+    truth["ceiling"] = {}
     for c in conditions[1:]:
-        _, clean, _ = simulate(c, machine, parameters, changes, None)
+        _, clean, _ = simulate(c, machine, *world, None)
         gap = difference(clean, nominal(c).columns)
         np.save(sealed / f"{c.name.replace(' ', '-')}.npy", gap.astype(np.float32))
-        if effects:
-            after = difference(clean, simulate_nominal(c, effects).columns)
-            ceilings[c.name] = {"tool tip": closure(gap[:, :3], after[:, :3]), "force": closure(gap[:, 3:], after[:, 3:])}
-    return {"detectability": max(groups.values()), "detectability_by_array": groups, "ceiling": ceilings}
+        if truth["effects"]:
+            after = difference(clean, simulate_nominal(c, [instance_of(e) for e in truth["effects"]]).columns)
+            truth["ceiling"][c.name] = {"tool tip": closure(gap[:, :3], after[:, :3]), "force": closure(gap[:, 3:], after[:, 3:])}
 
 
 def difference(a: Mapping[str, FloatArray], b: Mapping[str, FloatArray]) -> FloatArray:

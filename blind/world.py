@@ -16,9 +16,11 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from blind.conditions import Condition, known, planned
 from blind.effects import Instance
+from blind.felt import CAPACITY, FINE, felt
 from blind.insert import Function, Insert, insert, resolver
 from blind.outside import Changes, Columns
 from models.declaration import FloatArray
@@ -30,8 +32,6 @@ from robomill.binding import convert, resolve
 from robomill.milling import with_parameters
 
 STEP = 0.004
-FINE = 2
-"""Communication steps of the generator in one of the recording."""
 SYSTEM = Path(__file__).parent.parent / "scenarios" / "milling_cell.toml"
 MEASURED = (
     "path.p_BT_B",
@@ -198,9 +198,12 @@ def _fine(system: System, changes: Changes, random: np.random.Generator | None) 
         system = insert(system, "cut", force, ("compliance", "drive", "sensor"))
         inserts["cut"] = _slave("cut", _WRENCH, {"f_out": (3, "N"), "m_out": (3, "N.m")}, changes.cut)
         force = {"cut.f_out": ("f", "f_out"), "cut.m_out": ("m", "m_out")}
-    seed = None if random is None else int(random.integers(2**31))
+    if changes.sense is not None:
+        system = insert(system, "sense", force, ("sensor",))
+        inserts["sense"] = _slave("sense", _WRENCH, {"f_out": (3, "N"), "m_out": (3, "N.m")}, changes.sense)
+        force = {"sense.f_out": ("f", "f_out"), "sense.m_out": ("m", "m_out")}
     system = insert(system, "felt", force, ("sensor",))
-    inserts["felt"] = _slave("felt", _WRENCH, {"f_out": (3, "N"), "m_out": (3, "N.m")}, _felt(changes.sense, seed))
+    inserts["felt"] = felt(None if random is None else _sensor_noise(random))
     if changes.link is not None:
         source = "cut.f_out" if changes.cut is not None else "milling.f_T_B"
         system = insert(system, "link", {"drive.q_link": ("q", "q_out")}, ("compliance",), (Connection(source, "link.f", True),))
@@ -212,43 +215,20 @@ def _slave(name: str, inputs: Any, outputs: Any, make: Callable[[], Function]) -
     return lambda: Insert(name, inputs, outputs, make)
 
 
-def _felt(sense: Callable[[], Function] | None, seed: int | None) -> Callable[[], Function]:
-    """What reaches the sensor: the mean over its cycle, changed by `sense`, plus coloured noise."""
-
-    def make() -> Function:
-        inner = sense() if sense is not None else None
-        past = [np.zeros(6)] * FINE
-        random = None if seed is None else np.random.default_rng(seed)
-        state = np.zeros(6)
-        scale = np.repeat(SENSOR_COLOURED, 3)
-
-        def felt(t: float, h: float, u: FloatArray) -> FloatArray:
-            past.append(u.copy())
-            del past[0]
-            y = sum(past[1:], past[0]) / FINE if h > 0.0 else u.copy()
-            if inner is not None:
-                y = inner(t, h, y)
-            if random is not None and h > 0.0:
-                decay = math.exp(-h / 0.1)
-                state[:] = decay * state + math.sqrt(1.0 - decay * decay) * scale * random.standard_normal(6)
-                y = y + state
-            return y
-
-        return felt
-
-    return make
+def _sensor_noise(random: np.random.Generator) -> FloatArray:
+    """AR(1) noise in force [N] and moment [N m] of each fine step, float64[steps, 6]; it begins at zero."""
+    white = np.random.default_rng(int(random.integers(2**31))).standard_normal((CAPACITY, 6))
+    decay = math.exp(-STEP / FINE / 0.1)
+    noise: FloatArray = lfilter([math.sqrt(1.0 - decay * decay)], [1.0, -decay], white, axis=0) * np.repeat(SENSOR_COLOURED, 3)
+    return noise
 
 
 def coloured(n: int, tau: float, random: np.random.Generator) -> FloatArray:
     """AR(1) noise of unit variance, (n,), correlation time tau [s] at the recording step."""
     decay = math.exp(-STEP / tau)
     white = random.standard_normal(n)
-    result = np.empty(n)
-    state = float(random.standard_normal())
-    for k in range(n):
-        state = decay * state + math.sqrt(1.0 - decay * decay) * white[k]
-        result[k] = state
-    return result
+    noise: FloatArray = lfilter([math.sqrt(1.0 - decay * decay)], [1.0, -decay], white, zi=[decay * float(random.standard_normal())])[0]
+    return noise
 
 
 def measure(columns: Columns, tier: str, random: np.random.Generator) -> Columns:

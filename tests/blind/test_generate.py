@@ -14,12 +14,14 @@ from blind.conditions import _TRAINING as TRAINING
 from blind.conditions import Condition, draw, planned
 from blind.effects import BY_KEY, EFFECTS
 from blind.effects import draw as draw_effect
+from blind.felt import felt
 from blind.generate import PROPORTIONS, closure, detectability, difference, hashes, make, make_case, plans
 from blind.outside import Changes
 from blind.run import run_cases
 from blind.score import BenchmarkError, score
 from blind.world import MEASURED, TRACKER, Machine, coloured, draw_machine, jittered, measure, nominal, simulate
 from fmus.components import COMPONENTS
+from fmus.instance import ComponentError
 from models.declaration import Model, record
 from models.robots import ROBOT_VARIABLES, jacobian
 from orchestration.results import Run
@@ -131,6 +133,34 @@ class TestWorld:
         assert t[0] == 0.0
         assert np.all(np.diff(t) > 0.0)
         assert np.std(np.diff(t)) == pytest.approx(math.sqrt(2) * 3e-5, rel=0.1)
+
+
+class TestFelt:
+    def slave(self, noise=None):
+        slave = felt(noise)()
+        slave.initialise(0.0, 1.0, 0.002)
+        return slave
+
+    def test_the_sensor_gets_the_mean_of_two_steps_and_the_noise_of_the_step(self):
+        noise = np.random.default_rng(3).standard_normal((4, 6))
+        u, y, felt_values = np.random.default_rng(4).standard_normal((5, 6)), np.zeros(6), []
+        slave = self.slave(noise)
+        slave.set_inputs(u[0])
+        slave.get_outputs(y)
+        np.testing.assert_array_equal(y, u[0])
+        for k in range(1, 5):
+            slave.set_inputs(u[k])
+            slave.step(0.002 * (k - 1), 0.002)
+            slave.get_outputs(y)
+            felt_values.append(y.copy())
+        before = u[[1, 1, 2, 3]]  # a component begins with the inputs of its first step
+        np.testing.assert_allclose(felt_values, (u[1:] + before) / 2.0 + noise, rtol=0, atol=4 * ROUNDOFF)
+
+    def test_a_run_that_is_longer_than_its_noise_is_refused(self):
+        slave = self.slave(np.zeros((1, 6)))
+        slave.step(0.0, 0.002)
+        with pytest.raises(ComponentError, match=r"the run is longer than its noise \(1 steps\)"):
+            slave.step(0.002, 0.002)
 
 
 class TestOutside:
