@@ -5,35 +5,69 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import fmpy
+import numpy as np
 from fmpy.model_description import ValidationError, read_model_description
 
 from orchestration.archive import check_xml, unpack
 from orchestration.errors import SlaveError
 from orchestration.library import problem
-from orchestration.slave import Port, PortData
+from orchestration.slave import Port, PortData, Scalar
 
-_TYPES = {"Real": "real", "Integer": "integer", "Enumeration": "integer", "Boolean": "boolean", "String": "string"}
+_INTEGERS = tuple(f"{sign}Int{bits}" for bits in (8, 16, 32, 64) for sign in ("", "U"))
+# Type of a variable -> type of its port, and the name of the type in the functions that get and set it
+_TYPES = {
+    2: {
+        "Real": ("real", "Real"),
+        "Integer": ("integer", "Integer"),
+        "Enumeration": ("integer", "Integer"),
+        "Boolean": ("boolean", "Boolean"),
+        "String": ("string", "String"),
+    },
+    3: {
+        "Float64": ("real", "Float64"),
+        "Float32": ("real", "Float32"),
+        **{name: ("integer", name) for name in _INTEGERS},
+        "Enumeration": ("integer", "Int64"),
+        "Boolean": ("boolean", "Boolean"),
+        "String": ("string", "String"),
+    },
+}
+MAX_ELEMENTS = 1_000_000
+"""Of all variables of an FMU: a size of an array that was mistyped must not fill the memory."""
 _SUFFIX = {"linux": ".so", "darwin": ".dylib", "win32": ".dll"}
 
 
 @dataclass(frozen=True)
+class Variable:
+    """An input, output or parameter as the FMU knows it: in FMI 3.0 maybe an array, with its elements as ports."""
+
+    kind: str
+    """Name of its type in the functions that get and set it: Real, Float64, ..."""
+    reference: int
+    ports: tuple[Port, ...]
+
+
+@dataclass(frozen=True)
 class FmuDescription:
-    """An unpacked FMI 2.0 co-simulation FMU."""
+    """An unpacked co-simulation FMU, FMI 2.0 or 3.0."""
+
+    fmi: int
+    """2 or 3."""
 
     file: Path
     folder: Path
     library: Path
     identifier: str
     guid: str
-    ports: tuple[Port, ...]
-    references: dict[str, int] = field(repr=False)
-    """Value reference by port name."""
+    """In FMI 3.0 the instantiation token."""
+    variables: tuple[Variable, ...] = field(repr=False)
     can_save_state: bool
     can_serialise_state: bool
     made_by_pythonfmu: bool
@@ -42,12 +76,22 @@ class FmuDescription:
     units: dict[str, Any] = field(repr=False)
     """FMPy's unit definitions by name."""
 
+    @cached_property
+    def ports(self) -> tuple[Port, ...]:
+        """Elements of all variables, in their order."""
+        return tuple(p for v in self.variables for p in v.ports)
+
+    @cached_property
+    def references(self) -> dict[str, int]:
+        """Value reference by port name; the elements of an array share that of the array."""
+        return {p.name: v.reference for v in self.variables for p in v.ports}
+
 
 def open_fmu(file: Path, folder: Path) -> FmuDescription:
     """Unpack `file` into `folder` and check that it can run here.
 
     SlaveError, one clear sentence each: not there, not a zip, unsafe archive, no or invalid
-    modelDescription.xml, FMI version other than 2.0, not co-simulation, no binary for this platform.
+    modelDescription.xml, FMI version other than 2.0 and 3.0, not co-simulation, no binary for this platform, clocks.
     """
     names = unpack(file, folder)
     xml = folder / "modelDescription.xml"
@@ -55,20 +99,22 @@ def open_fmu(file: Path, folder: Path) -> FmuDescription:
         top = sorted({n.split("/")[0] for n in names})
         raise SlaveError(f"{file}: no modelDescription.xml in it, so not an FMU; it holds {', '.join(top[:20]) or 'nothing'}")
     version = check_xml(xml, file).get("fmiVersion", "unknown")
-    if version != "2.0":
-        raise SlaveError(f"{file}: has FMI version {version}; only FMI 2.0 can be run: export it as FMI 2.0 co-simulation")
+    if version not in ("2.0", "3.0"):
+        raise SlaveError(f"{file}: has FMI version {version}; only FMI 2.0 and 3.0 can be run: export it as co-simulation of one of these")
+    fmi = int(version[0])
     md = _read(file, folder)
     if md.coSimulation is None:
-        raise SlaveError(f"{file}: is an FMU for model exchange only; a co-simulation FMU is needed: export it with a solver")
-    ports, references = _ports(file, md)
+        only = "scheduled execution" if getattr(md, "scheduledExecution", None) is not None else "model exchange"
+        raise SlaveError(f"{file}: is an FMU for {only} only; a co-simulation FMU is needed: export it with a solver")
+    variables = _variables(file, md, fmi)
     return FmuDescription(
+        fmi=fmi,
         file=file,
         folder=folder,
-        library=_library(file, folder, md.coSimulation.modelIdentifier, names),
+        library=_library(file, folder, md.coSimulation.modelIdentifier, names, str(fmpy.platform if fmi == 2 else fmpy.platform_tuple)),
         identifier=md.coSimulation.modelIdentifier,
         guid=md.guid,
-        ports=ports,
-        references=references,
+        variables=variables,
         can_save_state=bool(md.coSimulation.canGetAndSetFMUstate),
         can_serialise_state=bool(md.coSimulation.canSerializeFMUstate),
         made_by_pythonfmu=(folder / "resources" / "slavemodule.txt").is_file(),
@@ -96,10 +142,10 @@ def _read(file: Path, folder: Path) -> Any:
         raise SlaveError(f"{file}: modelDescription.xml cannot be read: {error}") from None
 
 
-def _library(file: Path, folder: Path, identifier: str, names: Sequence[str]) -> Path:
+def _library(file: Path, folder: Path, identifier: str, names: Sequence[str], platform: str) -> Path:
     if not re.fullmatch(r"[\w.-]+", identifier):
         raise SlaveError(f"{file}: its modelIdentifier {identifier!r} is not the name of a library")
-    library = folder / "binaries" / str(fmpy.platform) / (identifier + _SUFFIX.get(sys.platform, ".so"))
+    library = folder / "binaries" / platform / (identifier + _SUFFIX.get(sys.platform, ".so"))
     if not library.is_file():
         place = library.relative_to(folder)
         there = sorted({n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1})
@@ -111,37 +157,74 @@ def _library(file: Path, folder: Path, identifier: str, names: Sequence[str]) ->
     return library
 
 
-def _ports(file: Path, md: Any) -> tuple[tuple[Port, ...], dict[str, int]]:
-    """Inputs, outputs and parameters of a model description. Inputs and outputs that are texts are left out: no bus carries them."""
+def _variables(file: Path, md: Any, fmi: int) -> tuple[Variable, ...]:
+    """Inputs, outputs and parameters of a model description.
+
+    Left out is what no bus carries: inputs and outputs that are texts, binaries and clocks, parameters that are arrays of texts.
+    """
     dependencies = {u.variable.name: _names(u.dependencies) for u in md.outputs}
-    ports: list[Port] = []
-    references: dict[str, int] = {}
+    found: list[Variable] = []
+    taken: set[str] = set()
     for v in md.modelVariables:
-        kind = _TYPES[v.type]
-        if v.causality not in ("input", "output", "parameter") or (kind == "string" and v.causality != "parameter"):
+        kind, access = _TYPES[fmi].get(v.type, ("", ""))
+        if v.causality not in ("input", "output", "parameter") or not kind:
             continue
-        if v.name in references:
-            raise SlaveError(f"{file}: variable {v.name[:200]!r} is there twice")
-        declared = v.declaredType
-        ports.append(
-            PortData(
-                name=v.name,
-                causality=v.causality,
-                type=kind,
-                unit=v.unit or (declared.unit if declared else None),
-                start=_start(kind, v.start),
-                minimum=_bound(v.min if v.min is not None else (declared.min if declared else None)),
-                maximum=_bound(v.max if v.max is not None else (declared.max if declared else None)),
-                description=v.description or "",
-                dependencies=dependencies.get(v.name) if v.causality == "output" else None,
+        if kind == "string" and (v.causality != "parameter" or v.dimensions):
+            continue
+        if getattr(v, "clocks", None):
+            raise SlaveError(
+                f"{file}: variable {v.name[:200]!r} belongs to a clock, which only event mode can tick; "
+                "event mode is not supported: export the FMU without clocks"
             )
-        )
-        references[v.name] = int(v.valueReference)
-    return tuple(ports), references
+        names = _elements(file, v, MAX_ELEMENTS - len(taken))
+        if taken & {v.name, *names}:
+            raise SlaveError(f"{file}: variable {v.name[:200]!r} is there twice")
+        taken |= {v.name, *names}
+        if names:
+            starts = _starts(file, v, kind, len(names))
+            depends = dependencies.get(v.name) if v.causality == "output" else None
+            found.append(Variable(access, int(v.valueReference), tuple(_ports(v, kind, names, starts, depends))))
+    return tuple(found)
+
+
+def _elements(file: Path, v: Any, room: int) -> list[str]:
+    """Names of the elements of a variable, counted from one, in C order; its own name if it is no array."""
+    if math.prod(v.shape or ()) > room:
+        raise SlaveError(f"{file}: array {v.name[:200]!r} of size {list(v.shape)}: at most {MAX_ELEMENTS} elements in an FMU are allowed")
+    return _element_names(v)
+
+
+def _element_names(v: Any) -> list[str]:
+    return [f"{v.name}[{','.join(str(i + 1) for i in index)}]" for index in np.ndindex(*v.shape)] if v.dimensions else [v.name]
+
+
+def _starts(file: Path, v: Any, kind: str, count: int) -> list[Scalar | None]:
+    """One start value per element: an array may have one for all."""
+    if not v.dimensions or v.start is None:
+        return [_start(kind, v.start)] * count
+    texts = v.start.split()
+    if len(texts) not in (1, count):
+        raise SlaveError(f"{file}: array {v.name[:200]!r} has {count} elements and {len(texts)} start values; expected 1 or {count}")
+    return [_start(kind, text) for text in (texts * count if len(texts) == 1 else texts)]
+
+
+def _ports(
+    v: Any, kind: str, names: Sequence[str], starts: Sequence[Scalar | None], dependencies: tuple[str, ...] | None
+) -> Iterator[Port]:
+    declared = v.declaredType
+    unit = v.unit or (declared.unit if declared else None)
+    low, high = (
+        _bound(own if own is not None else other) for own, other in ((v.min, declared and declared.min), (v.max, declared and declared.max))
+    )
+    for name, start in zip(names, starts, strict=True):
+        yield PortData(name, v.causality, kind, unit, start, low, high, v.description or "", dependencies)
 
 
 def _names(dependencies: Sequence[Any] | None) -> tuple[str, ...] | None:
-    return None if dependencies is None else tuple(v.name for v in dependencies if v.causality == "input")
+    """The elements of the inputs among these."""
+    if dependencies is None:
+        return None
+    return tuple(name for v in dependencies if v.causality == "input" for name in _element_names(v))
 
 
 def _bound(text: str | None) -> float | None:
@@ -149,7 +232,7 @@ def _bound(text: str | None) -> float | None:
     return None if value is None or not math.isfinite(value) else value
 
 
-def _start(kind: str, text: str | None) -> float | int | bool | str | None:
+def _start(kind: str, text: str | None) -> Scalar | None:
     if text is None or kind == "string":
         return text
     if kind == "boolean":

@@ -33,10 +33,26 @@ def test_fmi2_gives_the_numbers_of_the_model_bit_by_bit(name: str, variant: str,
 
 @pytest.mark.parametrize("variant", runs.VARIANTS)
 @pytest.mark.parametrize("name", ALL)
-def test_fmi3_gives_the_numbers_of_the_model_bit_by_bit(name: str, variant: str, built_native: Callable[..., Path], tmp_path: Path) -> None:
+def test_fmi3_gives_the_numbers_of_the_model_bit_by_bit(name: str, variant: str, built_native: Callable[..., Path]) -> None:
     model = runs.model(name)
     interface = Interface(model)
     rows, values = runs.inputs(name, interface), runs.parameters(name, variant, model)
+    expected = runs.drive(InProcessSlave(model), len(interface.outputs), rows, values)
+    file = built_native(name, 3)
+    slave = FmuSlave(file, name)
+    assert [(p.name, p.causality, p.type, p.unit, p.start) for p in slave.ports] == [
+        (p.name, p.causality, p.type, p.unit, p.start if p.initial != "calculated" else None) for p in interface.ports
+    ]
+    found = runs.drive(slave, len(interface.outputs), rows, values)
+    assert not runs.difference(file, interface.outputs, expected, found)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_fmi3_through_fmpy(name: str, built_native: Callable[..., Path], tmp_path: Path) -> None:
+    """The same in an importer of others, array by array."""
+    model = runs.model(name)
+    interface = Interface(model)
+    rows, values = runs.inputs(name, interface), runs.parameters(name, "golden", model)
     expected = runs.drive(InProcessSlave(model), len(interface.outputs), rows, values)
     file = built_native(name, 3)
     found = runs.drive(runs.Fmi3Slave(file, tmp_path, interface), len(interface.outputs), rows, values)

@@ -1,0 +1,153 @@
+"""What FMI 2.0 and FMI 3.0 have in common for `fmu.FmuSlave`: one loaded library and its one instance.
+
+`fmi2.Fmi2` and `fmi3.Fmi3` say how the calls of their standard look; when they are made is the same for both.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from orchestration.errors import SlaveError
+from orchestration.fmu_description import FmuDescription, Variable
+from orchestration.native import BlockData
+from orchestration.slave import FloatArray, Port, Scalar
+
+WARNING, FATAL = 1, 4
+"""Statuses: the largest that is no error; the one after which no call is allowed."""
+STATUS = ("OK", "warning", "discard", "error", "fatal", "pending")
+Call = tuple[str, tuple[Any, ...]]
+"""A function without the prefix of the standard, and its arguments after the instance."""
+
+
+class StateFunctions(NamedTuple):
+    """Names of the functions for states."""
+
+    get: str
+    set: str
+    free: str
+    size: str
+    serialise: str
+    deserialise: str
+
+
+class Group:
+    """The inputs, or outputs, of one type: what one call moves."""
+
+    def __init__(self, name: str, function: Any, places: Sequence[int], variables: Sequence[Variable], dtype: Any, counted: bool) -> None:
+        """`places` are those of the elements in the flat image; `counted`: the call is told the number of values, too."""
+        self.name, self.function, self.places = name, function, tuple(places)
+        together = list(places) == list(range(places[0], places[0] + len(places)))
+        self.place: Any = slice(places[0], places[0] + len(places)) if together else np.array(places, dtype=np.intp)
+        """Index of the elements in the flat image."""
+        self.ports = [p for v in variables for p in v.ports]
+        self.references = np.array([v.reference for v in variables], dtype=np.uint32)
+        self.buffer: npt.NDArray[Any] = np.zeros(len(places), dtype=dtype)
+        count = (len(places),) if counted else ()
+        self.arguments = (self.references.ctypes.data, len(variables), self.buffer.ctypes.data, *count)
+        narrow = self.buffer.dtype.kind in "iu" and dtype not in (np.int32, np.int64)
+        self._limits = np.iinfo(dtype) if narrow else None
+
+    def load(self, values: FloatArray) -> None:
+        """Take the values of these elements from the flat image. SlaveError for one that a type of few bits cannot hold."""
+        found = values[self.place]
+        if self._limits is not None:
+            low, high = self._limits.min, self._limits.max
+            for port, value in zip(self.ports, found, strict=True):
+                if not low <= value <= high:
+                    raise SlaveError(f"input {port.name} = {value:.9g} does not fit {self._limits.dtype.name}: expected {low} to {high}")
+        self.buffer[:] = found
+
+
+class Fmi(ABC):
+    """The functions of one FMU. `call` and the others return the status; what is wrong is for the caller to say."""
+
+    prefix: str
+    """Of the functions."""
+    state: StateFunctions
+
+    def __init__(self, description: FmuDescription, name: str, messages: deque[tuple[int, str]]) -> None:
+        """Load the library; what the instance logs goes to `messages` (status, text). SlaveError if it cannot be loaded."""
+        self.description, self.name, self.messages = description, name, messages
+        self.instance = ctypes.c_void_p()
+        self.load()
+
+    @abstractmethod
+    def load(self) -> None:
+        """Load the library."""
+
+    @abstractmethod
+    def instantiate(self) -> bool:
+        """Make the instance; whether there is one."""
+
+    @abstractmethod
+    def enter(self, start: float, stop: float) -> Iterator[Call]:
+        """The calls that enter initialisation, after the parameters are set; times in s, `stop` may be infinite."""
+
+    @abstractmethod
+    def parameter(self, variable: Variable, values: Sequence[Scalar]) -> Call:
+        """The call that sets a parameter: all its elements."""
+
+    @abstractmethod
+    def choose_log(self, categories: Sequence[str]) -> None:
+        """Ask for messages of these categories only."""
+
+    @abstractmethod
+    def call(self, function: str, *arguments: Any) -> int:
+        """Call a function, named without the prefix."""
+
+    @abstractmethod
+    def step(self, t: float, h: float) -> int:
+        """From `t` to `t + h` [s]."""
+
+    @abstractmethod
+    def groups(self, way: str, causality: str) -> list[Group]:
+        """Inputs or outputs by type; `way` is Set or Get."""
+
+    @abstractmethod
+    def compiled(self, inputs: Sequence[Group], outputs: Sequence[Group]) -> Addresses | None:
+        """What `orchestration.native` needs; None if this FMU can be called from Python only."""
+
+    @abstractmethod
+    def free(self) -> None:
+        """Free the instance."""
+
+    @abstractmethod
+    def unload(self) -> None:
+        """Unload the library."""
+
+    def explain(self, status: int) -> str:
+        """What a call did that returned this status."""
+        return f"returned {status} ({STATUS[status] if 0 <= status < len(STATUS) else 'not a status of FMI'})"
+
+
+class Addresses(NamedTuple):
+    """Of the functions and buffers of an instance, as `orchestration.native.Native` wants them."""
+
+    instance: int
+    step: int
+    inputs: list[BlockData]
+    outputs: list[BlockData]
+    keep: Any = None
+    """What must live as long as the addresses are used."""
+
+
+def address(function: Any) -> int:
+    """Of a C function that ctypes knows."""
+    return ctypes.cast(function, ctypes.c_void_p).value or 0
+
+
+def by_kind(description: FmuDescription, causality: str) -> Iterator[tuple[str, list[int], list[Variable]]]:
+    """(type, places of the elements in the flat image, variables) for each type that occurs among the inputs or outputs."""
+    ports: list[Port] = [p for p in description.ports if p.causality == causality]
+    place = {p.name: i for i, p in enumerate(ports)}
+    chosen = [v for v in description.variables if v.ports[0].causality == causality]
+    for kind in dict.fromkeys(v.kind for v in chosen):
+        found = [v for v in chosen if v.kind == kind]
+        yield kind, [place[p.name] for v in found for p in v.ports], found

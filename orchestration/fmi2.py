@@ -1,0 +1,142 @@
+"""The calls of FMI 2.0 co-simulation, loaded by FMPy."""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import math
+import os
+import weakref
+from collections import deque
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import fmpy.fmi1
+import numpy as np
+from fmpy import fmi2
+
+from orchestration.errors import SlaveError
+from orchestration.fmi import Addresses, Call, Fmi, Group, StateFunctions, address, by_kind
+from orchestration.fmu_description import Variable
+from orchestration.native import BlockData
+from orchestration.slave import Scalar
+
+_DTYPES = {"Real": np.float64, "Integer": np.int32, "Boolean": np.int32}
+_ACCESS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
+_DO_STEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
+
+# The proxy that formats printf messages knows ONE logger for the whole process, so there is one here,
+# which finds the instance by its environment pointer.
+_instances: weakref.WeakValueDictionary[int, deque[tuple[int, str]]] = weakref.WeakValueDictionary()
+_numbers = itertools.count(1)
+
+
+def _log(environment: int | None, instance: bytes, status: int, category: bytes, message: bytes) -> None:
+    messages = _instances.get(environment or 0)
+    if messages is None:  # an FMU that somebody else runs through FMPy
+        fmpy.fmi1.printLogMessage(environment, instance, status, category, message)
+    else:
+        messages.append((status, (message or b"").decode("utf-8", "replace").rstrip()))
+
+
+_LOGGER = fmi2.fmi2CallbackLoggerTYPE(_log)
+_ALLOCATE = fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
+_FREE = fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free)
+
+
+class Fmi2(Fmi):
+    """See the module and `Fmi`."""
+
+    prefix = "fmi2"
+    state = StateFunctions(
+        "GetFMUstate", "SetFMUstate", "FreeFMUstate", "SerializedFMUstateSize", "SerializeFMUstate", "DeSerializeFMUstate"
+    )
+
+    def load(self) -> None:
+        """Load the library."""
+        here = Path.cwd()
+        try:
+            self._fmu = fmi2.FMU2Slave(
+                guid=self.description.guid,
+                modelIdentifier=self.description.identifier,
+                unzipDirectory=str(self.description.folder),
+                instanceName=self.name,
+            )
+        except Exception as error:  # FMPy raises bare Exception, AttributeError for a function that is not there
+            raise SlaveError(f"{self.description.file}: its binary cannot be loaded: {error}") from None
+        finally:
+            os.chdir(here)  # FMPy leaves the process in the binary's folder when loading fails
+        number = next(_numbers)
+        _instances[number] = self.messages
+        self._callbacks = fmi2.fmi2CallbackFunctions(_LOGGER, _ALLOCATE, _FREE, componentEnvironment=number)
+        if not self.description.made_by_pythonfmu:
+            # pythonfmu hands over finished texts: a per cent sign in one would be formatted with garbage
+            fmi2.addLoggerProxy(ctypes.byref(self._callbacks))
+        self._do_step = _DO_STEP(("fmi2DoStep", self._fmu.dll))
+
+    def instantiate(self) -> bool:
+        """Make the instance; whether there is one."""
+        try:
+            self._fmu.instantiate(callbacks=self._callbacks, loggingOn=True)
+        except Exception:  # FMPy raises a bare one
+            return False
+        self.instance = ctypes.c_void_p(self._fmu.component)
+        return True
+
+    def enter(self, start: float, stop: float) -> Iterator[Call]:
+        """The calls that enter initialisation."""
+        yield "SetupExperiment", (0, 0.0, start, int(math.isfinite(stop)), stop if math.isfinite(stop) else 0.0)
+        yield "EnterInitializationMode", ()
+
+    def parameter(self, variable: Variable, values: Sequence[Scalar]) -> Call:
+        """The call that sets a parameter."""
+        reference, (value,) = (ctypes.c_uint * 1)(variable.reference), values
+        given: Any
+        if variable.kind == "String":
+            given = (ctypes.c_char_p * 1)(str(value).encode())
+        elif variable.kind == "Real":
+            given = (ctypes.c_double * 1)(float(value))
+        else:
+            given = (ctypes.c_int * 1)(int(value))
+        return f"Set{variable.kind}", (reference, 1, given)
+
+    def choose_log(self, categories: Sequence[str]) -> None:
+        """Ask for messages of these categories only."""
+        names = [n.encode() for n in categories]
+        self.call("SetDebugLogging", 1, len(names), (ctypes.c_char_p * len(names))(*names))
+
+    def call(self, function: str, *arguments: Any) -> int:
+        """Call a function."""
+        status: int = self._fmu._functions["fmi2" + function](self.instance, *arguments)
+        return status
+
+    def step(self, t: float, h: float) -> int:
+        """From `t` to `t + h` [s]."""
+        status: int = self._do_step(self.instance, t, h, 0)
+        return status
+
+    def groups(self, way: str, causality: str) -> list[Group]:
+        """Inputs or outputs by type."""
+        made = []
+        for kind, places, variables in by_kind(self.description, causality):
+            name = f"fmi2{way}{kind}"
+            made.append(Group(name, _ACCESS((name, self._fmu.dll)), places, variables, _DTYPES[kind], counted=False))
+        return made
+
+    def compiled(self, inputs: Sequence[Group], outputs: Sequence[Group]) -> Addresses:
+        """Addresses for the compiled loop, whose calls are those of FMI 2.0."""
+        return Addresses(self.instance.value or 0, address(self._do_step), [_block(g) for g in inputs], [_block(g) for g in outputs])
+
+    def free(self) -> None:
+        """Free the instance."""
+        self._fmu.fmi2FreeInstance(self._fmu.component)
+
+    def unload(self) -> None:
+        """Unload the library."""
+        self._fmu.freeLibrary()
+
+
+def _block(group: Group) -> BlockData:
+    return BlockData(str(group.buffer.dtype), address(group.function), group.references.ctypes.data, group.buffer.ctypes.data, group.places)

@@ -1,0 +1,273 @@
+"""FMI 3.0 FMUs as slaves: one in C with every type, not made by robomill; and what is refused."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+from orchestration.assembly import run
+from orchestration.errors import OrchestrationError, RunError, SlaveError, SystemFileError
+from orchestration.fmu import FmuSlave
+from orchestration.results import Run
+from orchestration.slave import PortData, Slave, arrays, inputs, outputs
+from orchestration.system import Component, Connection, System
+from tests.orchestration import c_fmu, c_fmu3
+from tests.orchestration.mocks import resolver, source
+
+pytestmark = pytest.mark.skipif(c_fmu.compiler() is None, reason="no C compiler here")
+
+
+@pytest.fixture(scope="module")
+def types(tmp_path_factory) -> Path:
+    return c_fmu3.build(tmp_path_factory.mktemp("c"))
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory) -> Path:
+    """Without the types that the compiled loop does not carry."""
+    return c_fmu3.build(tmp_path_factory.mktemp("c"), c_fmu3.PLAIN)
+
+
+@pytest.fixture(autouse=True)
+def temporary(tmp_path, monkeypatch):
+    """All temporary folders of a test in one place, and none left in the end."""
+    place = tmp_path / "temporary"
+    place.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    yield
+    assert list(place.iterdir()) == []
+
+
+def driven(file: Path, value: float, **parameters) -> tuple[System, object]:
+    """The FMU with a source at u[1,1], and the resolver of the source."""
+    s = source("s", lambda t: value if t > 0.01 else 0.0, unit="N")
+    components = (Component("s", "mock"), Component("x", str(file), parameters))
+    return System("t", 0.004, components, (Connection("s.y", "x.u[1,1]"),)), resolver([s])
+
+
+def test_ports(types):
+    slave = FmuSlave(types, "x")
+    try:
+        assert isinstance(slave, Slave)
+        ports = {p.name: p for p in slave.ports}
+        assert ports["u[2,3]"] == PortData("u[2,3]", "input", "real", "N", 0.5, None, 2e6, "what is integrated")
+        assert [p.start for p in slave.ports if p.name.startswith("in_Boolean")] == [True, False, True]
+        assert ports["in_Int32[2]"].start == 2
+        assert ports["out_Int64"] == PortData("out_Int64", "output", "integer")
+        assert ports["y[1,1]"].dependencies == ()
+        assert ports["out_Boolean[1]"].dependencies[:4] == ("in_Boolean[1]", "in_Boolean[2]", "in_Boolean[3]", "u[1,1]")
+        assert {name: len(elements) for name, elements in arrays(inputs(slave.ports)).items()} == {
+            "u": 6, "in_Int32": 2, "in_Int64": 1, "in_Boolean": 3, **{f"in_{kind}": 1 for kind in c_fmu3.NARROW},
+        }  # fmt: skip
+        assert [p.name for p in slave.ports if p.causality == "parameter"] == [
+            *(f"gain[{i},{j}]" for i in (1, 2) for j in (1, 2, 3)),
+            "limit",
+            "label",
+        ]
+        assert "blob" not in ports
+    finally:
+        slave.close()
+        slave.close()
+
+
+def test_every_type_is_carried_to_its_ends(types):
+    slave = FmuSlave(types, "x")
+    names_in, names_out = [p.name for p in inputs(slave.ports)], [p.name for p in outputs(slave.ports)]
+    values, out = np.zeros(len(names_in)), np.zeros(len(names_out))
+    given = {
+        "in_Float32": 0.1, "in_Int8": 126, "in_UInt8": 254, "in_Int16": -32768, "in_UInt16": 65534,
+        "in_Int32[1]": -(2**31), "in_Int32[2]": 2**31 - 2,
+        "in_UInt32": 2**32 - 2, "in_Int64": -(2**53), "in_UInt64": 2**53 - 2, "in_Boolean[2]": 1,
+    }  # fmt: skip
+    for name, value in given.items():
+        values[names_in.index(name)] = value
+    try:
+        slave.initialise(0.0, 1.0, 0.004)
+        slave.set_inputs(values)
+        slave.step(0.0, 0.004)
+        slave.get_outputs(out)
+        got = dict(zip(names_out, out, strict=True))
+        assert got["out_Float32"] == 2 * np.float32(0.1)
+        assert [got[f"out_Boolean[{i}]"] for i in (1, 2, 3)] == [1, 0, 1]
+        for name, value in given.items():
+            if "Int" in name:
+                assert got[name.replace("in_", "out_")] == value + 1, name
+        for name, value, text in (
+            ("in_UInt8", 256, "input in_UInt8 = 256 does not fit uint8: expected 0 to 255"),
+            ("in_UInt64", -1, "input in_UInt64 = -1 does not fit uint64: expected 0 to"),
+        ):
+            values[names_in.index(name)] = value
+            with pytest.raises(SlaveError, match=text):
+                slave.set_inputs(values)
+            values[names_in.index(name)] = 0
+    finally:
+        slave.close()
+
+
+def test_parameters_of_an_array_keep_their_starts(plain):
+    system, resolve = driven(plain, 1.0, **{"gain[2,3]": 3.0, "gain[1,1]": 0.0, "label": "a"})
+    r = run(system, stop=0.04, resolver=resolve)
+    assert r["x.y"][-1].tolist()[0] == [0.0, r["x.y[1,2]"][-1], r["x.y[1,3]"][-1]]
+    y = 0.0
+    for _ in range(10):
+        y += 0.004 * 3.0 * 0.5
+    assert r["x.y[2,3]"][-1] == y  # the same arithmetic: EXACT
+
+
+def test_compiled_and_python_loop_give_the_same_bits(plain, tmp_path):
+    components = tuple(Component(n, str(plain), {"gain": [[g, 1, 2], [3, 4, 5]]}) for n, g in (("a", 0.1), ("b", 0.2)))
+    links = [("a.y", "b.u"), ("a.out_Int32", "b.in_Int32"), ("b.out_Int64", "a.in_Int64"), ("a.out_Boolean", "b.in_Boolean")]
+    made = System("two", 0.004, components, tuple(Connection(*ends, delayed=ends[0].startswith("b")) for ends in links), stop=1.0)
+    results = [run(made, tmp_path / loop, loop=loop) for loop in ("compiled", "python")]
+    for name in results[0].columns:
+        assert np.array_equal(results[0][name], results[1][name]), name
+    assert results[0]["b.out_Boolean"].tolist()[1] == [1.0, 0.0, 1.0]  # not not: what went in
+    assert np.ptp(results[0]["b.y"]) > 0.0
+    assert results[0]["b.out_Int32"][-1].tolist() == [3.0, 4.0]
+
+
+def test_types_that_the_compiled_loop_does_not_carry(types):
+    made = System("one", 0.004, (Component("x", str(types)),), stop=0.04)
+    assert len(run(made)) == 11
+    with pytest.raises(OrchestrationError, match=r"component 'x' \(FmuSlave\) can only be called from Python"):
+        run(made, loop="compiled")
+
+
+STEP = "fmi3DoStep(t = 0.012, h = 0.004) "
+
+
+@pytest.mark.parametrize("loop", ["compiled", "python"])
+@pytest.mark.parametrize(
+    ("value", "parameters", "text"),
+    [
+        (101.0, {}, STEP + "returned 3 (error); it says:\n  overload at t = 0.012"),
+        (1001.0, {}, STEP + "returned 4 (fatal); it says:\n  100 % melted"),
+        (1.0, {"limit": 0.0}, STEP + "asks for the end of the simulation (terminateSimulation); it logged nothing"),
+        (-1.0, {"limit": 0.0}, STEP + "returned early, at t = 0.012, though it was told not to (earlyReturnAllowed = false)"),
+    ],
+)  # fmt: skip
+def test_what_a_step_can_say(plain, tmp_path, loop, value, parameters, text):
+    """The same in both loops: for the compiled one, the value comes from another FMU."""
+    clock = c_fmu3.SOURCE.replace("m->v.y[i] += h * m->v.gain[i] * m->v.u[i];", f"m->v.y[i] = t + h > 0.01 ? {value} : 0.0;")
+    (tmp_path / "clock").mkdir()
+    components = (Component("s", str(c_fmu3.build(tmp_path / "clock", c_fmu3.PLAIN, clock))), Component("x", str(plain), parameters))
+    made = System("t", 0.004, components, (Connection("s.y[1,1]", "x.u[1,1]", delayed=True),))
+    with pytest.raises(RunError) as caught:
+        run(made, tmp_path / "r", stop=0.04, loop=loop)
+    assert str(caught.value).startswith("component 'x' failed in the step from t = 0.012 s: component 'x': " + text)
+    assert len(Run.load(tmp_path / "r")) == 4
+
+
+def test_a_warning_is_no_error(plain):
+    system, resolve = driven(plain, 60.0)
+    assert len(run(system, stop=0.04, resolver=resolve)) == 11
+
+
+@pytest.mark.parametrize(
+    ("parameters", "start", "text"),
+    [
+        ({}, -1.0, "fmi3EnterInitializationMode returned 3 (error); it says:\n  start time is negative"),
+        ({"label": "bad"}, 0.0, "fmi3SetString returned 3 (error); it says:\n  the label is bad"),
+    ],
+)
+def test_failed_initialisation(plain, parameters, start, text):
+    with pytest.raises(RunError) as caught:
+        run(System("one", 0.004, (Component("x", str(plain), parameters),)), start=start, stop=0.04)
+    assert text in str(caught.value)
+
+
+def test_state(plain, tmp_path):
+    """Rollback is proved, and a run that is resumed gives the same numbers."""
+    slave = FmuSlave(plain, "x")
+    try:
+        slave.initialise(0.0, 1.0, 0.004)
+        slave.set_inputs(np.ones(len(inputs(slave.ports))))
+        slave.step(0.0, 0.004)
+        state, out, again = slave.get_state(), np.zeros(len(outputs(slave.ports))), np.zeros(len(outputs(slave.ports)))
+        assert isinstance(state[1], bytes)
+        slave.step(0.004, 0.004)
+        slave.get_outputs(out)
+        slave.set_state(state)
+        slave.step(0.004, 0.004)
+        slave.get_outputs(again)
+        assert np.array_equal(out, again)
+    finally:
+        slave.close()
+    made = System("one", 0.004, (Component("x", str(plain)),), stop=0.4)
+    made = replace(made, recording=replace(made.recording, checkpoint_every=20))
+    whole = run(made, tmp_path / "whole")
+    run(made, tmp_path / "r", stop=0.2)
+    resumed = run(made, tmp_path / "r", resume=True)
+    assert np.array_equal(whole["x.y"], resumed["x.y"])
+
+
+def test_in_a_process_of_its_own(plain, tmp_path):
+    made = System("one", 0.004, (Component("x", str(plain), {"gain[1,2]": 7.0}),), stop=0.04)
+    isolated = replace(made, components=(replace(made.components[0], isolate=True),))
+    assert np.array_equal(run(made)["x.y"], run(isolated)["x.y"])
+
+
+LIBRARY = {f"binaries/{fmpy.platform_tuple}/types{c_fmu.SUFFIX}": b"not a library"}
+
+
+class TestRefused:
+    """One clear sentence for each."""
+
+    @pytest.mark.parametrize(
+        ("old", "new", "text"),
+        [
+            ("<CoSimulation", "<ModelExchange", "is an FMU for model exchange only; a co-simulation FMU is needed"),
+            ("<CoSimulation", "<ScheduledExecution", "is an FMU for scheduled execution only; a co-simulation FMU is needed"),
+            ('fmiVersion="3.0"', 'fmiVersion="3.1"', "has FMI version 3.1; only FMI 2.0 and 3.0 can be run: export it as co-simulation"),
+            (
+                '<Int64 name="in_Int64" valueReference="11"',
+                '<Clock name="tick" valueReference="30" causality="input" intervalVariability="triggered"/>'
+                '<Int64 name="in_Int64" clocks="30" valueReference="11"',
+                "variable 'in_Int64' belongs to a clock, which only event mode can tick; event mode is not supported",
+            ),
+            ('start="1 1 1 1 1 1"', 'start="1 1 1"', "array 'gain' has 6 elements and 3 start values; expected 1 or 6"),
+            (
+                '<Dimension start="2"/><Dimension start="3"/>',
+                '<Dimension start="20000000"/>',
+                "array 'gain' of size [20000000]: at most 1000000",
+            ),
+            ('name="out_Int32"', 'name="y"', "variable 'y' is there twice"),
+            ("", "", f"its binary binaries/{fmpy.platform_tuple}/types{c_fmu.SUFFIX} is no Linux library (13 bytes"),
+        ],
+    )
+    def test_descriptions(self, tmp_path, old, new, text):
+        changed = c_fmu3.PLAIN.replace(old, new, 1)
+        if new in ("<ModelExchange", "<ScheduledExecution"):
+            changed = changed.replace('canHandleVariableCommunicationStepSize="true"', "").replace('hasEventMode="true"', "")
+        file = c_fmu.pack(tmp_path / "bad.fmu", changed, LIBRARY)
+        with pytest.raises(SlaveError) as caught:
+            FmuSlave(file)
+        assert str(caught.value).startswith(str(file))
+        assert text in str(caught.value)
+
+    def test_a_function_that_is_not_there(self, tmp_path):
+        file = c_fmu3.build(
+            tmp_path, c_fmu3.PLAIN, c_fmu3.SOURCE.replace("fmi3SetInt64", "fmi3SetInt65").replace("fmi3Set##NAME", "fmi3Sets##NAME")
+        )
+        with pytest.raises(SlaveError, match=r"types.fmu: its binary has no function fmi3SetFloat64"):
+            FmuSlave(file)
+        file = c_fmu3.build(tmp_path, c_fmu3.PLAIN, c_fmu3.SOURCE.replace("fmi3DoStep(", "fmi3DoStop("))
+        with pytest.raises(SlaveError, match=r"types.fmu: its binary cannot be loaded: .*fmi3DoStep"):
+            FmuSlave(file)
+
+    def test_wrong_token(self, plain, tmp_path):
+        library = {f"binaries/{fmpy.platform_tuple}/types{c_fmu.SUFFIX}": (plain.parent / f"types{c_fmu.SUFFIX}").read_bytes()}
+        file = c_fmu.pack(tmp_path / "wrong.fmu", c_fmu3.PLAIN.replace("c-fmu-3", "other"), library)
+        with pytest.raises(RunError, match="fmi3InstantiateCoSimulation failed; it says:\n  wrong token"):
+            run(System("one", 0.004, (Component("x", str(file)),)), stop=0.04)
+
+    def test_parameters(self, plain):
+        with pytest.raises(SystemFileError, match=r"component 'x': parameter 'gain\[1,2\]': -1 1 is below its minimum 0 1"):
+            run(System("one", 0.004, (Component("x", str(plain), {"gain[1,2]": -1.0}),)), stop=0.04)
+        with pytest.raises(SystemFileError, match=r"component 'x': unknown parameter 'rows'.*available: gain, limit, label"):
+            run(System("one", 0.004, (Component("x", str(plain), {"rows": 3}),)), stop=0.04)
