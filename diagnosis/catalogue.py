@@ -18,6 +18,7 @@ A TOML file::
     component = "drive"
     parameters = ["loop_frequency"]     # elements, or whole arrays
     relative = 0.01                     # of the nominal value; or: absolute = 0.4 [unit]
+    source = "..."
 
     [[seed]]                            # where the simulation has noise of its own: another value is another repeat
     component = "sensor"
@@ -51,7 +52,7 @@ Address = tuple[str, str]
 
 _EFFECT = {"name", "component", "description", "source", "locations", "minimum", "maximum", "prior", "unit", "sign"}
 _LOCATION = {"name", "parameters"}
-_NUISANCE = {"component", "parameters", "relative", "absolute"}
+_NUISANCE = {"component", "parameters", "relative", "absolute", "source"}
 _QUIET = {"component", "parameters"}
 _SEED = {"component", "parameter"}
 
@@ -225,7 +226,8 @@ class _Reader:
         tolerances: list[Tolerance] = []
         for i, entry in enumerate(self.listed("nuisance", table.get("nuisance", []))):
             where = f"[[nuisance]] {i + 1}"
-            self.keys(where, entry, _NUISANCE, {"component", "parameters"})
+            self.keys(where, entry, _NUISANCE, {"component", "parameters", "source"})
+            self.text(where, "source", entry["source"])
             given = [k for k in ("relative", "absolute") if k in entry]
             if len(given) != 1:
                 raise self.fail(where, f"expected either relative or absolute; found {' and '.join(given) or 'neither'}")

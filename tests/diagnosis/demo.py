@@ -71,6 +71,7 @@ locations = [{name = "logger", parameters = ["lag sensors.*"]}, {name = "second 
 component = "masses"
 parameters = ["damping"]
 relative = 0.01
+source = "made up"
 """
 
 
