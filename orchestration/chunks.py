@@ -24,6 +24,7 @@ from orchestration.wiring import Wiring
 
 _FIRST_CHUNK = 8
 _CHUNK_TIME = 0.05  # s of wall clock between two looks at Ctrl-C and progress
+_MOST_STEPS = 16384  # per chunk
 _ROW_BYTES = 1_600_000  # of the rows of a chunk: what stays in the cache
 Gather = Mapping[str, npt.NDArray[np.intp]]
 
@@ -32,8 +33,10 @@ Gather = Mapping[str, npt.NDArray[np.intp]]
 class Chunk:
     """What became of a chunk of steps."""
 
-    rows: FloatArray
-    """t [s] and all outputs after each step made; stays as it is until the next chunk but one."""
+    made: int
+    """Steps."""
+    columns: FloatArray
+    """t [s] and all outputs after each of them, float64[1 + n_outputs, capacity]; stays as it is until the next chunk but one."""
     failed: tuple[str, Exception] | None = None
     """Component and its error, in the step after those made."""
     in_range: bool = True
@@ -42,18 +45,18 @@ class Chunk:
     def show(self, observers: Sequence[Any]) -> None:
         """Hand the rows to observers: at once where they take that, else one by one."""
         for o in observers:
-            take_all = getattr(o, "observe_rows", None)
+            take_all = getattr(o, "observe_columns", None)
             if take_all is not None:
-                take_all(self.rows)
+                take_all(self.columns, self.made)
             else:
-                for row in self.rows:
+                for row in self.columns[:, : self.made].T:
                     o.observe(float(row[0]), row[1:])
 
 
 class CompiledLoop:
     """Steps the slaves of a master on its bus. They have made their first step in Python, which leaves initialisation.
 
-    `bounds` of all outputs; at most `capacity` rows per chunk.
+    `bounds` of all outputs; `observed`: whether rows are wanted; at most `capacity` steps per chunk.
     """
 
     def __init__(
@@ -63,16 +66,17 @@ class CompiledLoop:
         jacobi: bool,
         bus: FloatArray,
         bounds: tuple[FloatArray, FloatArray],
+        observed: bool = True,
         capacity: int | None = None,
     ) -> None:
         self._slaves, self._wiring, self._bus, self._bounds = slaves, wiring, bus, bounds
         self._natives = [_native(slave) for slave in slaves.values()]
-        capacity = capacity or min(max(_ROW_BYTES // (8 + 8 * wiring.n_outputs), 16), 4096)
+        capacity = capacity or (min(max(_ROW_BYTES // (8 + 8 * wiring.n_outputs), 16), _MOST_STEPS) if observed else _MOST_STEPS)
         self.capacity, self._steps = capacity, _FIRST_CHUNK
         # One column per signal, as they are written. Two sets: a recorder may still write one while the other is filled.
         # An odd number of cache lines each keeps the columns from falling on the same places of the cache.
         length = 8 * (-(-capacity // 8) | 1)
-        self._columns = [np.zeros((1 + wiring.n_outputs, length))[:, :capacity] for _ in range(2)]
+        self._columns = [np.zeros((1 + wiring.n_outputs if observed else 0, length))[:, :capacity] for _ in range(2)]
         self._report, self._ticks = np.zeros(3, np.int64), np.zeros(3, np.int64)
         phases: list[list[_Call]] = [[], [], []]
         for c, native in enumerate(self._natives):
@@ -131,7 +135,7 @@ class CompiledLoop:
             call = self._calls[operation]
             t = (start + (done + made) * step) / TICK
             failed = names[call.component], self._natives[call.component].failed(call.phase, call.number, status, t, step / TICK)
-        return Chunk(columns[:, :made].T, failed, outcome != compiled.VIOLATED)
+        return Chunk(made, columns, failed, outcome != compiled.VIOLATED)
 
     def pace(self, elapsed: float) -> None:
         """Longer or shorter chunks from now on: the last one, with all that belongs to it, took `elapsed` s of wall clock."""

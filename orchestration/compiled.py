@@ -181,9 +181,10 @@ def advance(
         if not good:
             report[0] = VIOLATED
             return k
-        columns[0, k] = (now + ticks[1]) / TICK
-        for i in range(n):
-            columns[1 + i, k] = bus[i]
+        if len(columns) > 0:
+            columns[0, k] = (now + ticks[1]) / TICK
+            for i in range(n):
+                columns[1 + i, k] = bus[i]
         if watched >= 0 and bus[watched] != 0.0:
             report[0] = STOPPED
             return k + 1

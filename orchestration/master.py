@@ -49,7 +49,8 @@ class Observer(Protocol):
     def observe(self, t: float, outputs: FloatArray) -> None:
         """All outputs at time `t` [s], in the order of the bus. The array is reused: copy what is kept.
 
-        An observer may also have `observe_rows(rows)`, rows of t [s] and all outputs: called instead for many steps at once.
+        An observer may also have `observe_columns(columns, count)`, called instead for many steps at once: the first `count`
+        rows of float64[1 + n_outputs, capacity], t [s] and all outputs. That array, too, is reused: not before the next call has returned.
         """
         ...
 
@@ -305,10 +306,10 @@ class Master:
             from orchestration.chunks import CompiledLoop  # it needs Numba, which takes half a second to import
 
             jacobi = self.algorithm == "jacobi"
-            self._compiled = CompiledLoop(self._slaves, self.wiring, jacobi, self._bus, self._guard.bounds)
+            self._compiled = CompiledLoop(self._slaves, self.wiring, jacobi, self._bus, self._guard.bounds, bool(self._observers))
         k = -1 if watched is None else watched
         chunk = self._compiled.advance(room, self._start_ticks, self._step_ticks, self._done, k, self._gather)
-        self._done += len(chunk.rows)
+        self._done += chunk.made
         chunk.show(self._observers)
         if chunk.failed is not None:
             self._current, error = chunk.failed

@@ -33,10 +33,10 @@ class Memory:
         self._t.append(t)
         self._rows.append(outputs.copy())
 
-    def observe_rows(self, rows: FloatArray) -> None:
-        """Keep a copy of many rows at once: t [s] and the outputs."""
+    def observe_columns(self, columns: FloatArray, count: int) -> None:
+        """Keep a copy of many rows at once: the first `count` of t [s] and the outputs."""
         self._gather()
-        self._blocks.append(rows.copy(order="K"))
+        self._blocks.append(columns[:, :count].copy().T)
 
     def _gather(self) -> None:
         if self._t:

@@ -30,6 +30,7 @@ _TYPES = {"real": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
 _FRAME = re.compile(r"_([A-Z])(?![a-z0-9A-Z])|_([A-Z])([A-Z])(?![a-z0-9A-Z])")
 _PROMOTED = ("program", "robot", "tool", "workpiece")
 _MAX_AGE = 2.0  # s of wall clock that rows may wait in memory
+_PIECE = 2**21  # bytes written at once
 
 
 @dataclass
@@ -73,7 +74,8 @@ class Recorder:
         self._write_info("running", "")
         self._schema = pa.schema(fields, metadata={"robomill": dump(self._info)})
         self._kinds = list(self._schema.types)
-        self._stream = (self.folder / LIVE).open("wb")
+        # Arrow's own file is written without Python; in large pieces, because the pages cost more than what is copied into them
+        self._stream = pa.BufferedOutputStream(pa.OSFile(str(self.folder / LIVE), "wb"), _PIECE)
         self._writer = pa.ipc.new_stream(self._stream, self._schema)
         self._writer.write_batch(pa.record_batch([[]] * len(fields), schema=self._schema))  # without a batch there is no schema in the file
         try:
@@ -84,6 +86,8 @@ class Recorder:
             self._stream.close()
             raise
         self._chosen = None if chosen == list(range(wiring.n_outputs)) else np.array(chosen, dtype=np.intp)
+        self._taken = np.array([0, *(1 + i for i in chosen)], dtype=np.intp)  # columns of t and all outputs
+        self._wrapped: dict[int, tuple[FloatArray, pa.RecordBatch]] = {}
         self._buffer = np.empty((self.chunk, 1 + len(chosen)))
         self._rows = [row[1:] for row in self._buffer]
         self._count = 0
@@ -126,21 +130,22 @@ class Recorder:
         if self._count == self.chunk or time.monotonic() - self._flushed > _MAX_AGE:
             self.flush()
 
-    def observe_rows(self, rows: FloatArray) -> None:
-        """Keep many rows, t [s] and all outputs; as many as make a chunk or more are written at once, while the next steps are made.
+    def observe_columns(self, columns: FloatArray, count: int) -> None:
+        """Keep many rows: the first `count` of float64[1 + n_outputs, capacity], t [s] and all outputs.
 
-        So the array must stay as it is until the next call has returned.
+        As many as make a chunk or more are written at once, while the next steps are made. So the array must stay as it is
+        until the next call has returned; after that it may be filled anew.
         """
-        kept = rows[-self._seen % self.every :: self.every]
-        self._seen += len(rows)
-        if self._chosen is not None:
-            kept = kept.take(np.concatenate([[0], 1 + self._chosen]), axis=1)
+        kept = range(-self._seen % self.every, count, self.every)
+        self._seen += count
         if self._count + len(kept) > self.chunk:
             self.flush()
         if len(kept) > self.chunk:
-            self._write(kept)
+            self._wait()
+            self._pending = self._background.submit(self._put_columns, columns, kept)
+            self._flushed = time.monotonic()
         else:
-            self._buffer[self._count : self._count + len(kept)] = kept
+            self._buffer[self._count : self._count + len(kept)] = columns[self._taken, kept.start : kept.stop : kept.step].T
             self._count += len(kept)
         if self._count == self.chunk or time.monotonic() - self._flushed > _MAX_AGE:
             self.flush()
@@ -155,20 +160,46 @@ class Recorder:
 
     def _write(self, rows: FloatArray) -> None:
         """Begin to write rows, in the background; what went wrong with those before is raised."""
-        columns = np.ascontiguousarray(rows.T) if rows.flags.c_contiguous else rows.T
+        columns = np.ascontiguousarray(rows.T)
         self._wait()
         self._pending = self._background.submit(self._put, columns)
 
     def _wait(self) -> None:
-        """Until everything given to `_write` is on disk."""
+        """Until everything given to the background is on disk."""
         pending, self._pending = self._pending, None
         if pending is not None:
             pending.result()
 
-    def _put(self, data: FloatArray) -> None:
-        arrays = [pa.array(_cast(column, kind)) for column, kind in zip(data, self._kinds, strict=True)]
-        self._writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=self._schema))
+    def _put(self, columns: FloatArray) -> None:
+        arrays = [pa.array(_cast(column, kind)) for column, kind in zip(columns, self._kinds, strict=True)]
+        self._put_batch(pa.RecordBatch.from_arrays(arrays, schema=self._schema))
+
+    def _put_columns(self, columns: FloatArray, kept: range) -> None:
+        if kept.step > 1:
+            self._put(columns[self._taken, kept.start : kept.stop : kept.step])
+            return
+        batch = self._wrap(columns).slice(kept.start, len(kept))
+        for i, kind in enumerate(self._kinds):
+            if kind != pa.float64():
+                batch = batch.set_column(i, self._schema.field(i), pa.array(_cast(columns[self._taken[i], kept.start : kept.stop], kind)))
+        self._put_batch(batch)
+
+    def _put_batch(self, batch: pa.RecordBatch) -> None:
+        self._writer.write_batch(batch)
         self._stream.flush()
+
+    def _wrap(self, columns: FloatArray) -> pa.RecordBatch:
+        """The array as Arrow sees it, nothing copied. Wrapping takes as long as writing, and the same two arrays come again and again."""
+        if id(columns) not in self._wrapped:
+            if len(self._wrapped) > 1:
+                self._wrapped.clear()
+            n = columns.shape[1]
+            arrays = [
+                pa.array(columns[i]) if kind == pa.float64() else pa.nulls(n, kind)
+                for i, kind in zip(self._taken, self._kinds, strict=True)
+            ]
+            self._wrapped[id(columns)] = columns, pa.RecordBatch.from_arrays(arrays, schema=self._schema)
+        return self._wrapped[id(columns)][1]
 
     def end(self, outcome: str, message: str) -> None:
         """Write what is left, turn the stream into signals.parquet, complete run.toml."""

@@ -72,7 +72,13 @@ class TestParity:
         assert_equal(*both(replace(ring(fmu), step=0.003), start=1.0, stop=2.0))
 
     @pytest.mark.parametrize(
-        "recording", [Recording(), Recording(("a.y", "c.n", "b.on"), every=7, chunk=50), Recording(every=3, chunk=10_000)]
+        "recording",
+        [
+            Recording(),
+            Recording(("a.y", "c.n", "b.on"), chunk=20),
+            Recording(("a.y", "c.n", "b.on"), every=7, chunk=50),
+            Recording(every=3, chunk=10_000),
+        ],
     )
     def test_recorded_runs(self, fmu, tmp_path, recording):
         a, b = both(ring(fmu, recording=recording), tmp_path)
