@@ -1,4 +1,4 @@
-"""`robomill diagnose`: what the engine is told about milling cells, and its answer on the screen and on disk."""
+"""`robomill diagnose`: what the engine is told about milling cells, and its answer: screen, files, page (robomill/report)."""
 
 from __future__ import annotations
 
@@ -58,6 +58,7 @@ def add_arguments(command: Any) -> None:
 
 def run(options: Namespace) -> int:
     """Exit status 0: answered; 1: the log is not usable."""
+    from robomill import report
     from robomill.commands import _progress
 
     file = options.catalogue or options.system.parent / CATALOGUE
@@ -65,7 +66,7 @@ def run(options: Namespace) -> int:
         raise FileNotFoundError(f"no catalogue {file}; name one with --catalogue (the milling cell's is scenarios/{CATALOGUE})")
     catalogue, system = Catalogue.load(file), System.load(options.system, convert)
     runs, held = [Run.load(f) for f in options.runs], [Run.load(f) for f in options.held_out]
-    with _progress(options.json) as report, TemporaryDirectory() as folder:
+    with _progress(options.json) as progress, TemporaryDirectory() as folder:
         found = diagnose(
             system,
             runs,
@@ -74,7 +75,7 @@ def run(options: Namespace) -> int:
             resolver=resolve,
             convert=convert,
             workers=max(1, options.jobs),
-            report=report,
+            report=progress,
             menu=menu(system, Path(folder)),
             repair=options.repair,
         )
@@ -85,11 +86,12 @@ def run(options: Namespace) -> int:
         adopt.write(found.adopted, options.out / "adopt.ssv")
     else:
         (options.out / "adopt.ssv").unlink(missing_ok=True)  # of an earlier answer
+    page = report.write(report.Subject(found, system, [*runs, *held], catalogue, TITLES), options.out)
     if options.json:
         print(text)
     else:
         print("\n".join(lines(found.result)))
-        print(f"diagnosis.json{' and adopt.ssv are' if (options.out / 'adopt.ssv').is_file() else ' is'} in {options.out}/")
+        print(f"report: {page}; beside it diagnosis.json{' and adopt.ssv' if (options.out / 'adopt.ssv').is_file() else ''}")
     return 1 if found.result["verdict"] == "bad_log" else 0
 
 

@@ -1,0 +1,320 @@
+"""The figures of the report: drawn with named colours, saved as SVG and PNG; in the page they take its theme."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib.style
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from diagnosis.catalogue import LOGGING
+from orchestration.slave import FloatArray, base_name
+from robomill.report import robot
+from robomill.report.style import AFTER, BEFORE, COLOURS, INK, MUTED, NOISE, PAPER, SHADE, STYLE, WIDTH
+from robomill.report.subject import HELD_OUT, KINDS, Subject
+from robomill.report.units import percent, percent_interval, scale
+
+ROWS = 4
+"""Panels with signals, at most."""
+SHADED = "shaded: "
+ALWAYS = 0.95
+"""Part of a run from which it is all of it."""
+
+
+def draw_all(s: Subject, folder: Path) -> dict[str, str]:
+    """Name -> SVG for the page, of all figures that the answer has; each is written to `folder` as .svg and .png too."""
+    made = {}
+    with matplotlib.style.context(["default", STYLE]):
+        for name, function in (
+            ("log", log),
+            ("shares", shares),
+            ("robot", robot.draw),
+            ("signals", signals),
+            ("overlay", overlay),
+            ("closure", closure),
+            ("visible", visible),
+        ):
+            figure = function(s)
+            if figure is not None:
+                made[name] = _save(figure, name, folder)
+    return made
+
+
+def _save(figure: Figure, name: str, folder: Path) -> str:
+    folder.mkdir(parents=True, exist_ok=True)
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    figure.savefig(folder / f"{name}.png", dpi=150, metadata={"Software": None})
+    text = "\n".join(line.rstrip() for line in buffer.getvalue().splitlines()) + "\n"
+    (folder / f"{name}.svg").write_text(text, encoding="utf-8")
+    return _inline(text, name)
+
+
+def _inline(svg: str, name: str) -> str:
+    """The SVG element alone: identifiers made its own, colours and letters those of the page, as wide as drawn or as there is room."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", svg, count=1, flags=re.DOTALL)  # would hold for the whole page
+    svg = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', svg)
+    svg = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", svg)
+    svg = re.sub(r'width="([\d.]+)pt" height="[\d.]+pt"', r'style="max-width: \1pt" role="img" aria-hidden="true"', svg, count=1)
+    for key, colour in COLOURS.items():
+        svg = svg.replace(colour, f"var(--{key})")
+    return svg.replace("'DejaVu Sans'", "var(--sans)").strip()
+
+
+def _legend(figure: Figure, handles: Sequence[Any]) -> None:
+    figure.legend(handles=list(handles), loc="outside upper right", ncols=len(handles), borderaxespad=0.0, handlelength=1.8)
+
+
+def _shade(ax: Axes, regime: Sequence[Sequence[float]], t: FloatArray) -> str:
+    """Shade the times; the text that says so in the title. What acts all the time is not shaded."""
+    if not regime:
+        return ""
+    if sum(end - start for start, end in regime) > ALWAYS * float(t[-1] - t[0]):
+        return "acts all the time: "
+    for start, end in regime:
+        ax.axvspan(start, end, fc=SHADE, ec="none", zorder=0)
+    return SHADED
+
+
+def _gap(ax: Axes, s: Subject, condition: str, channel: str, *, before: bool = True, after: bool) -> None:
+    """Measured minus simulated over time, over a band of what repeats differ by (two deviations)."""
+    curves = s.found.curves[condition]
+    lines = [("nominal", BEFORE)] if before else []
+    lines += [("adopted", AFTER)] if after else []
+    gaps = {kind: s.gap(condition, channel, kind) for kind, _ in lines}
+    size = max(float(np.abs(g).max()) for g in gaps.values())
+    factor, symbol = scale(s.unit(channel), max(size, 1e-300))
+    noise = 2.0 * factor * float(curves["spread"][s.index(channel)])
+    if noise > 0.0:
+        ax.axhspan(-noise, noise, fc=NOISE, ec="none", zorder=0.5)
+    ax.axhline(0.0, color=MUTED, lw=0.5)
+    for kind, colour in lines:
+        ax.plot(curves["t"], factor * gaps[kind], color=colour, lw=1.0)
+    ax.set_ylabel(symbol or "(no unit)")
+    ax.set_xlim(curves["t"][0], curves["t"][-1])
+
+
+def component_name(s: Subject, entry: Any) -> str:
+    """`drive (joint 3)`; the log is not a component."""
+    return f"{'log' if entry['component'] == LOGGING else entry['component']} ({entry['location']})"
+
+
+def shares(s: Subject) -> Figure | None:
+    """Each component's part in the gap, with its interval; and what no component explains."""
+    entries = s.result["where"]
+    if not entries:
+        return None
+    rows = [(component_name(s, w), w["share"], w["interval"], True) for w in entries]
+    rows.append(("not explained", s.result["gap"]["unexplained"], None, False))
+    figure = Figure(figsize=(WIDTH, 0.62 + 0.36 * len(rows)), layout="constrained")
+    ax = figure.subplots()
+    for i, (_, share, interval, known) in enumerate(rows):
+        ax.barh(i, 100.0 * share, height=0.56, color=AFTER if known else NOISE, ec=AFTER if known else MUTED, lw=0.6)
+        end = share
+        if interval is not None:
+            ax.plot([100.0 * x for x in interval], [i, i], color=INK, lw=1.2, marker="|", ms=7)
+            end = max(share, interval[1])
+        text = percent(share) + (f"  ({percent_interval(interval)})" if interval is not None else "")
+        ax.text(100.0 * max(end, 0.0) + 1.5, i, text, va="center", fontsize=8.5)
+    ax.set_yticks(range(len(rows)), [r[0] for r in rows])
+    ax.invert_yaxis()
+    low = min(0.0, *(100.0 * (r[2][0] if r[2] else r[1]) for r in rows))
+    high = max(100.0, *(100.0 * (r[2][1] if r[2] else r[1]) for r in rows))
+    ax.set_xlim(max(low, -100.0), min(high, 200.0) + 30.0)
+    ax.set_xticks(range(0, 101, 20), [f"{x} %" for x in range(0, 101, 20)])
+    ax.tick_params(axis="y", length=0)
+    ax.spines["left"].set_visible(False)
+    ax.axvline(0.0, color=MUTED, lw=0.6)
+    ax.set_xlabel("share of the gap", loc="left")
+    return figure
+
+
+def signals(s: Subject) -> Figure | None:
+    """The gap on the diagnosed run where it shows most, with the times of each cause shaded."""
+    if not s.conditions or (s.verdict in ("bad_log", "none") and not s.result["where"]):
+        return None
+    condition = s.conditions[0]
+    rows: dict[str, tuple[str, list[Any]]] = {}
+    for w in s.result["where"]:
+        channel = w.get("channel")
+        if channel in s.found.channels:
+            title, regime = rows.get(channel, ("", []))
+            rows[channel] = (f"{title}, {component_name(s, w)}" if title else component_name(s, w), regime + list(w.get("regime") or []))
+    unknown = s.result.get("unknown")
+    if unknown:
+        rows = {}  # what is left is of more interest than the parts of a model that is not adequate
+        for c in unknown["channels"][:3]:
+            rows[c["channel"]] = ("what is left", list(unknown["regime"]))
+    for channel in s.loudest(condition):
+        if len(rows) < 3 and base_name(channel) not in map(base_name, rows):
+            rows[channel] = ("", [])
+    if not rows:
+        return None
+    shown = list(rows.items())[:ROWS]
+    figure = Figure(figsize=(WIDTH, 0.75 + 1.25 * len(shown)), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(len(shown), 1, sharex=True))
+    shaded = False
+    for ax, (channel, (cause, regime)) in zip(axes, shown, strict=True):
+        how = _shade(ax, regime, s.found.curves[condition]["t"])
+        _gap(ax, s, condition, channel, after=bool(s.found.adopted))
+        ax.set_title(s.label(channel) + (f" — {how or 'strongest for '}{cause}" if cause else ""))
+        shaded |= how == SHADED
+    axes[-1].set_xlabel(f"time in s ({condition})")
+    handles: list[Any] = [Line2D([], [], color=BEFORE, label="measured − nominal simulation")]
+    handles += [Line2D([], [], color=AFTER, label="measured − best model")] if s.found.adopted else []
+    handles += [Patch(color=NOISE, label="±2σ of a repeat")] + ([Patch(color=SHADE, label="when it acts")] if shaded else [])
+    _legend(figure, handles)
+    return figure
+
+
+def overlay(s: Subject) -> Figure | None:
+    """Before and after in each condition, where the gap is largest."""
+    if not s.found.adopted or s.verdict == "bad_log":
+        return None
+    held = [c for c in s.conditions if c.endswith(HELD_OUT)]
+    columns = [s.conditions[0], *[c for c in held if c.removesuffix(HELD_OUT) not in s.conditions], *held][:3]
+    columns = list(dict.fromkeys(columns))
+    figures = [h["channel"] for h in s.result["how_far"] if h["on"] == KINDS[-1] and h["unit"] != "1"]
+    loud = s.loudest(s.conditions[0])
+    rows = sorted((c for c in loud if base_name(c) in figures), key=lambda c: list(s.titles or figures).index(base_name(c)))[:3] or loud[:3]
+    figure = Figure(figsize=(WIDTH, 0.75 + 1.35 * len(rows)), layout="constrained")
+    axes = figure.subplots(len(rows), len(columns), squeeze=False, sharex="col", sharey="row")
+    for k, channel in enumerate(rows):
+        # one scale for a row: factor and unit from its largest gap
+        for j, condition in enumerate(columns):
+            ax = axes[k][j]
+            _gap(ax, s, condition, channel, after=True)
+            if j:
+                ax.set_ylabel("")
+            else:
+                ax.set_title(s.label(channel))
+    for j, condition in enumerate(columns):
+        axes[-1][j].set_xlabel(f"time in s, {condition}")
+    handles = [Line2D([], [], color=BEFORE, label="before"), Line2D([], [], color=AFTER, label="after")]
+    _legend(figure, [*handles, Patch(color=NOISE, label="±2σ of a repeat")])
+    return figure
+
+
+def closure(s: Subject) -> Figure | None:
+    """How much of each figure's gap is closed on each kind of runs, with interval and ceiling."""
+    listed = [h for h in s.result["how_far"] if h["measurable"]]
+    order = list(s.titles)
+    names = sorted(dict.fromkeys(h["channel"] for h in listed), key=lambda n: order.index(n) if n in order else -1)
+    if not names:
+        return None
+    marks = {kind: (marker, dodge) for kind, marker, dodge in zip(KINDS, "os^", (-0.24, 0.0, 0.24), strict=True)}
+    figure = Figure(figsize=(WIDTH, 0.85 + 0.42 * len(names)), layout="constrained")
+    ax = figure.subplots()
+    for h in listed:
+        marker, dodge = marks[h["on"]]
+        y = names.index(h["channel"]) + dodge
+        low, high = (float(np.clip(100.0 * x, -20.0, 104.0)) for x in h["interval"])
+        ax.plot([low, high], [y, y], color=AFTER, lw=1.2)
+        x = float(np.clip(100.0 * h["closure"], -20.0, 104.0))
+        first = h["on"] == KINDS[0]
+        ax.plot(x, y, marker, color=AFTER, mfc=AFTER if first else PAPER, ms=6 if first else 5, clip_on=False, zorder=3)
+        if h["ceiling"] is not None:
+            ax.plot(float(np.clip(100.0 * h["ceiling"], -20.0, 104.0)), y, "|", color=INK, ms=9, mew=1.8, zorder=4)
+    labels = [s.titles.get(n, n) for n in names]
+    ax.set_yticks(range(len(names)), labels)
+    ax.set_ylim(len(names) - 0.45, -0.55)
+    ax.set_xlim(-22.0, 106.0)
+    ax.set_xticks(range(-20, 101, 20), [f"{x} %".replace("-", "−") for x in range(-20, 101, 20)])
+    ax.axvline(0.0, color=MUTED, lw=0.6)
+    ax.grid(axis="x")
+    ax.tick_params(axis="y", length=0)
+    ax.spines["left"].set_visible(False)
+    ax.set_xlabel("closed share of the gap", loc="left")
+    kinds = [k for k in KINDS if any(h["on"] == k for h in listed)]
+    handles = [Line2D([], [], color=AFTER, marker=marks[k][0], mfc=AFTER if k == KINDS[0] else PAPER, ms=6, lw=1.2, label=k) for k in kinds]
+    _legend(figure, [*handles, Line2D([], [], color=INK, marker="|", mew=1.8, ms=9, lw=0, label="ceiling: the best any model could do")])
+    return figure
+
+
+def smallest(s: Subject) -> list[tuple[str, list[tuple[float, dict[str, Any]]]]]:
+    """Effect -> (smallest visible value in units of the typical size, entry), best place first; most visible effects first."""
+    typical = {(c.effect, c.location): c.prior.scale for c in s.catalogue.candidates}
+    found: dict[str, list[tuple[float, dict[str, Any]]]] = {}
+    for v in s.result.get("smallest_visible", []):
+        size = typical.get((v["effect"], v["location"]))
+        if size and np.isfinite(v["value"]):
+            found.setdefault(v["effect"], []).append((abs(v["value"]) / size, v))
+    ordered = {effect: sorted(places, key=lambda p: p[0]) for effect, places in found.items()}
+    return sorted(ordered.items(), key=lambda item: item[1][0][0])
+
+
+def visible(s: Subject) -> Figure | None:
+    """With the verdict none: from which size each effect would have been seen, against its typical size."""
+    effects = smallest(s)
+    if s.verdict != "none" or not effects:
+        return None
+    half = -(-len(effects) // 2) if len(effects) > 12 else len(effects)
+    blocks = [effects[:half], effects[half:]] if len(effects) > half else [effects]
+    figure = Figure(figsize=(WIDTH, 0.8 + 0.19 * half), layout="constrained")
+    sizes = [size for _, places in effects for size, _ in places]
+    low, high = 10.0 ** np.floor(np.log10(max(min(sizes), 1e-4))), 10.0 ** np.ceil(np.log10(min(max(sizes), 1e3)))
+    axes = figure.subplots(1, len(blocks), squeeze=False)[0]
+    for ax, block in zip(axes, blocks, strict=True):
+        ax.axvspan(1.0, max(high, 10.0), fc=NOISE, ec="none", zorder=0)
+        for i, (_, places) in enumerate(block):
+            ends = np.clip([places[0][0], places[-1][0]], low, high)
+            ax.plot(ends, [i, i], color=AFTER, lw=2.0, solid_capstyle="butt", alpha=0.45)
+            ax.plot([np.clip(size, low, high) for size, _ in places], [i] * len(places), "o", color=AFTER, ms=3.2)
+        ax.set(xscale="log", xlim=(low, max(high, 10.0)), ylim=(half - 0.4, -0.6))
+        ax.set_yticks(range(len(block)), [effect.replace("_", " ") for effect, _ in block])
+        ax.axvline(1.0, color=INK, lw=0.8)
+        ax.tick_params(axis="y", length=0)
+        ax.minorticks_off()
+        ax.grid(axis="x")
+        ax.set_xlabel("smallest visible / typical size", loc="left")
+    _legend(
+        figure,
+        [
+            Line2D([], [], color=AFTER, marker="o", ms=3.2, lw=2.0, label="one dot per place"),
+            Patch(color=NOISE, label="would be missed at typical size"),
+        ],
+    )
+    return figure
+
+
+def log(s: Subject) -> Figure | None:
+    """With a log that is refused: the channels that it is refused for, beside their simulation."""
+    if s.verdict != "bad_log" or not s.conditions:
+        return None
+    condition = s.conditions[0]
+    curves = s.found.curves[condition]
+    rows: list[tuple[str, str]] = []
+    for f in s.result["gate"]["findings"]:
+        pattern = re.compile(re.escape(f["channel"]).replace(r"\*", ".*"))
+        members = [c for c in s.found.channels if pattern.fullmatch(c) or pattern.fullmatch(base_name(c))]
+        if f["fatal"] and members:
+            loud = s.loudness(condition)
+            channel = max(members, key=lambda c: loud[c])
+            if channel not in [r[0] for r in rows]:
+                rows.append((channel, f["text"]))
+    if not rows:
+        return None
+    rows = rows[:ROWS]
+    figure = Figure(figsize=(WIDTH, 0.75 + 1.45 * len(rows)), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True))
+    for ax, (channel, text) in zip(axes, rows, strict=True):
+        i = s.index(channel)
+        both = curves["measured"][:, i], curves["nominal"][:, i]
+        factor, symbol = scale(s.unit(channel), max(float(np.abs(b).max()) for b in both) or 1.0)
+        ax.plot(curves["t"], factor * both[1], color=AFTER, lw=1.0)
+        ax.plot(curves["t"], factor * both[0], color=BEFORE, lw=1.2)
+        ax.set_title(f"{channel} — {text}")
+        ax.set_ylabel(symbol or "(no unit)")
+        ax.set_xlim(curves["t"][0], curves["t"][-1])
+    axes[-1].set_xlabel(f"time in s ({condition})")
+    _legend(figure, [Line2D([], [], color=BEFORE, label="log (mean of repeats)"), Line2D([], [], color=AFTER, label="simulation")])
+    return figure

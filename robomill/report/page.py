@@ -1,0 +1,419 @@
+"""The page: one HTML file without scripts, that needs nothing but itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+from diagnosis.isolability import CONFUSABLE
+from orchestration.slave import base_name
+from robomill.report.figures import component_name, smallest
+from robomill.report.subject import HELD_OUT, KINDS, Subject, effect_name, listed, verdict_sentence
+from robomill.report.units import number, percent, percent_interval, quantity, relative, scale, with_interval
+
+BADGES = {
+    "none": "No gap found",
+    "identified": "Identified",
+    "ambiguous": "Ambiguous",
+    "unknown": "Not in the catalogue",
+    "bad_log": "Log not usable",
+}
+WHITENED = "all channels, whitened"
+PAIRS = 12
+"""Pairs of candidates that are listed, at most."""
+
+
+def page(s: Subject, figures: Mapping[str, str]) -> str:
+    """The HTML of a diagnosis; `figures` name -> SVG."""
+    style = files("robomill.report").joinpath("style.css").read_text(encoding="utf-8")
+    sections = [
+        ("log", "Is the log usable?", _log(s, figures)),
+        ("where", "Where is the gap?", _where(s, figures)),
+        ("which", "Which effect causes it?", _which(s)),
+        ("seen", "What would have been seen?", _visible(s, figures)),
+        ("far", "How far does it shrink?", _far(s, figures)),
+        ("next", "What to measure next", _next(s)),
+        ("about", "What this rests on", _about(s)),
+    ]
+    shown = [(key, title, body) for key, title, body in sections if body]
+    links = "".join(f'<a href="#{key}">{title}</a>' for key, title, _ in shown)
+    blocks = "\n".join(f'<section id="{key}">\n<h2>{title}</h2>\n{body}\n</section>' for key, title, body in shown)
+    title = f"{BADGES[s.verdict]}: {s.system.name}"
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8"/>
+<meta name="viewport" content="width=device-width, initial-scale=1"/>
+<title>{escape(title)}</title>
+<style>
+{style}</style>
+</head>
+<body>
+<main>
+<header>
+<p class="over">Machine against simulation · {escape(s.system.name)}</p>
+<h1><span class="badge {s.verdict}">{BADGES[s.verdict]}</span><br/>{escape(verdict_sentence(s))}</h1>
+</header>
+{_tiles(s)}
+<nav aria-label="Sections">{links}</nav>
+{blocks}
+<footer>Written by robomill diagnose; the same as data: diagnosis.json; the figures as files: figures/.</footer>
+</main>
+</body>
+</html>
+"""
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Sequence[int] = ()) -> str:
+    """Cells are HTML already; columns in `numeric` are set flush right."""
+
+    def cells(tag: str, row: Sequence[str]) -> str:
+        return "".join(f'<{tag} class="n">{c}</{tag}>' if i in numeric else f"<{tag}>{c}</{tag}>" for i, c in enumerate(row))
+
+    body = "\n".join(
+        f"<tr>{cells('td', r)}</tr>" if len(r) > 1 else f'<tr class="group"><th colspan="{len(head)}">{r[0]}</th></tr>' for r in rows
+    )
+    return f'<div class="scroll"><table>\n<thead><tr>{cells("th", head)}</tr></thead>\n<tbody>\n{body}\n</tbody></table></div>'
+
+
+def _figure(figures: Mapping[str, str], name: str, caption: str) -> str:
+    return f"<figure>\n{figures[name]}\n<figcaption>{escape(caption)}</figcaption>\n</figure>" if name in figures else ""
+
+
+def _bar(share: float) -> str:
+    return f'<span class="bar" aria-hidden="true"><span style="width: {100.0 * min(max(share, 0.0), 1.0):.1f}%"></span></span>'
+
+
+def _paragraph(text: str, kind: str = "") -> str:
+    return f"<p{f' class={chr(34)}{kind}{chr(34)}' if kind else ''}>{escape(text)}</p>"
+
+
+def _code(text: str) -> str:
+    return f"<code>{escape(text)}</code>"
+
+
+def _times(regime: Sequence[Sequence[float]]) -> str:
+    """Intervals of time, the first few."""
+    shown = ", ".join(f"{number(a, 0.1)} to {number(b, 0.1)}" for a, b in regime[:4])
+    return f"{shown}{' …' if len(regime) > 4 else ''} s" if regime else ""
+
+
+def _tiles(s: Subject) -> str:
+    tiles: list[tuple[str, str, str]] = []
+    result = s.result
+    if "probability_none" in result and s.verdict == "none":
+        tiles.append(("Probability that nothing is wrong", percent(result["probability_none"]), "of all answers considered"))
+    elif s.verdict != "bad_log":
+        tiles.append(("Gap explained", percent(1.0 - result["gap"]["unexplained"]), "on the diagnosed runs"))
+        if s.verdict != "unknown" and result["which"]:
+            first = result["which"][0]
+            tiles.append(("Probability", percent(first["probability"]), effect_name(first)))
+    for kind in KINDS:
+        h = s.far(kind, WHITENED)
+        if h is not None and h["closure"] is not None:
+            ceiling = f", ceiling {percent(h['ceiling'])}" if h["ceiling"] is not None else ""
+            tiles.append((f"Gap closed, {kind}", percent(h["closure"]), f"{percent_interval(h['interval'])}{ceiling}"))
+            break
+    used = [c for c in s.conditions if not c.endswith(HELD_OUT)]
+    held = len(s.conditions) - len(used)
+    about = f"{_count(len(used), 'condition')} diagnosed, {held} held out, {len(s.found.channels)} channels" if s.conditions else ""
+    tiles.append(("Runs", str(len(s.runs)), about))
+    return '<dl class="tiles">' + "".join(f"<div><dt>{a}</dt><dd>{b}<small>{escape(c)}</small></dd></div>" for a, b, c in tiles) + "</dl>"
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def _log(s: Subject, figures: Mapping[str, str]) -> str:
+    findings = s.result["gate"]["findings"]
+    if not findings:
+        return _paragraph(
+            "Yes. Time base, missing and constant samples, ranges, signs, units, axes and clocks were looked at; nothing was found."
+        )
+    rows = []
+    for f in findings:
+        if f["repaired"]:
+            status = "corrected"
+        elif f["fatal"] and s.verdict == "bad_log":
+            status = '<span class="bad">stops the diagnosis</span>'
+        else:
+            status = "noted"
+        size = quantity(f["value"], f["unit"]) if f["unit"] not in ("", "1") else number(f["value"])
+        rows.append((_code(f["channel"]), escape(f["kind"]), escape(str(f["text"])), size, status))
+    text = "No, for these reasons:" if s.verdict == "bad_log" else "Yes. This was noticed:"
+    remedy = ""
+    if s.verdict == "bad_log":
+        clocks = any(f["kind"] == "lag" and f["fatal"] for f in findings)
+        remedy = _paragraph(
+            "A clock that is late looks like an effect of the machine, so nothing is diagnosed until it is right. Correct it in the import "
+            "(shift = … in the mapping), or let robomill diagnose --repair correct it and diagnose the rest."
+            if clocks
+            else "Correct the log (signs, units, columns and frames are set in the mapping of robomill import), or leave out the runs concerned."
+        )
+    table = _table(("Channel", "Kind", "What", "Size", ""), rows, (3,))
+    return _paragraph(text) + table + _figure(figures, "log", "The channels in question, beside what the simulation says.") + remedy
+
+
+def _where(s: Subject, figures: Mapping[str, str]) -> str:
+    parts = []
+    if s.verdict == "unknown":
+        parts.append(_unknown(s))
+    if s.result["where"]:
+        parts.append(
+            _figure(
+                figures,
+                "shares",
+                "Share of the whitened gap that goes when the effects found in a component are switched on in the closed loop "
+                "(Shapley value, where there are several), with its 90 % interval.",
+            )
+        )
+    parts.append(
+        _figure(
+            figures, "robot", "The robot in the pose of the run; the thin line is the path of the tool tip. Marked: where the finding acts."
+        )
+    )
+    parts.append(
+        _figure(
+            figures,
+            "signals",
+            "Measured minus simulated where it shows most. The grey band is what repeats of the same run differ by; shaded are the times when the effect acts.",
+        )
+    )
+    rows = []
+    for w in s.result["where"]:
+        channel = w.get("channel")
+        rows.append(
+            (
+                escape(component_name(s, w)),
+                f"{percent(w['share'])}<small>{percent_interval(w['interval'])}</small>",
+                escape(_direction(str(w.get("direction", "")), s)),
+                f"{escape(s.label(channel))}<small>{_code(channel)}</small>" if channel else "",
+                escape(_times(w.get("regime") or [])),
+            )
+        )
+    if rows:
+        parts.append(_table(("Component", "Share", "Direction", "Strongest in", "When"), rows))
+    return "\n".join(p for p in parts if p)
+
+
+def _direction(direction: str, s: Subject) -> str:
+    """`B.y` -> `y of B`; a channel that is no direction by its label."""
+    frame, _, axis = direction.partition(".")
+    return f"{axis} of {frame}" if axis in ("x", "y", "z") else s.label(direction)
+
+
+def _unknown(s: Subject) -> str:
+    known = s.result["unknown"]
+    rows = [(f"{_bar(c['share'])}{percent(c['share'])}", escape(s.label(c["channel"])), _code(c["channel"])) for c in known["channels"]]
+    lines = [
+        f"The catalogue's nearest answer is {str(known['nearest']).replace('_', ' ')}, and it is not good enough. What it leaves is strongest in "
+        f"the outputs of {known['component']} ({_direction(str(known['direction']), s)})"
+        + (f", at {_times(known['regime'])}." if known.get("regime") else ".")
+        + " The cause is there or upstream of it."
+    ]
+    return _paragraph(lines[0]) + _table(("Share of what is left", "Signal", "Channel"), rows)
+
+
+def _values(entry: Mapping[str, Any]) -> str:
+    texts = []
+    for name, p in entry["parameters"].items():
+        value, interval = with_interval(p["value"], p["interval"], relative(name, p["unit"]))
+        texts.append(f"{value}<small>{interval}</small>")
+    return "".join(texts)
+
+
+def _which(s: Subject) -> str:
+    entries = s.result["which"]
+    if not entries:
+        return ""
+    described = s.catalogue.descriptions or {}
+    rows = []
+    for w in entries:
+        description = described.get(w["effect"], ("", ""))[0]
+        others = [str(c).replace("_", " ").replace(" @ ", ", ") for c in w["confusable_with"]]
+        names = "".join(f"<small>{_code(w['component'] + '.' + n)}</small>" for n in w["parameters"])
+        rows.append(
+            (
+                f"{_bar(w['probability'])}{percent(w['probability'])}",
+                f"<strong>{escape(effect_name(w))}</strong><small>{escape(description)}</small>",
+                _values(w),
+                f"{escape(w['component'])}{names}",
+                escape("; ".join(others)) or "–",
+            )
+        )
+    intro = {
+        "none": "None is needed. These came closest:",
+        "identified": "Every candidate of the catalogue was fitted in the closed loop, alone and together. These remain:",
+        "ambiguous": "Every candidate of the catalogue was fitted in the closed loop, alone and together. These remain, and the runs cannot choose:",
+        "unknown": "None of the catalogue alone. These fit best, but leave too much; their values should not be believed:",
+        "bad_log": "Candidates that fit what the log shows, among them its clocks. They are no findings as long as the log is wrong:",
+    }[s.verdict]
+    table = _table(("Probability", "Effect", "Value (90 % interval)", "Component", "Could be confused with"), rows)
+    tested = f"{len(s.catalogue.candidates)} candidates ({len(s.catalogue.effects)} effects) were tried."
+    return _paragraph(intro) + table + _isolability(s) + _paragraph(tested) + _adopt(s)
+
+
+def _isolability(s: Subject) -> str:
+    pairs = s.result.get("isolability") or []
+    if not pairs or s.verdict in ("none", "bad_log"):
+        return ""
+    rows = [
+        (
+            " against ".join(escape(str(n).replace("_", " ").replace(" @ ", ", ")) for n in p["pair"]),
+            number(p["distance"], 0.1),
+            "cannot be told apart" if p["confusable"] else "told apart",
+        )
+        for p in pairs[:PAIRS]
+    ]
+    text = (
+        f"Distance between what two candidates do to these signals, at the values that fit best, in deviations of noise; "
+        f"below {CONFUSABLE:g} the runs cannot tell them apart."
+    )
+    body = _paragraph(text) + _table(("Pair", "Distance", ""), rows, (1,))
+    return f"<details><summary>Which candidates these runs can tell apart</summary>\n{body}\n</details>"
+
+
+def _adopt(s: Subject) -> str:
+    if s.verdict not in ("identified", "ambiguous"):
+        return ""
+    text = "The most probable answer is in adopt.ssv. Simulate with it:" if s.verdict == "ambiguous" else "Simulate with it:"
+    return _paragraph(text) + "<pre><code>robomill run SCENARIO.toml --adopt adopt.ssv</code></pre>"
+
+
+def _visible(s: Subject, figures: Mapping[str, str]) -> str:
+    effects = smallest(s)
+    if s.verdict != "none" or not effects:
+        return ""
+    scales = {(c.effect, c.location): c.prior.scale for c in s.catalogue.candidates}
+    rows = []
+    for effect, places in effects:
+        best, worst = places[0][1], places[-1][1]
+        unit = relative(best["parameter"], best["unit"])
+        where = f"{escape(best['location'])}: {quantity(abs(best['value']), unit)}"
+        least = f"{escape(worst['location'])}: {quantity(abs(worst['value']), unit)}" if len(places) > 1 else ""
+        typical = quantity(scales[effect, best["location"]], unit)
+        rows.append((escape(effect.replace("_", " ")), where, least, typical, number(places[0][0])))
+    table = _table(("Effect", "Seen best", "Seen worst", "Typical size", "Best / typical"), rows, (3, 4))
+    return (
+        _paragraph(
+            "“Nothing found” says as much as these runs can show: an effect above the size below would have been seen (five deviations), a smaller one may be there."
+        )
+        + _figure(
+            figures,
+            "visible",
+            "From which size each effect would have been seen, in units of its typical size. Right of the line, an effect of typical size would have been missed.",
+        )
+        + f"<details><summary>All sizes</summary>\n{table}\n</details>"
+    )
+
+
+def _far(s: Subject, figures: Mapping[str, str]) -> str:
+    entries = s.result["how_far"]
+    if not entries or s.verdict == "bad_log":
+        return ""
+    rows: list[Sequence[str]] = []
+    for kind in KINDS:
+        here = sorted(
+            (h for h in entries if h["on"] == kind), key=lambda h: list(s.titles).index(h["channel"]) if h["channel"] in s.titles else -1
+        )
+        if here:
+            rows.append((escape(kind[0].upper() + kind[1:]),))
+        for h in here:
+            factor, symbol = scale(h["unit"], max(h["before"], h["after"], h["floor"]))
+            sizes = [f"{number(factor * h[k])}{f'&#160;{symbol}' if symbol else ''}" for k in ("before", "after", "floor")]
+            title = "all channels, in deviations of noise" if h["channel"] == WHITENED else s.titles.get(h["channel"], h["channel"])
+            if h["closure"] is None:
+                closed, ratio = "not measurable", ""
+            else:
+                closed = f"{percent(h['closure'])}<small>{percent_interval(h['interval'])}</small>"
+                ratio = f"{percent(h['closure'] / h['ceiling'])}" if h["ceiling"] else ""
+            ceiling = percent(h["ceiling"]) if h["ceiling"] is not None else "–"
+            rows.append((escape(title), *sizes, closed, ceiling, ratio or "–"))
+    table = _table(("Rms of", "Before", "After", "Noise", "Closed (90 %)", "Ceiling", "Closed / ceiling"), rows, (1, 2, 3, 4, 5, 6))
+    claim = "" if s.verdict != "unknown" else " The model is not adequate: this is what it closes nevertheless."
+    return (
+        _paragraph(
+            "After: the closed loop simulated again with the fitted values. Rms is without noise (products of different repeats); closed is the share of the squares. "
+            f"Not measurable: no gap is left beside the noise.{claim}"
+        )
+        + _figure(figures, "overlay", "Measured minus simulated, before and after, on the diagnosed run and on runs that were held out.")
+        + _figure(figures, "closure", "Closed share of the gap, with its 90 % interval, against the ceiling where it could be measured.")
+        + table
+    )
+
+
+def _next(s: Subject) -> str:
+    r = s.result.get("next_run")
+    if not r:
+        return ""
+    pair = listed([str(x).replace("_", " ").replace(" @ ", ", ") for x in r["separates"]])
+    if r.get("separated") is False:
+        text = f"No run on the menu would tell apart {pair}. The one that comes nearest: {r['kind']}."
+    else:
+        text = f"{r['kind'][0].upper()}{r['kind'][1:]}: it separates {pair}."
+    parts = [f"<p><strong>{escape(text)}</strong></p>"]
+    if "distance" in r:
+        effort = f"{_count(r['repeats'], 'repeat')}, about {number(r['minutes'])} minutes with setting up. " if "minutes" in r else ""
+        now = f" instead of {number(r['now'], 0.1)} now" if "now" in r else ""
+        parts.append(
+            _paragraph(
+                f"{effort}They would then be {number(r['distance'], 0.1)} deviations of noise apart{now}; {CONFUSABLE:g} are needed."
+            )
+        )
+    settings = [f"{c}.{k} = {_setting(v)}" for c, values in (r.get("parameters") or {}).items() for k, v in values.items()]
+    if settings:
+        parts.append("<pre><code>" + escape("\n".join(settings)) + "</code></pre>")
+    others = r.get("alternatives") or []
+    if others:
+        rows = [
+            (escape(a["kind"]), number(a["distance"], 0.1), number(a["minutes"]), number(a["per_minute"]))
+            for a in [{k: r[k] for k in ("kind", "distance", "minutes", "per_minute")}, *others]
+        ]
+        parts.append(_table(("Run", "Deviations apart", "Minutes", "Deviations per minute"), rows, (1, 2, 3)))
+    return "\n".join(parts)
+
+
+def _setting(value: Any) -> str:
+    return (
+        f"[{', '.join(map(_setting, value))}]"
+        if isinstance(value, list | tuple)
+        else f"{value:g}"
+        if isinstance(value, float)
+        else str(value)
+    )
+
+
+def _about(s: Subject) -> str:
+    rows = []
+    for condition in s.conditions:
+        curves = s.found.curves[condition]
+        t = curves["t"]
+        kind = "diagnosed"
+        if condition.endswith(HELD_OUT):
+            kind = KINDS[1] if condition.removesuffix(HELD_OUT) in s.found.curves else KINDS[0]
+        rows.append((escape(condition.removesuffix(HELD_OUT)), kind, f"{number(float(t[-1] - t[0]), 0.1)} s", str(len(t))))
+    parts = [_table(("Condition", "Used as", "Length", "Samples"), rows, (2, 3))] if rows else []
+    gap = s.result.get("gap")
+    lines = []
+    if gap:
+        if gap["noise_is_a_guess"]:
+            lines.append(
+                "There are no repeats: the noise is a guess, from the fast part of what the best model leaves. Probabilities and intervals rest on that guess."
+            )
+        if gap["before"] > 0.0:
+            lines.append(
+                f"{percent(gap['within_calibration'] / gap['before'])} of the gap lies within the tolerances of calibrated numbers."
+            )
+    arrays = dict.fromkeys(base_name(c) for c in s.found.channels)
+    parts += [_paragraph(text, "note" if "guess" in text else "") for text in lines]
+    parts.append(f"<p>Channels: {', '.join(_code(a) for a in arrays)}.</p>" if arrays else "")
+    effort = s.result["effort"]["simulations"]
+    parts.append(
+        _paragraph(
+            f"Catalogue: {s.catalogue.file.name}. {_count(effort, 'simulation')} of the closed loop. What the method cannot do: docs/limits.md."
+        )
+    )
+    return "\n".join(p for p in parts if p)

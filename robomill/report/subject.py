@@ -1,0 +1,166 @@
+"""What a report is about, and how its things are called in sentences."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from diagnosis.catalogue import Catalogue
+from diagnosis.engine import IDENTIFIED, Diagnosis
+from orchestration.recorder import frame_of
+from orchestration.results import Run
+from orchestration.slave import FloatArray, base_name
+from orchestration.system import System
+from robomill.report.units import percent, quantity, relative, scale
+
+HELD_OUT = " (held out)"
+KINDS = ("held-out condition", "held-out repeat", "diagnosed runs")
+"""Where the closure is measured, the hardest test first."""
+_JOINTS = re.compile(r"(q|torque|correction_q)(_[a-z]+)?")
+"""Ports whose elements are joints, not the axes of a frame."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A diagnosis with all that was given to it."""
+
+    found: Diagnosis
+    system: System
+    runs: Sequence[Run]
+    catalogue: Catalogue
+    titles: Mapping[str, str] = field(default_factory=dict)
+    """array or column -> what people call the difference between machine and simulation there."""
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """As in diagnosis.json."""
+        return self.found.result
+
+    @property
+    def verdict(self) -> str:
+        """One of none, identified, ambiguous, unknown, bad_log."""
+        return str(self.result["verdict"])
+
+    @cached_property
+    def conditions(self) -> list[str]:
+        """Conditions that were simulated: diagnosed ones, held-out conditions, held-out repeats."""
+        curves = list(self.found.curves)
+        return sorted(curves, key=lambda c: (c.endswith(HELD_OUT), c.removesuffix(HELD_OUT) in curves))
+
+    def index(self, channel: str) -> int:
+        """Column of the curves that a channel is."""
+        return self.found.channels.index(channel)
+
+    def unit(self, channel: str) -> str:
+        """Of a channel or array; "" where nobody knows."""
+        return next((r.unit(channel) for r in self.runs if channel in r.columns or base_name(channel) in map(base_name, r.columns)), "")
+
+    def gap(self, condition: str, channel: str, simulated: str = "nominal") -> FloatArray:
+        """Measured mean minus simulation, [samples]."""
+        curves, i = self.found.curves[condition], self.index(channel)
+        difference: FloatArray = curves["measured"][:, i] - curves[simulated][:, i]
+        return difference
+
+    def loudness(self, condition: str, simulated: str = "nominal") -> dict[str, float]:
+        """Rms of the gap of each channel in deviations of the repeats (in its own rms where there is one run only)."""
+        curves = self.found.curves[condition]
+        rms = np.sqrt(np.mean((curves["measured"] - curves[simulated]) ** 2, axis=0))
+        # what is planned and does not vary has no noise; differences there of rounding size are none
+        own = np.sqrt(np.mean(curves["measured"] ** 2, axis=0))
+        noise = np.where(curves["spread"] > 1e-9 * own, curves["spread"], np.where(own > 0.0, own, np.inf))
+        return dict(zip(self.found.channels, map(float, rms / noise), strict=True))
+
+    def loudest(self, condition: str, simulated: str = "nominal") -> list[str]:
+        """The channel with the largest gap of each array that has a title (of all, where none has), largest first."""
+        best: dict[str, tuple[float, str]] = {}
+        for channel, size in self.loudness(condition, simulated).items():
+            if not self.titles or base_name(channel) in self.titles:
+                best[base_name(channel)] = max(best.get(base_name(channel), (-1.0, "")), (size, channel))
+        return [channel for _, channel in sorted(best.values(), key=lambda b: -b[0])]
+
+    def label(self, channel: str) -> str:
+        """`drive.q_motor[3]` -> `motor angle error, joint 3`; `compliance.p_BT_B[2]` -> `tool-tip path error, y`."""
+        base = base_name(channel)
+        title = self.titles.get(base, base)
+        index = channel[len(base) :].strip("[]")
+        if not index:
+            return title
+        port = base.partition(".")[2]
+        if _JOINTS.fullmatch(port):
+            return f"{title}, joint {index}"
+        if frame_of(port) and index in ("1", "2", "3"):
+            return f"{title}, {'xyz'[int(index) - 1]}"
+        return channel if title == base else f"{title}, element {index}"
+
+    @property
+    def sure(self) -> list[dict[str, Any]]:
+        """Entries of `which` that are believed."""
+        return [w for w in self.result["which"] if w["probability"] >= IDENTIFIED]
+
+    def far(self, kind: str, channel: str) -> dict[str, Any] | None:
+        """Entry of `how_far` for an array on one kind of runs."""
+        return next((h for h in self.result["how_far"] if h["on"] == kind and h["channel"] == channel), None)
+
+
+def effect_name(entry: Mapping[str, Any]) -> str:
+    """`backlash, joint 3`."""
+    return f"{str(entry['effect']).replace('_', ' ')}, {entry['location']}"
+
+
+def sized(entry: Mapping[str, Any]) -> str:
+    """The same with its fitted values: `backlash, joint 3 (80.2 µrad)`."""
+    values = [quantity(p["value"], relative(name, p["unit"])) for name, p in entry["parameters"].items()]
+    return f"{effect_name(entry)} ({', '.join(values)})"
+
+
+def listed(parts: Sequence[str], last: str = "and") -> str:
+    """`a, b and c`."""
+    return f" {last} ".join(filter(None, ["; ".join(parts[:-1]), parts[-1]])) if parts else ""
+
+
+def verdict_sentence(s: Subject) -> str:
+    """The whole answer in one sentence."""
+    result = s.result
+    if s.verdict == "bad_log":
+        fatal = [f for f in result["gate"]["findings"] if f["fatal"]]
+        more = f" ({len(fatal) - 1} more findings below)" if len(fatal) > 1 else ""
+        return f"This log cannot be diagnosed: {reason(fatal[0])}{more}." if fatal else "This log cannot be diagnosed."
+    if s.verdict == "none":
+        return "The machine does what the simulation says: within noise and calibration tolerances, there is no gap to explain."
+    left = result["gap"]["unexplained"]
+    if s.verdict == "unknown":
+        known = result["unknown"]
+        where = f"it shows most in {s.label(known['channels'][0]['channel'])} ({known['component']})" if known["channels"] else ""
+        return f"Something real that is not in the catalogue: the best model leaves {percent(left)} of the gap; {where}."
+    if s.verdict == "ambiguous":
+        sure, open_ = s.sure, [w for w in result["which"] if w["probability"] < IDENTIFIED]
+        first = f"The gap is caused by {listed([sized(w) for w in sure])}, together with one of" if sure else "The gap has one of"
+        names = [f"{sized(w)} at {percent(w['probability'])}" for w in open_[:4]]
+        rest = f" or one of {len(open_) - 4} others" if len(open_) > 4 else ""
+        return f"{first} several causes that these runs cannot tell apart: {listed(names, 'or')}{rest}."
+    causes = listed([sized(w) for w in s.sure])
+    return f"The gap is caused by {causes}, which explains {percent(1.0 - left)} of it{_shrinks(s)}."
+
+
+def reason(finding: Mapping[str, Any]) -> str:
+    """Channel and text of a finding of the gate, as one clause."""
+    text = str(finding["text"])
+    return text if text.startswith("the clock") else f"{finding['channel']} {text}"
+
+
+def _shrinks(s: Subject) -> str:
+    """What that means for the first figure that has a title."""
+    for kind in KINDS:
+        for base in s.titles:
+            h = s.far(kind, base)
+            if h is not None and h["closure"] is not None:
+                factor, symbol = scale(h["unit"], h["before"])
+                before, after = (quantity(h[k] * factor, "") for k in ("before", "after"))
+                where = {"held-out condition": "new conditions", "held-out repeat": "held-out repeats"}.get(kind, "the diagnosed runs")
+                return f"; once it is in the model, {s.titles[base]} on {where} falls from {before} to {after}\u00a0{symbol} (rms)"
+    return ""

@@ -1,0 +1,92 @@
+"""Numbers as people read them: µrad, mm, ms instead of SI, with as many digits as the interval supports."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+_SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
+    "m": ((1e-3, 1e6, "µm"), (10.0, 1e3, "mm"), (math.inf, 1.0, "m")),
+    "rad": ((2e-3, 1e6, "µrad"), (math.inf, 180.0 / math.pi, "°")),
+    "s": ((1.0, 1e3, "ms"), (math.inf, 1.0, "s")),
+    "m/N": ((1e-3, 1e6, "µm/N"), (math.inf, 1e3, "mm/N")),
+    "rad/(N.m)": ((1e-6, 1e9, "nrad/(N m)"), (math.inf, 1e6, "µrad/(N m)")),
+    "m/s": ((1.0, 1e3, "mm/s"), (math.inf, 1.0, "m/s")),
+    "rad/s": ((math.inf, 30.0 / math.pi, "rpm"),),
+    "N": ((1e4, 1.0, "N"), (math.inf, 1e-3, "kN")),
+    "1": ((math.inf, 1.0, ""),),
+    "%": ((math.inf, 100.0, "%"),),
+}
+"""unit -> sizes below which a factor and a symbol are used; "%" is a relative number that is shown as a percentage."""
+
+
+def scale(unit: str, size: float) -> tuple[float, str]:
+    """Factor and symbol for a quantity [unit] of that size; a unit that is not in the table stays, with spaces for its dots."""
+    for bound, factor, symbol in _SCALES.get(unit, ()):
+        if abs(size) < bound:
+            return factor, symbol
+    return 1.0, unit.replace(".", " ")
+
+
+def relative(parameter: str, unit: str) -> str:
+    """`%` for a parameter without a unit, which is an error or a share, unless it is an exponent."""
+    return "%" if unit == "1" and "exponent" not in parameter else unit
+
+
+def number(value: float, spacing: float | None = None) -> str:
+    """A number with two digits of `spacing` (half an interval, say), or with three digits of its own."""
+    if not math.isfinite(value):
+        return "∞" if value > 0.0 else "−∞" if value < 0.0 else "–"
+    if spacing is not None and 0.0 < spacing < math.inf:
+        decimals = 1 - math.floor(math.log10(spacing))
+    else:
+        decimals = 2 - (math.floor(math.log10(abs(value))) if value else 2)
+    if decimals > 5:
+        text = f"{value:.3g}"
+    else:
+        text = f"{value:.{max(decimals, 0)}f}"
+    if not text.strip("-0."):
+        text = text.lstrip("-")
+    whole, point, rest = text.partition(".")
+    digits = whole.lstrip("-")
+    if len(digits) > 4:
+        whole = whole[: len(whole) - len(digits)] + f"{int(digits):,}".replace(",", "\u202f")
+    return (whole + point + rest).replace("-", "−")
+
+
+def quantity(value: float, unit: str) -> str:
+    """`0.0000802`, `rad` -> `80.2 µrad`."""
+    factor, symbol = scale(unit, value)
+    return join(number(factor * value), symbol)
+
+
+def with_interval(value: float, interval: Sequence[float] | None, unit: str) -> tuple[str, str]:
+    """Value and interval in the same unit with the same digits: (`80.2 µrad`, `79.1 to 81.3`)."""
+    if interval is None:
+        return quantity(value, unit), ""
+    low, high = interval
+    factor, symbol = scale(unit, value)
+    half = 0.5 * factor * (high - low)
+    return join(number(factor * value, half), symbol), f"{number(factor * low, half)} to {number(factor * high, half)}"
+
+
+def percent(share: float) -> str:
+    """`0.937` -> `94 %`; a decimal where that is needed not to say 0 or 100 of something that is neither."""
+    value = 100.0 * share
+    plain = f"{value:.0f}"
+    if (plain in ("100", "0", "-0")) and abs(value - round(value)) >= 0.05:
+        plain = f"{value:.1f}"
+    return join("0" if plain == "-0" else plain.replace("-", "−"), "%")
+
+
+def percent_interval(interval: Sequence[float]) -> str:
+    """`0.962, 0.984` -> `96 % to 98 %`; with a decimal where both ends are the same without."""
+    low, high = (percent(x) for x in interval)
+    if low == high and interval[0] < interval[1]:
+        low, high = (join(number(100.0 * x, 1.0), "%") for x in interval)
+    return f"{low} to {high}"
+
+
+def join(text: str, symbol: str) -> str:
+    """Number and symbol, not to be parted at the end of a line."""
+    return f"{text}\u00a0{symbol}" if symbol and symbol != "°" else text + symbol
