@@ -129,7 +129,7 @@ def recommend(
                 variance += float(np.mean([(along @ n) ** 2 for n in noise])) if noise else 0.0
                 for k, x in ((i, a), (j, b)):
                     variance += temperature * (_uncertainty(fits[k]) * float(along @ white(x - nominal, kind))) ** 2
-            found[i, j] = math.hypot(length / math.sqrt(variance), now[i, j])
+            found[i, j] = length / math.sqrt(variance)
         return found
 
     def white(change: FloatArray, kind: str) -> FloatArray:

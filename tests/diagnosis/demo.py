@@ -120,10 +120,21 @@ class Force(Part):
     """A chirp, stronger or weaker."""
 
     def __init__(self, name: str) -> None:
-        super().__init__(name, [real("amplitude", "parameter", "N", 1.0), real("f", "output", "N", dependencies=())])
+        parameters = [real("amplitude", "parameter", "N", 1.0), real("gain_error", "parameter", "1")]
+        super().__init__(name, [*parameters, real("f", "output", "N", dependencies=())])
 
     def advance(self, t: float, h: float) -> None:
-        self.y[0] = self.p["amplitude"] * (math.sin(2.0 * t + 0.3 * t * t) + (0.5 if t % 4.0 > 2.0 else 0.0))
+        self.y[0] = self.p["amplitude"] * (1.0 + self.p["gain_error"]) * (math.sin(2.0 * t + 0.3 * t * t) + (0.5 if t % 4.0 > 2.0 else 0.0))
+
+
+class Weight(Part):
+    """Hangs from t = 1 s on; nothing that the actuator does wrong is in it."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, [real("weight", "parameter", "N", 1.0), real("f", "output", "N", dependencies=())])
+
+    def advance(self, t: float, h: float) -> None:
+        self.y[0] = self.p["weight"] if t > 1.0 else 0.0
 
 
 class Masses(Part):
@@ -157,20 +168,28 @@ class Sensors(Part):
     def __init__(self, name: str) -> None:
         gains = [real(f"gain_error[{i}]", "parameter", "1") for i in (1, 2)]
         y = [real(f"y[{i}]", "output", "m", dependencies=(f"x[{i}]",), minimum=-5.0, maximum=5.0) for i in (1, 2)]
-        super().__init__(name, [*(real(f"x[{i}]", "input", "m") for i in (1, 2)), *gains, *y])
+        scale = real("scale_error", "parameter", "1")
+        super().__init__(name, [*(real(f"x[{i}]", "input", "m") for i in (1, 2)), *gains, scale, *y])
 
     def advance(self, t: float, h: float) -> None:
         for i in (0, 1):
-            self.y[i] = self.u[i] * (1.0 + self.p[f"gain_error[{i + 1}]"])
+            self.y[i] = self.u[i] * (1.0 + self.p[f"gain_error[{i + 1}]"]) * (1.0 + self.p["scale_error"])
 
 
-PARTS = {"force": Force, "masses": Masses, "sensors": Sensors}
+PARTS = {"force": Force, "weight": Weight, "masses": Masses, "sensors": Sensors}
 SYSTEM = System(
     "springs",
     STEP,
-    tuple(Component(name, name) for name in PARTS),
+    tuple(Component(name, name) for name in ("force", "masses", "sensors")),
     (Connection("force.f", "masses.f"), Connection("masses.x", "sensors.x")),
 )
+HUNG = System(
+    "hung",
+    STEP,
+    tuple(Component(name, name) for name in ("weight", "masses", "sensors")),
+    (Connection("weight.f", "masses.f"), Connection("masses.x", "sensors.x")),
+)
+"""The same masses and sensors with a weight in place of the actuator."""
 
 
 def resolve(source: str, name: str) -> Any:
