@@ -4,8 +4,10 @@ A prediction is `predictions/NNNN/diagnosis.json` (schema robomill-diagnosis/1).
 the catalogue of the diagnosis may call them what it likes. Every figure comes with its count and a 95 % interval.
 
 Detectable: the oracle ratio of the generator (largest over measured arrays and windows of 0.5 s) is at least `DETECTABLE`.
-Isolable: no other catalogue candidate explains the change that the true effect makes (`signatures.confusable`). Both are properties of the
-data, not of the prediction.
+Isolable: no other catalogue candidate and no clock of the log explains the change that the true effect makes but for as much
+(`signatures.confusable`). Both are properties of the data, not of the prediction.
+
+A clock is a matter of the log, not of physics: a prediction that names one first stops the log, whatever its verdict.
 """
 
 from __future__ import annotations
@@ -13,8 +15,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +35,12 @@ STRATA = (
     ("clear, 3 to 10", 3.0, 10.0),
     ("strong, above 10", 10.0, math.inf),
 )
+LOGGING = "logging"
+"""Component that stands for the log itself."""
 LISTED = 0.01
 """Probability from which a candidate belongs to the set of an ambiguous answer."""
+REAL = ("single", "double", "triple", "outside")
+"""Kinds of cases with something real and a good log."""
 ADOPTED = 0.5
 """Probability from which a candidate counts as claimed (the first one always does)."""
 COMPONENTS = {
@@ -47,10 +55,14 @@ COMPONENTS = {
 AXES = ("x", "y", "z")
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
+ComponentValues = Mapping[str, Mapping[str, float]]
+"""Component -> parameter -> value."""
 Closures = Callable[[int, Mapping[str, Mapping[str, float]]], Mapping[str, float]]
 """(number of the case, component -> parameter -> value) -> true closure by held-out condition, of the array that counts at the tier."""
-Confusable = Callable[[int], Sequence[str]]
-"""Number of the case -> other candidates (`component.parameter`) that the data cannot tell from the truth."""
+Confusable = Callable[[int, int], Sequence[str]]
+"""(number of the case, index of its effect) -> other candidates (`component.parameter`) that the data cannot tell from that effect."""
+Separates = Callable[[int, Mapping[str, Any], Sequence[ComponentValues]], bool]
+"""(number of the case, recommended run, values of the wrong candidates) -> whether the run tells all of them from the truth."""
 
 
 class BenchmarkError(ValueError):
@@ -72,9 +84,12 @@ class Named:
 
     @staticmethod
     def of(component: str, parameter: str) -> Named:
-        """From a component (or its model's name) and an element such as `stiffness_error[2]`."""
+        """From a component (or its model's name) and an element such as `stiffness_error[2]`; of the log `lag PATTERN` and the like."""
+        if component == LOGGING:
+            return Named(LOGGING, parameter.partition(" ")[0])
         base, _, rest = parameter.partition("[")
-        index = int(rest.rstrip("]").partition(",")[0]) if rest else 0
+        first = rest.rstrip("]").partition(",")[0]
+        index = int(first) if first.isdecimal() else 0
         return Named(COMPONENTS.get(component, component), base, index)
 
 
@@ -96,6 +111,11 @@ class Entry:
         """Whether it names the effect at its element."""
         return true in self.names
 
+    @property
+    def values(self) -> dict[str, dict[str, float]]:
+        """Its parameters by component."""
+        return {self.component: {p: float(v["value"]) for p, v in self.parameters.items() if v.get("value") is not None}}
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -105,6 +125,9 @@ class Prediction:
     which: tuple[Entry, ...] = ()
     where: tuple[Mapping[str, Any], ...] = ()
     how_far: tuple[Mapping[str, Any], ...] = ()
+    next_run: Mapping[str, Any] | None = None
+    cpu: float | None = None
+    """Time that it took [s]."""
 
     @staticmethod
     def read(content: Mapping[str, Any]) -> Prediction:
@@ -118,7 +141,24 @@ class Prediction:
             entries.append(Entry(names, float(w.get("probability", 0.0)), parameters, COMPONENTS.get(component, component), others))
         entries.sort(key=lambda e: -e.probability)
         where = tuple(content.get("where") or ())
-        return Prediction(str(content.get("verdict", "missing")), tuple(entries), where, tuple(content.get("how_far") or ()))
+        return Prediction(
+            str(content.get("verdict", "missing")),
+            tuple(entries),
+            where,
+            tuple(content.get("how_far") or ()),
+            content.get("next_run"),
+            (content.get("time") or {}).get("cpu"),
+        )
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it says that the log is at fault: by its verdict, or because a clock is what it names first."""
+        return self.verdict == "bad_log" or bool(self.claimed and self.claimed[0].component == LOGGING)
+
+    @property
+    def found(self) -> bool:
+        """Whether it says that there is something real."""
+        return self.verdict in ("identified", "ambiguous", "unknown") and not self.stopped
 
     @property
     def claimed(self) -> tuple[Entry, ...]:
@@ -149,8 +189,15 @@ class Case:
 
     @property
     def detectable(self) -> bool:
-        """By the oracle."""
+        """By the oracle: something in it; of a bad log its fault (a channel that stands still has no noise, which is always seen)."""
+        if self.kind == "bad_log":
+            fault = self.truth["bad_log"]
+            return fault["kind"] == "constant" or float(fault.get("detectability", math.inf)) >= DETECTABLE
         return float(self.truth["detectability"]) >= DETECTABLE
+
+    def effect_detectable(self, i: int) -> bool:
+        """Whether effect `i` is, by itself."""
+        return float(self.truth["effects"][i].get("detectability", self.truth["detectability"])) >= DETECTABLE
 
 
 # --- figures with their intervals ---------------------------------------------------------------------------------------------
@@ -211,56 +258,74 @@ def calibration(probabilities: Sequence[float], right: Sequence[bool], bins: int
 
 @dataclass
 class Scorer:
-    """All scores of a set of cases. `closures` and `confusable` may be left out: what needs them is then empty, or all cases count."""
+    """All scores of a set of cases. The callables may be left out: what needs them is then empty, or all cases count as isolable."""
 
     cases: Sequence[Case]
     tier: str = "T1"
     closures: Closures | None = None
     confusable: Confusable | None = None
-    _isolable: dict[int, bool] = field(default_factory=dict)
+    separates: Separates | None = None
+    _isolable: dict[tuple[int, int], bool] = field(default_factory=dict)
 
-    def isolable(self, c: Case) -> bool:
-        """Whether the data can tell the (single) true effect from every other candidate, the same effect elsewhere included."""
-        if self.confusable is None or c.kind != "single":
+    def effect_isolable(self, c: Case, i: int) -> bool:
+        """Whether the data can tell effect `i` from every other candidate, the same effect elsewhere included."""
+        if self.confusable is None:
             return True
-        if c.number not in self._isolable:
-            self._isolable[c.number] = not self.confusable(c.number)
-        return self._isolable[c.number]
+        key = (c.number, i)
+        if key not in self._isolable:
+            self._isolable[key] = not self.confusable(*key)
+        return self._isolable[key]
+
+    def clear(self, c: Case) -> list[int]:
+        """Effects that are detectable and isolable."""
+        return [i for i in range(len(c.effects)) if c.effect_detectable(i) and self.effect_isolable(c, i)]
 
     def of(self, *kinds: str) -> list[Case]:
         """Cases of those kinds."""
         return [c for c in self.cases if c.kind in kinds]
 
+    @property
+    def singles(self) -> list[Case]:
+        """Singles that are detectable and isolable."""
+        return [c for c in self.of("single") if c.detectable and self.clear(c)]
+
     def scores(self) -> dict[str, Any]:
         """All keys of the benchmark."""
-        singles = [c for c in self.of("single") if c.detectable and self.isolable(c)]
-        real = [c for c in self.of("single", "double", "triple", "outside") if c.detectable]
+        singles = self.singles
+        real = [c for c in self.of(*REAL) if c.detectable]
         unknowns = [c for c in self.of("outside") if c.detectable]
         doubles = [c for c in self.of("double") if c.detectable]
+        both = [c for c in doubles if len(self.clear(c)) == len(c.effects)]
+        some = [c for c in doubles if self.clear(c)]
+        told = [c for c in doubles if all(self.effect_isolable(c, i) for i in range(len(c.effects)) if c.effect_detectable(i))]
         catalogue = [c for c in self.of("single", "double", "triple") if c.detectable]
+        bad_logs = self.of("bad_log")
         ambiguous = [c for c in self.of("single") if c.detectable and c.prediction.verdict == "ambiguous"]
         named = [c for c in singles if c.prediction.claimed and c.prediction.claimed[0].is_exactly(c.effects[0])]
         estimates = [e for c in named if (e := _estimate(c)) is not None]
         closed = self._closures(named)
-        answered = [
-            c for c in self.of("single", "null", "outside") if c.prediction.which and c.prediction.verdict not in ("none", "bad_log")
-        ]
+        answered = [c for c in self.of("single", "null", "outside") if c.prediction.which and c.prediction.found]
+        times = [c.prediction.cpu for c in self.cases if c.prediction.cpu is not None]
         return {
             "null_false_alarm": proportion([c.prediction.verdict != "none" for c in self.of("null")]),
-            "bad_log_stopped": proportion([c.prediction.verdict == "bad_log" for c in self.of("bad_log")]),
-            "detection": proportion([c.prediction.verdict in ("identified", "ambiguous", "unknown") for c in real]),
+            "bad_log_stopped": proportion([c.prediction.stopped for c in bad_logs if c.detectable]),
+            "bad_log_stopped_of_all": proportion([c.prediction.stopped for c in bad_logs]),
+            "detection": proportion([c.prediction.found for c in real]),
+            "good_log_stopped": proportion([c.prediction.stopped for c in self.of("null", *REAL)]),
             "component_top1": proportion([_component(c.prediction) == c.effects[0].component for c in singles]),
             "location_top1": proportion([_location_right(c) for c in singles if c.effects[0].index]),
             "effect_top1": proportion([_among(c, 1) for c in singles]),
             "effect_top3": proportion([_among(c, 3) for c in singles]),
+            "effect_top1_of_detectable": proportion([_among(c, 1) for c in self.of("single") if c.detectable]),
             "ambiguity_holds_truth": proportion([_holds(c) for c in ambiguous]),
             "ambiguity_median_size": median([float(len(c.prediction.listed)) for c in ambiguous]),
+            "next_run_separates": proportion(self._separated(ambiguous)),
             "unknown_recall": proportion([c.prediction.verdict == "unknown" for c in unknowns]),
             "false_unknown": proportion([c.prediction.verdict == "unknown" for c in catalogue]),
             "confident_wrong_on_unknown": proportion([c.prediction.verdict == "identified" for c in unknowns]),
-            "doubles_exact": proportion([_claimed_keys(c) == {e.key for e in c.effects} for c in doubles]),
-            "doubles_one_right": proportion([bool(_claimed_keys(c) & {e.key for e in c.effects}) for c in doubles]),
-            "doubles_nothing_invented": proportion([not _claimed_keys(c) - {e.key for e in c.effects} for c in doubles]),
+            "doubles_exact": proportion([_claimed_keys(c) == {e.key for e in c.effects} for c in both]),
+            "doubles_one_right": proportion([bool(_claimed_keys(c) & {e.key for e in c.effects}) for c in some]),
+            "doubles_nothing_invented": proportion([not _claimed_keys(c) - {e.key for e in c.effects} for c in told]),
             "parameter_error_median": median([e[0] for e in estimates]),
             "parameter_error_p90": median([e[0] for e in estimates], 0.9),
             "interval_coverage": proportion([e[1] for e in estimates if e[1] is not None]),
@@ -268,7 +333,21 @@ class Scorer:
             "closure_over_ceiling_p10": median([r for r, _ in closed], 0.1),
             "claimed_closure_error_median": median([e for _, e in closed if e is not None]),
             "ece": calibration([c.prediction.which[0].probability for c in answered], [_first_right(c) for c in answered]),
+            "cpu_time_median": median(times),
+            "cpu_time_p90": median(times, 0.9),
         }
+
+    def _separated(self, cases: Sequence[Case]) -> list[bool]:
+        """Of each case with an ambiguous answer, whether the recommended run tells the truth from what it is not; no run: no."""
+        if self.separates is None:
+            return []
+        found = []
+        for c in cases:
+            wrong = [e.values for e in c.prediction.listed if not e.is_exactly(c.effects[0])][:1]
+            recommended = c.prediction.next_run
+            if wrong:
+                found.append(recommended is not None and self.separates(c.number, recommended, wrong))
+        return found
 
     def _closures(self, cases: Sequence[Case]) -> list[tuple[float, float | None]]:
         """For each case and held-out condition in one: true closure over ceiling, and |claimed - true| where there is a claim.
@@ -285,7 +364,8 @@ class Scorer:
                 continue
             adopted: dict[str, dict[str, float]] = {}
             for entry in c.prediction.claimed:
-                adopted.setdefault(entry.component, {}).update({p: float(v["value"]) for p, v in entry.parameters.items()})
+                for component, values in entry.values.items():
+                    adopted.setdefault(component, {}).update(values)
             true = self.closures(c.number, adopted)
             ratio = float(np.mean([true[name] / ceiling for name, ceiling in ceilings.items()]))
             claims = [
@@ -301,10 +381,10 @@ class Scorer:
         """Detection and naming by oracle detectability, all real cases and all singles."""
         table = {}
         for name, low, high in STRATA:
-            inside = [c for c in self.of("single", "double", "triple", "outside") if low <= float(c.truth["detectability"]) < high]
+            inside = [c for c in self.of(*REAL) if low <= float(c.truth["detectability"]) < high]
             singles = [c for c in inside if c.kind == "single"]
             table[name] = {
-                "detection": proportion([c.prediction.verdict in ("identified", "ambiguous", "unknown") for c in inside]),
+                "detection": proportion([c.prediction.found for c in inside]),
                 "component_top1": proportion([_component(c.prediction) == c.effects[0].component for c in singles]),
                 "effect_top1": proportion([_among(c, 1) for c in singles]),
             }
@@ -330,8 +410,8 @@ class Scorer:
             )
             row["cases"] += 1
             row["detectable"] += c.detectable
-            row["isolable"] += c.detectable and self.isolable(c)
-            row["detected"] += c.prediction.verdict in ("identified", "ambiguous", "unknown")
+            row["isolable"] += c.detectable and bool(self.clear(c))
+            row["detected"] += c.prediction.found
             row["named"] += _among(c, 1)
             row["named_top3"] += _among(c, 3)
         return dict(sorted(table.items()))
@@ -347,7 +427,7 @@ def _true_name(c: Case) -> str:
 
 def _component(p: Prediction) -> str | None:
     """The component that is named first: by the largest share, else by the first effect. Nothing where nothing is claimed to be there."""
-    if p.verdict not in ("identified", "ambiguous", "unknown"):
+    if not p.found:
         return None
     if p.where:
         name = str(max(p.where, key=lambda w: float(w.get("share", 0.0))).get("component", ""))
@@ -357,8 +437,7 @@ def _component(p: Prediction) -> str | None:
 
 def _among(c: Case, n: int) -> bool:
     """Whether the effect is among the first n of a case that is said to have one."""
-    said = c.prediction.verdict in ("identified", "ambiguous", "unknown")
-    return said and any(e.is_effect(c.effects[0]) for e in c.prediction.which[:n])
+    return c.prediction.found and any(e.is_effect(c.effects[0]) for e in c.prediction.which[:n])
 
 
 def _location_right(c: Case) -> bool:
@@ -387,7 +466,11 @@ def location_names(true: Named) -> tuple[str, ...]:
 def _holds(c: Case) -> bool:
     """Whether the set of an ambiguous answer has the true effect in it: listed, or named as not to be told from a listed one."""
     true = c.effects[0]
-    names = {true.effect, f"{true.effect}[{true.index}]", *(f"{true.effect} at {n}" for n in location_names(true) if true.index)}
+    names = {
+        true.effect,
+        f"{true.effect}[{true.index}]",
+        *(f"{true.effect} {at} {n}" for at in ("at", "@") for n in location_names(true) if true.index),
+    }
     return any(e.is_effect(true) or names & set(e.confusable) for e in c.prediction.listed)
 
 
@@ -491,20 +574,19 @@ def true_closures(folder: Path, truths: Mapping[int, Mapping[str, Any]], tier: s
 
 
 def oracle_confusable(folder: Path, truths: Mapping[int, Mapping[str, Any]], tier: str) -> Confusable:
-    """What cannot be told from the truth of a single, from signatures (kept in the folder `oracle`)."""
+    """What cannot be told from an effect, from signatures (kept in the folder `oracle`)."""
     from blind.conditions import from_truth
-    from blind.effects import BY_KEY, Instance
-    from blind.signatures import confusable, features, library
+    from blind.generate import instance_of
+    from blind.signatures import clocks, confusable, features, library
     from blind.world import nominal, simulate_nominal
 
-    def found(number: int) -> list[str]:
+    def found(number: int, i: int) -> list[str]:
         truth = truths[number]
-        condition, e = from_truth(truth["conditions"][0]), truth["effects"][0]
-        true = Instance(BY_KEY[f"{e['component']}.{e['effect']}"], int(e["index"]), float(e["value"]))
+        condition, true = from_truth(truth["conditions"][0]), instance_of(truth["effects"][i])
         lib = library(condition, folder / "oracle").for_tier(tier)
-        rows = lib.matrix.shape[1] // len(lib.columns)
-        change = features(simulate_nominal(condition, [true]).columns, nominal(condition).columns, lib.columns, rows)
-        return confusable(lib, true, change)
+        rows, reference = lib.matrix.shape[1] // len(lib.columns), nominal(condition)
+        change = features(simulate_nominal(condition, [true]).columns, reference.columns, lib.columns, rows)
+        return confusable(lib, true, change, DETECTABLE) + clocks(lib, reference, change, DETECTABLE)
 
     return found
 
@@ -526,8 +608,8 @@ def baseline_scores(
         r = residual(folder / "cases" / f"{c.number:04d}", condition, lib.columns)
         for name, baseline in BASELINES.items():
             guesses[name][c.number] = baseline(lib, r)
-    singles = [c for c in scorer.of("single") if c.detectable and scorer.isolable(c)]
-    real = [c for c in scorer.of("single", "double", "triple", "outside") if c.detectable]
+    singles = scorer.singles
+    real = [c for c in scorer.of(*REAL) if c.detectable]
     unknowns = [c for c in scorer.of("outside") if c.detectable]
     table = {}
     for name, by_case in guesses.items():
@@ -546,6 +628,33 @@ def baseline_scores(
             "confident_wrong_on_unknown": proportion([by_case[c.number].key is not None for c in unknowns]),
         }
     return table
+
+
+def separation(truths: Mapping[int, Mapping[str, Any]], tier: str) -> Separates:
+    """Whether recommended runs separate, by making them: with the sealed machine and its true effects, and with what else was said."""
+    from blind.next_run import separates
+    from orchestration.errors import OrchestrationError
+
+    def found(number: int, recommended: Mapping[str, Any], wrong: Sequence[ComponentValues]) -> bool:
+        try:
+            return separates(truths[number], str(recommended.get("kind")), wrong, tier, DETECTABLE)
+        except (OrchestrationError, LookupError):  # no such run, or one that cannot be made
+            return False
+
+    return found
+
+
+def commit() -> str:
+    """The version of this code: the commit of its repository, with `+` where files differ from it; empty without one."""
+    here = Path(__file__).parent
+    try:
+        text = [subprocess.run(["git", *a], cwd=here, capture_output=True, text=True, check=True).stdout.strip() for a in _GIT]
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return text[0] + ("+" if text[1] else "")
+
+
+_GIT = (["rev-parse", "--short", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
 
 
 def score(
@@ -569,12 +678,16 @@ def score(
         tier,
         true_closures(folder, truths, tier),
         oracle_confusable(folder, truths, tier) if isolability else None,
+        separation(truths, tier),
     )
     result: dict[str, Any] = {
         "schema": "robomill-blind-score/1",
         "tier": tier,
         "cases": len(cases),
         "seed": head["seed"],
+        "version": head.get("version"),
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "commit": commit(),
         "predictions": len(frozen),
         "predictions_as_first_unsealed": first,
         "kinds": {k: len(scorer.of(k)) for k in ("null", "single", "double", "triple", "outside", "bad_log")},

@@ -14,6 +14,7 @@ from blind.conditions import Condition
 from blind.effects import EFFECTS, Instance
 from blind.world import MEASURED, STEP, TRACKER, nominal, simulate_nominal
 from models.declaration import FloatArray
+from orchestration.results import Run
 
 STRIDE = 5
 """Every fifth row (20 ms) is looked at."""
@@ -35,6 +36,9 @@ machines (two per training condition) are below.
 `correction_q` is not sent in the training conditions; its value is that of 7 um at 1.4 m."""
 CLOCK = 5e-5
 """Uncertainty of the timestamps [s] after averaging."""
+
+LATEST = 0.12
+"""Largest lag of a clock [s]."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +126,7 @@ def library(c: Condition, cache: Path | None = None, progress: Callable[[int, in
     return Library(every, matrix, names)
 
 
-def confusable(lib: Library, true: Instance, change: FloatArray, limit: float = 1.0) -> list[str]:
+def confusable(lib: Library, true: Instance, change: FloatArray, limit: float) -> list[str]:
     """Candidates (`component.parameter`) that explain the whitened change of the true effect but for `limit`: at their best strength
 
     the largest rms of what is left, over columns and windows of 0.5 s, stays below it. The true element itself is left out.
@@ -136,6 +140,28 @@ def confusable(lib: Library, true: Instance, change: FloatArray, limit: float = 
         left = (change - scale[i] * lib.matrix[i]).reshape(len(lib.columns), -1)
         if _largest_window(left) < limit:
             found.append(f"{c.effect.component}.{c.parameter}")
+    return found
+
+
+def clocks(lib: Library, reference: Run, change: FloatArray, limit: float) -> list[str]:
+    """Clocks of the log (`logging.lag COMPONENT`) that explain the whitened change but for `limit`, by a lag of up to `LATEST`."""
+    of_change = change.reshape(len(lib.columns), -1)
+    rows = slice(0, of_change.shape[1] * STRIDE, STRIDE)
+    found = []
+    for device in dict.fromkeys(name.partition(".")[0] for name in lib.columns):
+        late = [i for i, name in enumerate(lib.columns) if name.partition(".")[0] == device]
+        on_time = [i for i in range(len(lib.columns)) if i not in late]
+        if on_time and _largest_window(of_change[on_time]) >= limit:
+            continue
+        for lag in np.arange(-LATEST, LATEST + STEP, STEP):
+            shifted = [
+                ((np.interp(reference.t - lag, reference.t, y) - y) / floor(lib.columns[i], y))[rows]
+                for i in late
+                for y in (reference.columns[lib.columns[i]],)
+            ]
+            if _largest_window(of_change[late] - np.array(shifted)) < limit:
+                found.append(f"logging.lag {device}")
+                break
     return found
 
 

@@ -67,11 +67,12 @@ def _one_thread_each() -> Iterator[None]:
 
 def _dask(function: Callable[..., Any], jobs: Sequence[Job], scheduler: str) -> Iterator[tuple[int, Any]]:
     try:
-        from distributed import Client, as_completed
+        import distributed
     except ImportError:
         raise ValueError(f"--scheduler {scheduler}: needs Dask; install it with: pip install robomill[cluster]") from None
+    dask: Any = distributed  # it has no types
     try:
-        client = Client(scheduler, timeout=10)
+        client = dask.Client(scheduler, timeout=10)
     except (OSError, ValueError) as error:
         raise ValueError(
             f"--scheduler {scheduler}: no Dask scheduler there ({error}); expected an address such as tcp://host:8786, "
@@ -80,7 +81,7 @@ def _dask(function: Callable[..., Any], jobs: Sequence[Job], scheduler: str) -> 
     with client:
         numbers = {client.submit(function, *job, pure=False): i for i, job in enumerate(jobs)}
         try:
-            for future in as_completed(list(numbers)):
+            for future in dask.as_completed(list(numbers)):
                 yield numbers[future], future.result()
         finally:
             client.cancel([f for f in numbers if not f.done()])

@@ -30,6 +30,7 @@ from orchestration.slave import PortData, Slave
 from orchestration.system import Connection, System
 from robomill.binding import convert, resolve
 from robomill.milling import with_parameters
+from robomill.next_runs import prepare
 
 STEP = 0.004
 SYSTEM = Path(__file__).parent.parent / "scenarios" / "milling_cell.toml"
@@ -61,6 +62,8 @@ NOISE: Mapping[str, tuple[float, float, float]] = {
     "milling.spindle_torque": (0.03, 0.03, 0.01),
 }
 """White part, coloured part (AR(1), 0.2 s) and offset of the run: standard deviations in the unit of the column."""
+QUIET: Mapping[str, Mapping[str, Any]] = {"sensor": {"noise_f": 0.0, "noise_m": 0.0, "walk_f": 0.0, "walk_m": 0.0}}
+"""No noise in the sensor."""
 SENSOR_COLOURED = (0.4, 0.04)
 """AR(1) noise, 0.1 s, in force [N] and moment [N m] before the sensor: inside the loop."""
 
@@ -153,7 +156,7 @@ def simulate_adopted(c: Condition, adopted: Mapping[str, Mapping[str, float]]) -
     """What the nominal cell, coupled as its file says, does with parameters set: component -> element -> value; no noise."""
     with TemporaryDirectory() as folder:
         system = with_parameters(nominal_system(), known(c, _segments(c, Path(folder))))
-        system = with_parameters(system, {"sensor": {"noise_f": 0.0, "noise_m": 0.0, "walk_f": 0.0, "walk_m": 0.0}})
+        system = with_parameters(system, QUIET)
         system = with_parameters(system, {k: v for k, v in adopted.items() if any(c.name == k for c in system.components)})
         return run(system, None, resolver=resolve, convert=convert)
 
@@ -166,14 +169,36 @@ def simulate(
         system = with_parameters(nominal_system(), known(c, _segments(c, Path(folder))))
         system = with_parameters(system, machine.parameters)
         if random is None:
-            noise = {"sensor": {"noise_f": 0.0, "noise_m": 0.0, "walk_f": 0.0, "walk_m": 0.0}}
+            noise = QUIET
         else:
             place = [v + 5e-6 * float(random.standard_normal()) for v in c.position]
             noise = {"sensor": {"seed": int(random.integers(1, 2**31))}, "controller": {"seed": int(random.integers(1, 2**31))}}
             system = with_parameters(system, {"milling": {"p_BP_B": place}})
         system = with_effects(with_parameters(system, noise), effects)
-        system, inserts = _fine(system, changes, random)
-        result = run(system, None, resolver=resolver(inserts, resolve), convert=convert)
+        return _simulate(system, changes, random)
+
+
+def simulate_menu(
+    kind: str, machine: Machine, effects: Sequence[Instance], changes: Changes, adopted: Mapping[str, Mapping[str, float]]
+) -> tuple[FloatArray, Columns]:
+    """Times [s] and columns of the run `kind` of the menu (`robomill.next_runs`), no noise; `adopted` is component -> element -> value.
+
+    What is in components that the run does not have has no effect. LookupError: no such run.
+    """
+    with TemporaryDirectory() as folder:
+        made = prepare(with_parameters(nominal_system(), machine.parameters), kind, Path(folder))
+        system = with_parameters(with_parameters(made.system, made.parameters), QUIET)
+        there = {c.name for c in system.components}
+        system = with_effects(system, [e for e in effects if e.effect.component in there])
+        system = with_parameters(system, {k: v for k, v in adopted.items() if k in there})
+        t, columns, _ = _simulate(system, changes, None)
+        return t, columns
+
+
+def _simulate(system: System, changes: Changes, random: np.random.Generator | None) -> tuple[FloatArray, Columns, Mapping[str, PortData]]:
+    """A configured system at the fine step, every 4 ms of it."""
+    system, inserts = _fine(system, changes, random)
+    result = run(system, None, resolver=resolver(inserts, resolve), convert=convert)
     t = result.t[::FINE].copy()
     columns = {name: values[::FINE].copy() for name, values in result.columns.items()}
     if changes.after is not None:
@@ -193,7 +218,8 @@ def _fine(system: System, changes: Changes, random: np.random.Generator | None) 
         components=tuple(replace(c, every=FINE) if c.name in slow else c for c in system.components),
     )
     inserts: dict[str, Callable[[], Slave]] = {}
-    force = {"milling.f_T_B": ("f", "f_out"), "milling.m_T_B": ("m", "m_out")}
+    cause = "milling" if any(c.name == "milling" for c in system.components) else "load"
+    force = {f"{cause}.f_T_B": ("f", "f_out"), f"{cause}.m_T_B": ("m", "m_out")}
     if changes.cut is not None:
         system = insert(system, "cut", force, ("compliance", "drive", "sensor"))
         inserts["cut"] = _slave("cut", _WRENCH, {"f_out": (3, "N"), "m_out": (3, "N.m")}, changes.cut)
@@ -205,7 +231,7 @@ def _fine(system: System, changes: Changes, random: np.random.Generator | None) 
     system = insert(system, "felt", force, ("sensor",))
     inserts["felt"] = felt(None if random is None else _sensor_noise(random))
     if changes.link is not None:
-        source = "cut.f_out" if changes.cut is not None else "milling.f_T_B"
+        source = "cut.f_out" if changes.cut is not None else f"{cause}.f_T_B"
         system = insert(system, "link", {"drive.q_link": ("q", "q_out")}, ("compliance",), (Connection(source, "link.f", True),))
         inserts["link"] = _slave("link", {"q": (6, "rad"), "f": (3, "N")}, {"q_out": (6, "rad")}, changes.link)
     return system, inserts

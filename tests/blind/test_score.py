@@ -184,7 +184,9 @@ def test_closure_is_that_of_the_claimed_parameters_over_that_of_the_true_ones():
 
 def test_cases_that_the_data_cannot_decide_are_left_out_of_the_naming_scores():
     p = said("identified", entry("sensor", "sensor_gain_error", 0.9))
-    scorer = Scorer(cases((truth("single", STIFF), p), (truth("single", GAIN), p)), confusable=lambda n: ["compliance.x"] if n == 1 else [])
+    scorer = Scorer(
+        cases((truth("single", STIFF), p), (truth("single", GAIN), p)), confusable=lambda n, i: ["compliance.x"] if n == 1 else []
+    )
     scores = scorer.scores()
     assert (scores["effect_top1"]["value"], scores["effect_top1"]["count"]) == (1.0, 1)
     assert scores["detection"]["count"] == 2

@@ -1,0 +1,41 @@
+"""Whether a recommended run would have told the truth from what else it was taken for: it is made in the generator's world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+
+from blind import outside
+from blind.generate import detectability, switched_on
+from blind.outside import Changes, Columns
+from blind.world import Machine, simulate_menu
+
+Values = Mapping[str, Mapping[str, float]]
+"""Component -> parameter -> value; of the log: `lag PATTERN` -> s."""
+LOGGING = "logging"
+
+
+def separates(truth: Mapping[str, Any], kind: str, wrong: Sequence[Values], tier: str, limit: float) -> bool:
+    """Whether the run `kind` of the menu tells the effects of a truth from each of the other answers, on the same machine.
+
+    It does where, in some window of 0.5 s, what they do differs by `limit` times what machines without effects leave.
+    LookupError: no such run; OrchestrationError: it cannot be made.
+    """
+    machine = Machine(truth["machine"])
+    parameters, others = switched_on(truth["effects"])
+    _, true = simulate_menu(kind, machine, parameters, outside.merged(others), {})
+    return all(max(detectability(_said(kind, machine, values), true, true, tier).values()) >= limit for values in wrong)
+
+
+def _said(kind: str, machine: Machine, values: Values) -> Columns:
+    """What would be logged if an answer were true."""
+    t, columns = simulate_menu(kind, machine, (), Changes(), values)
+    for what, lag in values.get(LOGGING, {}).items():
+        pattern = what.partition(" ")[2]
+        for name in columns:
+            if fnmatchcase(name, pattern):
+                columns[name] = np.interp(t - lag, t, columns[name])
+    return columns

@@ -1,0 +1,137 @@
+"""What predictors that are known to be right, or to guess, score: faults of the scorer would show here."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blind.acceptance import BOUNDS, met
+from blind.effects import BY_KEY
+from blind.generate import _subject as subject
+from blind.generate import plans
+from blind.score import Case, Named, Prediction, Scorer, location_names
+
+CATALOGUE = Path(__file__).parents[2] / "scenarios" / "catalogue.toml"
+LAG = ("lag sensor.*", "force sensor")
+CEILING = {"other cut": {"tool tip": 0.9, "force": 0.8}, "other place": {"tool tip": 0.8, "force": 0.7}}
+
+
+def truths(count, seed):
+    """Truths as the generator writes them, without the simulations: all is detectable, closed by the truth as `CEILING` says."""
+    found = []
+    for plan in plans(count, seed):
+        truth = subject(plan, "T1", np.random.default_rng([seed, plan.number]))[0]
+        for e in truth["effects"]:
+            e["detectability"] = 20.0
+        if truth["kind"] == "bad_log":
+            truth["bad_log"]["detectability"] = 20.0
+        found.append(truth | {"case": plan.number, "detectability": 0.0 if plan.kind == "null" else 20.0, "ceiling": CEILING})
+    return found
+
+
+def entry(component, parameter, probability, value, spread=0.0):
+    interval = [value - spread, value + spread]
+    parameters = {parameter: {"value": value, "interval": interval, "unit": "1"}}
+    return {"effect": parameter.partition("[")[0], "component": component, "probability": probability, "parameters": parameters}
+
+
+def oracle(truth, random, ambiguous=False):
+    """The truth as a diagnosis.json, with as much certainty as is right; 90 % of the intervals cover."""
+    if truth["kind"] == "null":
+        return {"verdict": "none"}
+    if truth["kind"] == "bad_log":
+        if truth["bad_log"]["kind"] == "lag" and random.random() < 0.5:  # a clock by its name stops the log too
+            return {"verdict": "identified", "which": [entry("logging", LAG[0], 1.0, 0.02)]}
+        return {"verdict": "bad_log", "gate": {"usable": False}}
+    if truth["kind"] == "outside":
+        return {"verdict": "unknown"}
+    which = []
+    for e in truth["effects"]:
+        covers = truth["case"] % 10 != 0
+        which.append(entry(e["component"], e["parameter"], 1.0, e["value"] * (1.0 if covers else 1.02), 0.01 * abs(e["value"])))
+    where = [{"component": e["component"], "share": 1.0 / len(which), "location": ""} for e in truth["effects"]]
+    true = Named.of(truth["effects"][0]["component"], truth["effects"][0]["parameter"])
+    if true.index:
+        where[0]["location"] = location_names(true)[0]
+    how_far = [{"on": "held-out condition", "channel": "compliance.p_BT_B", "closure": 0.85}]
+    if ambiguous:
+        other = entry("sensor", "hose_force", 0.5, 1.0) if true.effect != "hose_force" else entry("sensor", "weight_error", 0.5, 1.0)
+        which = [{**which[0], "probability": 0.5}, other]
+    verdict = "ambiguous" if ambiguous else "identified"
+    return {"verdict": verdict, "which": which, "where": where, "how_far": how_far, "next_run": {"kind": "push"}}
+
+
+def guess(truth, random):
+    """Anything."""
+    verdict = str(random.choice(["none", "identified", "ambiguous", "unknown", "bad_log"]))
+    keys = random.choice([*BY_KEY], 3, replace=False)
+    effects = [BY_KEY[k] for k in keys]
+    which = [
+        entry(e.component, f"{e.name}[{random.integers(1, e.size + 1)}]" if e.size else e.name, p, e.high, 0.01 * e.high)
+        for e, p in zip(effects, (0.9, 0.06, 0.04), strict=True)
+    ]
+    return {"verdict": verdict, "which": which, "next_run": {"kind": "push"}}
+
+
+def scores(predict, count=240, seed=7):
+    random = np.random.default_rng(seed)
+    cases = [Case(i, t["kind"], t, Prediction.read(predict(t, random))) for i, t in enumerate(truths(count, seed), 1)]
+
+    def closures(number, adopted):
+        true = cases[number - 1].truth["effects"]
+        right = all(e["parameter"] in adopted.get(e["component"], {}) for e in true)
+        return {name: v["tool tip"] if right else 0.0 for name, v in CEILING.items()}
+
+    return Scorer(cases, "T1", closures, lambda number, i: [], lambda number, run, wrong: run["kind"] == "push").scores()
+
+
+def test_who_knows_the_truth_meets_every_bound():
+    found = scores(oracle)
+    assert {k: found[k]["value"] for k in BOUNDS if met(k, found[k], "T1") is False} == {}
+    for key in ("effect_top1", "location_top1", "component_top1", "detection", "bad_log_stopped", "unknown_recall", "doubles_exact"):
+        assert found[key]["value"] == 1.0
+        assert found[key]["count"] > 10
+    assert found["null_false_alarm"]["value"] == found["good_log_stopped"]["value"] == found["ece"]["value"] == 0.0
+    assert found["closure_over_ceiling_p10"]["value"] == pytest.approx(1.0)
+    assert found["ambiguity_holds_truth"]["count"] == 0
+
+
+def test_who_knows_the_truth_but_hedges_meets_the_bounds_of_sets():
+    def hedging(truth, random):
+        return oracle(truth, random, ambiguous=truth["kind"] == "single" and random.random() < 0.5)
+
+    found = scores(hedging)
+    for key in ("ambiguity_holds_truth", "ambiguity_median_size", "next_run_separates"):
+        assert met(key, found[key], "T1")
+        assert found[key]["count"] > 20
+
+
+def test_who_guesses_meets_none_of_the_bounds_that_take_knowledge():
+    found = scores(guess)
+    no_guess = {"parameter_error_median", "parameter_error_p90", "interval_coverage", "claimed_closure_error_median", "next_run_separates"}
+    closures = {"closure_over_ceiling_median", "closure_over_ceiling_p10"}  # of cases that are named right, of which there are hardly any
+    for key in set(BOUNDS) - no_guess - closures:
+        assert met(key, found[key], "T1") is not True, key
+    assert found["effect_top1"]["value"] < 0.1
+
+
+def test_a_clock_is_neither_physics_nor_nothing():
+    clock = {"verdict": "identified", "which": [entry("logging", LAG[0], 1.0, 0.02)]}
+    found = scores(lambda truth, random: clock)
+    assert found["null_false_alarm"]["value"] == 1.0
+    assert found["detection"]["value"] == 0.0
+    assert found["good_log_stopped"]["value"] == 1.0
+    assert found["bad_log_stopped"]["value"] == 1.0
+    assert found["component_top1"]["value"] == found["effect_top1"]["value"] == 0.0
+
+
+def test_places_are_called_as_in_the_catalogue_of_the_cell():
+    listed = tomllib.loads(CATALOGUE.read_text(encoding="utf-8"))["effect"]
+    for effect in listed:
+        for place in effect["locations"]:
+            named = Named.of(effect["component"], place["parameters"][0])
+            if named.index:
+                assert place["name"] in location_names(named)
