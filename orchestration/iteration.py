@@ -12,13 +12,14 @@ first step that needs a second round: there the signals are those of the loop at
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from orchestration.acceleration import Iteration, accelerator
+from orchestration.acceleration import Iteration, Work, compare, improve
 from orchestration.errors import IterationError, describe
 from orchestration.loops import Loop
 from orchestration.slave import FloatArray, Slave
@@ -118,33 +119,25 @@ class Iterated:
     def _solve(self, loop: Loop, evaluate: Callable[[], None], back: Callable[[], None], first_return: Callable[[], None]) -> None:
         """Make rounds until the unknowns of `loop` stay the same; what stands on the bus before is the first guess."""
         settings, fresh, feedback = self._settings, self._fresh, loop.feedback
-        improve = accelerator(settings)
-        x = fresh[feedback]
-        scale = np.ones_like(x)
-        residual, worst = np.inf, 0
+        n, x = len(feedback), fresh[feedback]
+        work, sizes, largest, scale = Work(settings, n), np.ones(n), np.zeros(n), np.ones(n)
+        residual, worst = math.inf, 0
         for rounds in range(1, settings.max_iterations + 1):
             evaluate()
             g = fresh[feedback]
-            if not np.isfinite(g).all():  # the guard will name it
-                residual = np.inf
-                break
-            r = g - x
-            sizes = _sizes(loop, x, g)
-            change = np.abs(r) / sizes
-            worst = int(np.argmax(change)) if len(change) else 0
-            residual = float(change[worst]) if len(change) else 0.0
-            if residual <= settings.tolerance:
+            residual, worst = compare(n, x, g, loop.arrays, largest, sizes)
+            if worst < 0 or residual <= settings.tolerance:  # what is not finite the guard will name
                 break
             if rounds < settings.max_iterations:
                 if rounds == 1:
-                    scale = sizes
+                    scale[:] = sizes
                     first_return()
-                x = improve.next(x / scale, r / scale) * scale
+                improve(work.method, settings.relaxation, rounds, n, x, g, scale, work.history, work.factor)
                 back()
                 fresh[feedback] = x
         else:
             if settings.unconverged == "error":
-                raise IterationError(_unconverged_text(loop, settings, residual, worst), loop.members[0])
+                raise IterationError(unconverged_text(loop, settings, residual, worst), loop.members[0])
         self._rounds, self._residual = max(self._rounds, float(rounds)), max(self._residual, residual)
 
     def _round(self, loop: Loop | None, members: Sequence[Entry], t: float, h: float) -> None:
@@ -213,15 +206,8 @@ def _leave_initialisation(members: Sequence[Entry]) -> None:
 _REMEDY = "Mark a connection of the loop with delayed = true, or use algorithm = 'gauss-seidel' or 'jacobi'"
 
 
-def _sizes(loop: Loop, x: FloatArray, g: FloatArray) -> FloatArray:
-    """What a change of each unknown is compared with: the largest element of its array, in the guess or after the round."""
-    sizes = np.zeros(int(loop.arrays.max(initial=-1)) + 1)
-    np.maximum.at(sizes, loop.arrays, np.maximum(np.abs(x), np.abs(g)))
-    sizes[sizes == 0.0] = 1.0
-    return sizes[loop.arrays]
-
-
-def _unconverged_text(loop: Loop, settings: Iteration, residual: float, worst: int) -> str:
+def unconverged_text(loop: Loop, settings: Iteration, residual: float, worst: int) -> str:
+    """That the iteration ended with the unknown `worst` still changing by `residual`, and what to try."""
     others = {
         "fixed-point": "method = 'aitken' or 'anderson', or a smaller relaxation",
         "aitken": "method = 'anderson', or a smaller relaxation",

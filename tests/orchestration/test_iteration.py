@@ -9,7 +9,7 @@ import fmpy
 import numpy as np
 import pytest
 
-from orchestration.acceleration import Aitken, Anderson, FixedPoint, Iteration
+from orchestration.acceleration import METHODS, Iteration, Work, compare, improve
 from orchestration.assembly import run
 from orchestration.errors import RunError, SystemFileError, WiringError
 from orchestration.slave import PortData
@@ -395,27 +395,64 @@ class TestSystemFile:
         assert str(caught.value).startswith("system.toml")
 
 
-class TestAccelerators:
+class Search:
+    """The next guess alone, unscaled."""
+
+    def __init__(self, method, relaxation=1.0, depth=10, n=2):
+        self.settings = Iteration(method, relaxation=relaxation, depth=depth)
+        self.work, self.rounds = Work(self.settings, n), 0
+
+    def next(self, x, r):
+        self.rounds += 1
+        found, x = np.array(x), np.array(x)
+        improve(
+            self.work.method, self.settings.relaxation, self.rounds, len(x), found, x + r, np.ones(len(x)),
+            self.work.history, self.work.factor,
+        )  # fmt: skip
+        return found
+
+
+class TestNextGuess:
     """The next guess alone."""
 
-    def test_first_correction_is_relaxed(self):
-        for a in (FixedPoint(0.5), Aitken(0.5), Anderson(0.5, 5)):
-            assert list(a.next(np.array([1.0, 2.0]), np.array([4.0, -2.0]))) == [3.0, 1.0]
+    @pytest.mark.parametrize("method", METHODS)
+    def test_first_correction_is_relaxed(self, method):
+        assert list(Search(method, 0.5).next([1.0, 2.0], [4.0, -2.0])) == [3.0, 1.0]
 
     def test_aitken_is_the_secant_method_for_one_signal(self):
-        a = Aitken(1.0)
-        x = np.array([0.0])
+        search, x = Search("aitken", n=1), np.array([0.0])
         for _ in range(2):
-            x = a.next(x, 3.0 * x - x + 4.0)  # x = 3 x + 4
+            x = search.next(x, 3.0 * x - x + 4.0)  # x = 3 x + 4
         assert x[0] == -2.0
 
     def test_anderson_forgets_what_is_older_than_its_depth(self):
-        a = Anderson(1.0, 2)
-        for k in range(6):
-            a.next(np.array([float(k), 1.0]), np.array([1.0 / (k + 1), k]))
-        assert len(a.xs) == len(a.rs) == 3
+        """Another first round, three before the last, changes nothing at depth 2 and something at depth 3."""
 
-    def test_equal_residuals_do_no_harm(self):
-        for a in (Aitken(1.0), Anderson(1.0, 5)):
-            a.next(np.array([0.0]), np.array([1.0]))
-            assert np.isfinite(a.next(np.array([1.0]), np.array([1.0]))).all()
+        def last(first, depth):
+            search = Search("anderson", depth=depth, n=4)
+            rounds = [first, [0.0, 3.0, 1.0, 1.0], [1.0, 0.0, 2.0, 5.0], [2.0, 2.0, 0.0, 1.0]]
+            return [list(search.next(x, np.sin(x) + 1.0)) for x in rounds][-1]
+
+        assert last([1.0, 2.0, 3.0, 4.0], 2) == last([7.0, 1.0, 0.0, 2.0], 2)
+        assert last([1.0, 2.0, 3.0, 4.0], 3) != last([7.0, 1.0, 0.0, 2.0], 3)
+
+    def test_anderson_solves_a_linear_system_in_n_plus_two_rounds(self):
+        matrix = np.array([[0.0, -3.0, 0.5], [2.0, 0.0, 1.0], [0.5, 1.0, -2.0]])
+        search, x = Search("anderson", n=3), np.zeros(3)
+        for _ in range(4):
+            x = search.next(x, matrix @ x + 1.0 - x)
+        assert np.max(np.abs(matrix @ x + 1.0 - x)) <= 100 * ROUNDOFF
+
+    @pytest.mark.parametrize("method", ["aitken", "anderson"])
+    def test_equal_residuals_do_no_harm(self, method):
+        search = Search(method, n=1)
+        search.next([0.0], [1.0])
+        assert np.isfinite(search.next([1.0], [1.0])).all()
+
+    def test_change_is_measured_by_the_largest_element_of_the_array(self):
+        x, g = np.array([1.0, -8.0, 0.0]), np.array([2.0, -4.0, 0.25])
+        sizes = np.zeros(3)
+        assert compare(3, x, g, [0, 0, 1], np.zeros(2), sizes) == (1.0, 2)
+        assert list(sizes) == [8.0, 8.0, 0.25]
+        assert compare(2, x, g, [0, 0, 1], np.zeros(2), sizes) == (0.5, 1)
+        assert compare(3, x, np.array([0.0, np.nan, 0.0]), [0, 0, 1], np.zeros(2), sizes) == (math.inf, -1)
