@@ -16,8 +16,9 @@ from diagnosis import closure, gate, isolability, next_run
 from diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
 from diagnosis.estimation import Fit, probabilities
 from diagnosis.measured import Condition, DataError, sort_by_condition
-from diagnosis.search import NOMINAL, Search
+from diagnosis.search import NOMINAL, Search, expected
 from diagnosis.simulation import Laboratory, Report, Simulator, decimate, setting
+from diagnosis.store import Store
 from orchestration.assembly import Resolver, assemble, run
 from orchestration.parameters import Convert, same_unit_only
 from orchestration.recorder import frame_of
@@ -79,11 +80,13 @@ def diagnose(
     report: Report | None = None,
     menu: Menu = Menu(),
     repair: bool = False,
+    store: Store | None = None,
 ) -> Diagnosis:
     """Where, which, how far. DataError where the runs do not fit the system; a bad log is an answer, not an error.
 
     `held_out` runs are only looked at to measure the closure; runs labelled `held_out` count as such. `repair`: a clock that is
-    found to be late is corrected, and the rest is diagnosed.
+    found to be late is corrected, and the rest is diagnosed. `store` keeps simulations, so that a second call after an interruption
+    goes on; the caller removes it when the answer is safe.
     """
     began = time.monotonic()
     held = [*held_out, *(r for r in runs if r.info.get("labels", {}).get("held_out") is True)]
@@ -98,7 +101,8 @@ def diagnose(
     nominal = {u.address: u.nominal for u in nuisances if u.nominal}
     laboratory = Laboratory(system, conditions, channels, resolver, convert, catalogue.quiet or {}, nominal, decimation, catalogue.seeds)
     groups = [[decimate(c.matrix(r, channels), decimation) for r in c.runs] for c in conditions]
-    with Simulator(laboratory, workers, report) as simulator:
+    with Simulator(laboratory, workers, report, store) as simulator:
+        simulator.expected = expected(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
         findings = _gate(laboratory, simulator, groups, n, channels, ranges)
         if any(f.fatal for f in findings):
             result = _result("bad_log", findings, began, simulator.count)
@@ -262,7 +266,11 @@ class _Conclusion:
             result["predictive"] = {f.name: f.predictive for f in self.fits if f.predictive}
         if verdict == "unknown":
             result["unknown"] = self.describe()
-        result["effort"] = {"seconds": round(time.monotonic() - self.began, 1), "simulations": self.simulator.count}
+        result["effort"] = {
+            "seconds": round(time.monotonic() - self.began, 1),
+            "simulations": self.simulator.count,
+            "taken_over": self.simulator.found,
+        }
         return Diagnosis(result, adopted, tuple(self.fits), tuple(self.laboratory.channels), self.curves(adopted))
 
     def which(self, marginal: Mapping[Candidate, float]) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -199,6 +199,4 @@ def laboratory(given: Laboratory, offers: Mapping[str, Offer]) -> Laboratory:
         Condition(kind, o.parameters, (), np.asarray(np.arange(math.ceil(o.seconds / step) + 1) * step, dtype=np.float64), system=o.system)
         for kind, o in offers.items()
     ]
-    return Laboratory(
-        given.system, conditions, given.channels, given.resolver, given.convert, given.quiet, given.nominal, given.decimation, given.seeds
-    )
+    return replace(given, conditions=conditions)

@@ -273,6 +273,12 @@ class Search:
         return total, float(np.sqrt(variance)) * 1.5
 
 
+def expected(catalogue: Catalogue, nuisances: Sequence[Nuisance], conditions: int) -> int:
+    """About how many simulations a search takes that ends with single effects; more where effects are combined."""
+    addresses = {a for c in catalogue.candidates for a in c.addresses} | {n.address for n in nuisances}
+    return conditions * (NOMINAL + len(addresses) + 2 * SINGLES + POLISH * POLISHED)
+
+
 class _State:
     """One model under refinement."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import re
+import signal
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -13,6 +14,7 @@ import numpy as np
 
 from diagnosis.catalogue import LOGGING, Address
 from diagnosis.measured import Condition
+from diagnosis.store import Store
 from orchestration.assembly import Resolver, run
 from orchestration.errors import OrchestrationError
 from orchestration.parameters import Convert, same_unit_only
@@ -47,6 +49,10 @@ class Laboratory:
     decimation: int = 1
     seeds: Sequence[Address] = ()
     """Parameters that make a simulation another repeat of itself."""
+
+    def signature(self, index: int) -> tuple[Any, ...]:
+        """All that a simulation of condition `index` depends on, except for the changes."""
+        return (self.configured(index), self.conditions[index].grid, self.channels, self.nominal, self.decimation)
 
     def configured(self, index: int) -> System:
         """The nominal system of condition `index`, without noise."""
@@ -134,6 +140,7 @@ _LABORATORY: Laboratory | None = None
 def _enter(laboratory: Laboratory) -> None:
     global _LABORATORY  # noqa: PLW0603 - a worker process has one laboratory, given when it starts
     _LABORATORY = laboratory
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
 
 
 def _work(task: tuple[int, Setting]) -> FloatArray | None:
@@ -144,13 +151,18 @@ def _work(task: tuple[int, Setting]) -> FloatArray | None:
 class Simulator:
     """Keeps what has been simulated. Close it, or use it in `with`."""
 
-    def __init__(self, laboratory: Laboratory, workers: int = 1, report: Report | None = None) -> None:
-        self.laboratory = laboratory
+    def __init__(self, laboratory: Laboratory, workers: int = 1, report: Report | None = None, store: Store | None = None) -> None:
+        self.laboratory, self._store = laboratory, store
+        self._keys: dict[int, str] = {}
         self._known: dict[tuple[int, Setting], FloatArray | None] = {}
         self._workers, self._report = workers, report
         self._pool: ProcessPoolExecutor | None = None
         self.count = 0
         """Simulations that were run."""
+        self.found = 0
+        """Simulations that an interrupted diagnosis had left."""
+        self.expected = 0
+        """About how many there will be in all; 0: not known."""
 
     def __enter__(self) -> Simulator:
         return self
@@ -161,12 +173,11 @@ class Simulator:
 
     def beside(self, laboratory: Laboratory) -> Simulator:
         """Another one for another laboratory; what it simulates is counted there."""
-        return Simulator(laboratory, self._workers, self._report)
+        return Simulator(laboratory, self._workers, self._report, self._store)
 
     def many(self, tasks: Sequence[tuple[int, Setting]], what: str = "simulations") -> list[FloatArray | None]:
         """Results in the order of the tasks."""
-        new = [t for t in dict.fromkeys(tasks) if t not in self._known]
-        self.count += len(new)
+        new = [t for t in dict.fromkeys(tasks) if t not in self._known and not self._stored(t)]
         if self._workers > 1 and len(new) > 1:
             if self._pool is None:
                 # forked workers have the compiled models already; other platforms compile anew
@@ -177,9 +188,31 @@ class Simulator:
             results = (self.laboratory.simulate(*t) for t in new)
         for done, (task, result) in enumerate(zip(new, results, strict=True), 1):
             self._known[task] = result
+            self.count += 1
+            if self._store is not None:
+                self._store.put(self._key(task), result)
             if self._report is not None:
                 self._report(what, done, len(new))
+                if self.expected:
+                    self._report("diagnosis", len(self._known), max(self.expected, len(self._known)))
         return [self._known[t] for t in tasks]
+
+    def _stored(self, task: tuple[int, Setting]) -> bool:
+        """Whether a simulation is on disk; it is taken from there."""
+        if self._store is None:
+            return False
+        there, result = self._store.get(self._key(task))
+        if there:
+            self._known[task] = result
+            self.found += 1
+        return there
+
+    def _key(self, task: tuple[int, Setting]) -> str:
+        assert self._store is not None
+        index, changes = task
+        if index not in self._keys:
+            self._keys[index] = self._store.key(*self.laboratory.signature(index))
+        return self._store.key(self._keys[index], changes)
 
     def repeated(self, indices: Sequence[int], changes: Setting, count: int, what: str = "simulations") -> list[list[FloatArray] | None]:
         """`count` repeats of each of these conditions with different noise (one where the system has none); None where it cannot run."""

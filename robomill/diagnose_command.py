@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import sys
 from argparse import Namespace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,12 +14,15 @@ from diagnosis import adopt
 from diagnosis.catalogue import LOGGING, Catalogue
 from diagnosis.engine import Menu, diagnose
 from diagnosis.next_run import Offer
+from diagnosis.store import Store
 from orchestration.results import Run
 from orchestration.system import System
 from robomill import next_runs
 from robomill.binding import convert, resolve
 
 CATALOGUE = "catalogue.toml"
+SIMULATIONS = "simulations"
+"""Folder in that of the answer: what has been simulated, until the diagnosis is finished."""
 TITLES = {
     "compliance.p_BT_B": "tool-tip path error",
     "sensor.f_T_T": "compensated force error",
@@ -66,6 +71,9 @@ def run(options: Namespace) -> int:
         raise FileNotFoundError(f"no catalogue {file}; name one with --catalogue (the milling cell's is scenarios/{CATALOGUE})")
     catalogue, system = Catalogue.load(file), System.load(options.system, convert)
     runs, held = [Run.load(f) for f in options.runs], [Run.load(f) for f in options.held_out]
+    store = Store(options.out / SIMULATIONS, sources())
+    if len(store) and not options.json:
+        print(f"{len(store)} simulations of an interrupted diagnosis are in {store.folder}/; those that still hold are taken over", file=sys.stderr)
     with _progress(options.json) as progress, TemporaryDirectory() as folder:
         found = diagnose(
             system,
@@ -78,10 +86,12 @@ def run(options: Namespace) -> int:
             report=progress,
             menu=menu(system, Path(folder)),
             repair=options.repair,
+            store=store,
         )
     options.out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(found.result, indent=1)
     (options.out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
+    store.remove()
     if found.result["verdict"] in ("identified", "ambiguous"):
         adopt.write(found.adopted, options.out / "adopt.ssv")
     else:
@@ -93,6 +103,16 @@ def run(options: Namespace) -> int:
         print("\n".join(lines(found.result)))
         print(f"report: {page}; beside it diagnosis.json{' and adopt.ssv' if (options.out / 'adopt.ssv').is_file() else ''}")
     return 1 if found.result["verdict"] == "bad_log" else 0
+
+
+def sources() -> str:
+    """Hash of all that a simulation is computed with: simulations kept on disk are those of this program."""
+    digest = hashlib.sha256()
+    for package in ("models", "fmus", "orchestration", "diagnosis"):
+        for file in sorted((Path(__file__).parent.parent / package).rglob("*")):
+            if file.suffix in (".py", ".toml"):
+                digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 def lines(result: dict[str, Any]) -> list[str]:
