@@ -1,7 +1,8 @@
 """How far the gap shrinks: the closed loop simulated again with the adopted effects, against held-out runs.
 
 G = mean over pairs of repeats a != b of r_a' W r_b: noise cancels. With a single run: r' W r less what noise is expected to give.
-Closure = 1 - G_after / G_before. Intervals: bootstrap over blocks of time.
+Closure = 1 - G_after / G_before. Intervals: bootstrap over blocks of time. Ceiling: the closure of what is the same in every repeat
+(path-locked mean), cross-fitted: the mean that a repeat is compared with does not hold that repeat.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ def products(
 ) -> Products:
     """Sums over blocks; `measured` repeats [samples, channels], simulated `before` and `after`, `variance` of noise per channel.
 
-    `others`: repeats of the same condition that were diagnosed; their mean is what a perfect model would know.
+    `others`: repeats of the same condition that were diagnosed; their mean is what a perfect model would know. Without them each repeat is
+    compared with the mean of the rest of `measured`: what is left beyond noise does not come again, and no model can have it.
     """
     rows = min(len(x) for x in (*measured, *before, *after, *others))
     edges = np.linspace(0, rows, min(BLOCKS, max(2, rows // 4)) + 1).astype(int)
@@ -52,6 +54,11 @@ def products(
         return np.array([per_sample[i:j].sum() - known * (j - i) for i, j in itertools.pairwise(edges)])
 
     floor = None
+    if not others and n > 1:
+        rest = (stack.sum(axis=0) - stack) / (n - 1)
+        unlike = ((stack - rest) ** 2).mean(axis=0).sum(axis=1)
+        known = float(variance.sum()) * n / (n - 1)
+        floor = np.array([(unlike[i:j] - known).sum() for i, j in itertools.pairwise(edges)])
     if others:
         mean = np.mean([o[:rows] for o in others], axis=0)
         floor = pairs(mean, mean, float(variance.sum()) / len(others))
@@ -60,7 +67,10 @@ def products(
 
 
 def figures(parts: Sequence[Products], seed: int = 0) -> dict[str, Any]:
-    """Mean squares before and after, closure, its interval and ceiling, over several conditions."""
+    """Root mean squares before and after, closure, its interval, ceiling and closure / ceiling (`ratio`), over several conditions.
+
+    `why_no_ceiling` is the reason where there is none.
+    """
     before, after = np.concatenate([p.before for p in parts]), np.concatenate([p.after for p in parts])
     samples, noise = np.concatenate([p.samples for p in parts]), np.concatenate([p.noise for p in parts])
     rng = np.random.default_rng(seed)
@@ -74,13 +84,20 @@ def figures(parts: Sequence[Products], seed: int = 0) -> dict[str, Any]:
         "closure": None,
         "interval": None,
         "ceiling": None,
+        "ratio": None,
         "measurable": measurable,
+        "why_no_ceiling": None,
     }
+    floors = [p.floor for p in parts if p.floor is not None]
+    if not measurable:
+        result["why_no_ceiling"] = "the gap before is not measurable: its interval includes 0"
+    elif len(floors) < len(parts):
+        result["why_no_ceiling"] = "a condition has one repeat only; its ceiling takes two"
     if measurable:
         ratio = 1.0 - a / np.maximum(b, 1e-300)
         result["closure"] = float(1.0 - after.sum() / before.sum())
         result["interval"] = [float(np.quantile(ratio, q)) for q in (0.05, 0.95)]
-        if all(p.floor is not None for p in parts):
-            left = sum(float(p.floor.sum()) for p in parts if p.floor is not None)
-            result["ceiling"] = float(min(1.0, 1.0 - left / before.sum()))
+        if result["why_no_ceiling"] is None:
+            ceiling = min(1.0, 1.0 - sum(float(f.sum()) for f in floors) / float(before.sum()))
+            result["ceiling"], result["ratio"] = ceiling, result["closure"] / ceiling if ceiling > 0.0 else None
     return result

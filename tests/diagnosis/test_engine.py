@@ -128,6 +128,29 @@ class TestHowFar:
             assert whole["after"] < 0.1 * whole["before"]
         (repeat,) = (h for h in far if h["on"] == "held-out repeat" and h["channel"] == "sensors.y")
         assert repeat["ceiling"] == pytest.approx(1.0, abs=0.02)
+        (new,) = (h for h in far if h["on"] == "held-out condition" and h["channel"] == "sensors.y")
+        assert new["ceiling"] == pytest.approx(1.0, abs=0.02)
+        assert new["ratio"] == new["closure"] / new["ceiling"]
+        assert new["why_no_ceiling"] is None
+
+    def test_without_a_second_repeat_or_a_gap_there_is_no_ceiling_and_it_says_why(self, tmp_path: Path) -> None:
+        held = measure(STIFF, amplitude=1.5, repeats=1, seed=9) + measure(STIFF, amplitude=0.002, repeats=3, seed=10)
+        far = {
+            (h["channel"], h["on"]): h
+            for amplitude in (1.5, 0.002)
+            for h in answer(
+                tmp_path, two_conditions(STIFF), held_out=[r for r in held if r.info["parameters"]["force"]["amplitude"] == amplitude]
+            ).result["how_far"]
+            if h["on"] == "held-out condition"
+            for h in [{**h, "on": amplitude}]
+        }
+        single, small = far["sensors.y", 1.5], far["sensors.y", 0.002]
+        assert single["closure"] > 0.99
+        assert (single["ceiling"], single["ratio"]) == (None, None)
+        assert single["why_no_ceiling"] == "a condition has one repeat only; its ceiling takes two"
+        assert not small["measurable"]
+        assert (small["closure"], small["ceiling"]) == (None, None)
+        assert small["why_no_ceiling"] == "the gap before is not measurable: its interval includes 0"
 
     def test_runs_labelled_held_out_are_not_fitted(self, tmp_path: Path) -> None:
         held = measure({"sensors": {"gain_error[1]": 0.2}}, amplitude=1.5, repeats=2, held_out=True)

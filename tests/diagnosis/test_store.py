@@ -1,0 +1,92 @@
+"""An interrupted diagnosis goes on where it was, and comes to the same answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from diagnosis.engine import diagnose
+from diagnosis.store import Store
+from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
+
+STIFF = {"masses": {"stiffness_error[2]": -0.08}}
+
+
+def answer(folder: Path, **more: Any) -> dict[str, Any]:
+    return diagnose(SYSTEM, measure(STIFF), catalogue(folder), resolver=resolve, **more).result
+
+
+def interrupted(folder: Path, after: int, **more: Any) -> None:
+    """A diagnosis that ends with Ctrl-C after so many simulations."""
+    seen = 0
+
+    def report(what: str, done: int, total: int) -> None:
+        nonlocal seen
+        seen += what != "diagnosis"
+        if seen == after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        answer(folder, report=report, **more)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_after_an_interruption_it_goes_on_and_comes_to_the_same_answer(tmp_path: Path, workers: int) -> None:
+    whole = answer(tmp_path)
+    store = Store(tmp_path / "kept", "program 1")
+    interrupted(tmp_path, 12, store=store, workers=workers)
+    assert len(store) == 12
+    resumed = answer(tmp_path, store=store, workers=workers)
+    effort, alone = resumed.pop("effort"), whole.pop("effort")
+    assert (effort["taken_over"], alone["taken_over"]) == (12, 0)
+    assert effort["simulations"] == alone["simulations"] - 12
+    assert resumed == whole
+    store.remove()
+    assert not store.folder.exists()
+
+
+def test_simulations_of_another_program_or_system_are_not_used(tmp_path: Path) -> None:
+    store = Store(tmp_path / "kept", "program 1")
+    interrupted(tmp_path, 5, store=store)
+    assert answer(tmp_path, store=replace(store, sources="program 2"))["effort"]["taken_over"] == 0
+    stiffer = SYSTEM.with_parameters("masses", {"damping": 2.2})
+    other = diagnose(stiffer, measure(STIFF), catalogue(tmp_path), resolver=resolve, store=store).result
+    assert other["effort"]["taken_over"] == 0
+
+
+def test_a_file_counts_by_what_is_in_it_and_a_broken_one_as_missing(tmp_path: Path) -> None:
+    store = Store(tmp_path / "kept")
+    table = tmp_path / "program.txt"
+    keys = []
+    for text in ("a", "b", "a"):
+        table.write_text(text)
+        keys.append(store.key({"program": str(table)}, 3))
+    assert keys[0] == keys[2] != keys[1]
+    values = np.array([[1.0, 2.5]])
+    store.put(keys[0], values)
+    store.put(keys[1], None)
+    there, kept = store.get(keys[0])
+    assert there
+    np.testing.assert_array_equal(kept, values)
+    assert store.get(keys[1]) == (True, None)
+    (store.folder / f"{keys[0]}.npy").write_bytes(b"half a")
+    assert store.get(keys[0]) == (False, None)
+    assert store.get("never") == (False, None)
+
+
+def test_progress_is_told_with_what_is_to_come(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+
+    def report(what: str, done: int, total: int) -> None:
+        if what == "diagnosis":
+            told.append((done, total))
+
+    answer(tmp_path, report=report)
+    done = [d for d, _ in told]
+    assert done == sorted(done)
+    assert all(d <= total for d, total in told)
+    assert told[0][1] > 5 * told[0][0]
