@@ -1,1 +1,1 @@
-"""Measurements of speed; `python -m benchmarks.masters` writes docs/benchmarks/masters.md."""
+"""Measurements of speed; `python -m benchmarks` writes docs/benchmarks."""

@@ -1,0 +1,194 @@
+"""Who is measured, on what: the ring of generic FMUs and the milling cell, each as a list of masters to be started."""
+
+from __future__ import annotations
+
+import copyreg
+import pickle
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+
+from benchmarks import ring, ring_model
+from benchmarks.network import Network, calls
+from benchmarks.peers import build_container
+from benchmarks.runners import Program, Runner, Worker
+from benchmarks.system_loop import SystemLoop
+from fmus.python.builder import build as build_python
+from orchestration.assembly import Assembly, assemble
+from orchestration.system import Component, System
+from robomill.binding import convert, resolve, with_fmus
+from robomill.milling import prepare
+from robomill.scenario import load_scenario
+
+ROOT = Path(__file__).parent.parent
+C_LOOP = "plain C loop"
+OURS = "robomill, compiled loop"
+Environment = Mapping[str, str] | None
+copyreg.pickle(MappingProxyType, lambda proxy: (dict, (dict(proxy),)))  # systems hold some
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A master, how its process is started, and where it can put results."""
+
+    name: str
+    start: Callable[[Environment], Runner]
+    results: tuple[str, ...]
+    """none, memory, disk."""
+    note: str = ""
+
+
+@dataclass
+class Bench:
+    """A system that all contenders run."""
+
+    folder: Path
+    kept: list[Assembly] = field(default_factory=list)
+
+    def worker(self, kind: str, what: System | Network, name: str) -> Callable[[Environment], Runner]:
+        """A process with that kind of master; what it runs is in a file."""
+        file = self.folder / f"{name}.pickle"
+        file.write_bytes(pickle.dumps(what))
+        return lambda environment: Worker(kind, file, environment)
+
+    def open(self, system: System) -> Assembly:
+        """An assembly whose FMUs stay unpacked until `close`."""
+        self.kept.append(assemble(system, resolve, convert))
+        return self.kept[-1]
+
+    def close(self) -> None:
+        """Remove what was unpacked."""
+        while self.kept:
+            self.kept.pop().close()
+
+    def program(self, system: System, name: str) -> Callable[[Environment], Runner]:
+        """A generated C loop for a system of FMUs, compiled when it is started for the first time."""
+        made: dict[bool, Path] = {}
+
+        def command(steps: int, record: bool) -> list[str]:
+            if record not in made:
+                folder = self.folder / name
+                folder.mkdir(exist_ok=True)
+                made[record] = SystemLoop(self.kept[-1] if not made else self.open(system), folder, record).program
+            return [str(made[record]), str(steps)]
+
+        def start(environment: Environment) -> Runner:
+            self.open(system)
+            for record in (False, True):
+                command(1, record)
+            return Program(command)
+
+        return start
+
+    def container(self, network: Network, name: str) -> Callable[[Environment], Runner]:
+        """The FMU container of fmu-manipulation-toolbox, stepped by a generated C loop: one doStep and one get per type."""
+
+        def start(environment: Environment) -> Runner:
+            folder = self.folder / name
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            fmu = build_container(network, folder, "container")
+            alone = System(name, network.step, (Component("container", str(fmu)),), algorithm="jacobi")
+            return self.program(alone, f"{name}_loop")(environment)
+
+        return start
+
+
+@dataclass
+class Ring(Bench):
+    """`count` generic FMUs with `signals` inputs and outputs, each fed by its neighbour, Jacobi."""
+
+    count: int = 4
+    signals: int = 12
+
+    def __post_init__(self) -> None:
+        self.folder.mkdir(parents=True)
+        self.fmu = ring.build(self.folder, self.signals)
+        self.system = ring.system(self.fmu, self.count)
+        with assemble(self.system) as assembly:
+            self.network = Network.of(assembly)
+        self.calls = calls(self.network)
+
+    @cached_property
+    def _loop(self) -> Program:
+        program = ring.build_loop(self.folder, self.signals)
+        libraries = [shutil.copy(self.folder / "ring.so", self.folder / f"ring{k}.so") for k in range(self.count)]
+        return Program(lambda steps, record: [str(program), str(steps), str(int(record)), *map(str, libraries)])
+
+    def masters(self) -> list[Contender]:
+        """One of each library, at its best: for scaling, memory, cold start."""
+        network = self.network
+        return [
+            Contender(C_LOOP, lambda _: self._loop, ("none", "memory"), "statuses checked, nothing else"),
+            Contender(OURS, self.worker("compiled", self.system, "system"), ("none", "memory", "disk")),
+            Contender("FMPy, lists", self.worker("fmpy", network, "network"), ("none", "memory")),
+            Contender("libcosim (libcosimpy)", self.worker("libcosim", network, "network"), ("none", "memory", "disk")),
+            Contender("Ecos (ecospy)", self.worker("ecos", network, "network"), ("none", "disk")),
+            Contender("FMU container, C loop", self.container(network, "container"), ("none", "memory")),
+        ]
+
+    def contenders(self) -> list[Contender]:
+        """All of them: also in process, pythonfmu, and loops in Python."""
+        in_process = replace(self.system, components=tuple(replace(c, source="ring") for c in self.system.components))
+        python = build_python(ring_model.MODEL, self.folder / "python.fmu", page="", reference={})
+        pythonfmu = replace(self.system, components=tuple(replace(c, source=str(python)) for c in self.system.components))
+        return [
+            *self.masters(),
+            Contender("robomill, Python loop", self.worker("python", self.system, "system"), ("none", "disk")),
+            Contender("robomill, compiled loop, in process", self.worker("compiled", in_process, "in_process"), ("none", "disk")),
+            Contender("robomill, compiled loop, pythonfmu", self.worker("compiled", pythonfmu, "pythonfmu"), ("none", "disk")),
+            Contender("FMPy, buffers", self.worker("fmpy-buffers", self.network, "network"), ("none", "memory")),
+        ]
+
+
+@dataclass
+class Milling(Bench):
+    """The groove of `scenarios/groove.toml` with pilot control off, from beginning to end: six components."""
+
+    def __post_init__(self) -> None:
+        self.folder.mkdir(parents=True)
+        job = prepare(load_scenario(ROOT / "scenarios" / "groove.toml"), self.folder / "groove")
+        robomill = str(Path(sys.executable).parent / "robomill")
+        chosen = [word for c in job.system.components for word in ("--component", c.source)]
+        for backend in ("native", "python"):
+            command = [robomill, "build", "--backend", backend, "--out", str(self.folder / backend), *chosen]
+            subprocess.run(command, check=True, capture_output=True)
+        self.steps = job.steps
+        self.in_process = replace(job.system, stop_when=None, labels={})
+        self.native = with_fmus(self.in_process, self.folder / "native")
+        self.python = with_fmus(self.in_process, self.folder / "python")
+        with assemble(self.native, resolve, convert) as assembly:
+            self.network = Network.of(assembly)
+        with assemble(replace(self.native, algorithm="jacobi"), resolve, convert) as assembly:
+            self.parallel = Network.of(assembly)
+        self.calls = calls(self.network)
+
+    def gauss_seidel(self) -> list[Contender]:
+        """The cell as its system file says: one after the other, with delays where they are marked."""
+        return [
+            Contender(C_LOOP, self.program(self.native, "native_loop"), ("none", "memory")),
+            Contender(OURS, self.worker("compiled", self.native, "native"), ("none", "memory", "disk"), "native FMUs"),
+            Contender(f"{OURS}, in process", self.worker("compiled", self.in_process, "in_process"), ("none", "disk")),
+            Contender(f"{OURS}, pythonfmu", self.worker("compiled", self.python, "pythonfmu"), ("none", "disk")),
+            Contender("robomill, Python loop", self.worker("python", self.native, "native"), ("none", "disk"), "native FMUs"),
+            Contender("FMPy, lists", self.worker("fmpy", self.network, "network"), ("none", "memory")),
+            Contender("FMPy, buffers", self.worker("fmpy-buffers", self.network, "network"), ("none", "memory")),
+            Contender("FMU container, C loop", self.container(self.network, "sequential"), ("none", "memory"), "sequential"),
+        ]
+
+    def jacobi(self) -> list[Contender]:
+        """All components at once, which is what libcosim and Ecos can do."""
+        native = replace(self.native, algorithm="jacobi")
+        return [
+            Contender(C_LOOP, self.program(native, "jacobi_loop"), ("none", "memory")),
+            Contender(OURS, self.worker("compiled", native, "jacobi"), ("none", "memory", "disk"), "native FMUs"),
+            Contender("FMPy, lists", self.worker("fmpy", self.parallel, "parallel"), ("none", "memory")),
+            Contender("libcosim (libcosimpy)", self.worker("libcosim", self.parallel, "parallel"), ("none", "memory", "disk")),
+            Contender("Ecos (ecospy)", self.worker("ecos", self.parallel, "parallel"), ("none", "disk")),
+            Contender("FMU container, C loop", self.container(self.parallel, "parallel_container"), ("none", "memory"), "parallel"),
+        ]
