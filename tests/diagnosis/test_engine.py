@@ -134,17 +134,12 @@ class TestHowFar:
         assert new["why_no_ceiling"] is None
 
     def test_without_a_second_repeat_or_a_gap_there_is_no_ceiling_and_it_says_why(self, tmp_path: Path) -> None:
-        held = measure(STIFF, amplitude=1.5, repeats=1, seed=9) + measure(STIFF, amplitude=0.002, repeats=3, seed=10)
-        far = {
-            (h["channel"], h["on"]): h
-            for amplitude in (1.5, 0.002)
-            for h in answer(
-                tmp_path, two_conditions(STIFF), held_out=[r for r in held if r.info["parameters"]["force"]["amplitude"] == amplitude]
-            ).result["how_far"]
-            if h["on"] == "held-out condition"
-            for h in [{**h, "on": amplitude}]
-        }
-        single, small = far["sensors.y", 1.5], far["sensors.y", 0.002]
+        def on(held: list[Run]) -> dict[str, Any]:
+            far = answer(tmp_path, measure(STIFF), held_out=held).result["how_far"]
+            return next(h for h in far if h["on"] == "held-out condition" and h["channel"] == "sensors.y")
+
+        single = on(measure(STIFF, amplitude=1.5, repeats=1, seed=9))
+        small = on(measure(STIFF, amplitude=0.0, repeats=3, seed=10))
         assert single["closure"] > 0.99
         assert (single["ceiling"], single["ratio"]) == (None, None)
         assert single["why_no_ceiling"] == "a condition has one repeat only; its ceiling takes two"
