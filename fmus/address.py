@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from fmus.instance import ComponentError, Instance
 from fmus.interface import Port
 from models.declaration import COMPILER_OPTIONS, Model, kernel
@@ -47,6 +49,27 @@ class Addresses:
             name = self._instance.name
             return ComponentError(f"{name}: exception in the step from t = {t:.9g} s: an index out of bounds; loop = 'python' says more")
         return ComponentError(self._instance.status_text(status, t, h))
+
+
+class Rollback:
+    """The words of a record that steps change, and as much memory for a copy of them: no functions are needed."""
+
+    get = set = 0
+
+    def __init__(self, instance: Instance) -> None:
+        self._words = instance.data.view(np.uint8)[: instance.interface.tables_at]
+        self._copy = self._words.copy()
+        self.instance: int = self._words.ctypes.data
+        self.kept: int = self._copy.ctypes.data
+        self.size = self._words.nbytes
+
+    def save(self) -> None:
+        """Copy the state."""
+        self._copy[:] = self._words
+
+    def back(self) -> None:
+        """Go back to the copy."""
+        self._words[:] = self._copy
 
 
 def _blocks(ports: Sequence[Port], record: int) -> list[Block]:

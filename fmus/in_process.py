@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fmus.address import Addresses
+from fmus.address import Addresses, Rollback
 from fmus.instance import ComponentError, Instance, State, all_finite
 from fmus.interface import Interface, Port
 from models.declaration import FloatArray, Model
@@ -85,6 +85,10 @@ class InProcessSlave:
         self._inputs.write(values)
         self.instance.stale = True
 
+    def leave_initialisation(self) -> None:
+        """What the first step does before it steps: after it a state can be kept by `rollback`."""
+        self.instance.leave_initialisation()
+
     def step(self, t: float, h: float) -> None:
         """From t to t + h [s] with the inputs held. ComponentError: component, time and the model's message."""
         self.instance.step(t, h)
@@ -99,6 +103,10 @@ class InProcessSlave:
     def native(self) -> Addresses | None:
         """Addresses for the compiled master, None if the model runs uncompiled. The record stays where it is until `close`."""
         return Addresses(self.instance) if self.instance.compiled else None
+
+    def rollback(self) -> Rollback:
+        """A place for a copy of the state, to go back to again and again; after `leave_initialisation`."""
+        return Rollback(self.instance)
 
     def get_state(self) -> State:
         """A copy of the complete state."""

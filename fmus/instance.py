@@ -166,10 +166,7 @@ class Instance:
         t, h = float(t), float(h)  # integers would be compiled for once more
         if not 0.0 < h < math.inf or not math.isfinite(t):
             raise ComponentError(f"{self.name}: step from t = {t} s of h = {h} s: expected a finite time and a positive step")
-        if not self.running:
-            if self.stale:
-                self.init()
-            self.running = True
+        self.leave_initialisation()
         _, function, argument = self._load()
         try:
             status = function(argument, t, h)
@@ -179,6 +176,13 @@ class Instance:
             raise ComponentError(self.status_text(status, t, h))
         if not all_finite(self._real_outputs, self._finite):
             self._check_outputs(f"at t = {t + h:.9g} s")
+
+    def leave_initialisation(self) -> None:
+        """What the first step does before it steps; from then on the words of the record are the whole state."""
+        if not self.running:
+            if self.stale:
+                self.init()
+            self.running = True
 
     def status_text(self, status: int, t: float, h: float) -> str:
         """The text for a status of the step from t to t + h [s]."""

@@ -103,6 +103,10 @@ class Fmi(ABC):
         """Call a function, named without the prefix."""
 
     @abstractmethod
+    def address(self, function: str) -> int:
+        """Address of a function, named without the prefix."""
+
+    @abstractmethod
     def step(self, t: float, h: float) -> int:
         """From `t` to `t + h` [s]."""
 

@@ -112,6 +112,10 @@ class Fmi2(Fmi):
         status: int = self._fmu._functions["fmi2" + function](self.instance, *arguments)
         return status
 
+    def address(self, function: str) -> int:
+        """Address of a function."""
+        return address(self._fmu.dll["fmi2" + function])
+
     def step(self, t: float, h: float) -> int:
         """From `t` to `t + h` [s]."""
         status: int = self._do_step(self.instance, t, h, 0)

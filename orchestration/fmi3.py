@@ -128,6 +128,10 @@ class Fmi3(Fmi):
             raise SlaveError(f"component {self.name!r}: {self.description.file.name} has no function fmi3{function}") from None
         return status
 
+    def address(self, function: str) -> int:
+        """Address of a function."""
+        return address(self._library["fmi3" + function])
+
     def step(self, t: float, h: float) -> int:
         """From `t` to `t + h` [s]."""
         status: int = self._do_step(self.instance, t, h, *self._told)

@@ -178,6 +178,10 @@ class FmuSlave:
             self._call(self._fmi.state.set, saved)
         self._initialising, self._stepped = phase
 
+    def rollback(self) -> RollbackFmu | None:
+        """A state that the FMU keeps aside (see `orchestration.native`); None if it cannot, or forgets to free those that are replaced."""
+        return RollbackFmu(self) if self.description.can_save_state and not self.description.made_by_pythonfmu else None
+
     def close(self) -> None:
         """Terminate, free the instance, unload the library and remove the temporary folder."""
         if self._closed:
@@ -189,7 +193,7 @@ class FmuSlave:
 
     def _free_instance(self) -> None:
         if not self._dead:
-            for pointer in self._states:
+            for pointer in filter(None, self._states):
                 self._fmi.call(self._fmi.state.free, ctypes.byref(pointer))
             if self._stepped:
                 self._fmi.call("Terminate")  # its status is of no use any more
@@ -236,6 +240,29 @@ class NativeFmu:
 
     def failed(self, what: str, block: int, status: int, t: float, h: float) -> SlaveError:
         """The error of the call, with the FMU's messages."""
+        fmi = self._slave._fmi
         if what == "step":
             return self._slave.failure(self._slave._step_text(t, h), status)
+        if what in ("save", "back"):
+            return self._slave.failure(fmi.prefix + (fmi.state.get if what == "save" else fmi.state.set), status)
         return self._slave.failure((self._slave._inputs if what == "inputs" else self._slave._outputs)[block].name, status)
+
+
+class RollbackFmu:
+    """A state that the FMU keeps aside in memory of its own, replaced by every `save`."""
+
+    size = 0
+
+    def __init__(self, slave: FmuSlave) -> None:
+        self._slave, self._pointer = slave, ctypes.c_void_p()
+        slave._states.append(self._pointer)  # freed with the instance
+        self.instance, self.kept = slave._fmi.instance.value or 0, ctypes.addressof(self._pointer)
+        self.get, self.set = (slave._fmi.address(name) for name in (slave._fmi.state.get, slave._fmi.state.set))
+
+    def save(self) -> None:
+        """Keep the present state."""
+        self._slave._call(self._slave._fmi.state.get, ctypes.byref(self._pointer))
+
+    def back(self) -> None:
+        """Go back to what is kept."""
+        self._slave._call(self._slave._fmi.state.set, self._pointer)

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from orchestration.acceleration import Iteration, Work, compare, improve
 from orchestration.errors import IterationError, describe
 from orchestration.loops import Loop
+from orchestration.native import rollback_of
 from orchestration.slave import FloatArray, Slave
 from orchestration.wiring import Wiring
 
@@ -60,6 +61,7 @@ class Iterated:
         Nothing has to be set back here: inputs can be set any number of times. Values at the start are not means.
         """
         self._proved: dict[int, set[tuple[str, tuple[bool, ...]]]] = {}
+        self._kept: dict[int, list[_Kept]] = {}
         self._begin()
         for loop, members in self._stages:
 
@@ -96,20 +98,24 @@ class Iterated:
         proved = self._proved.setdefault(number, set())
         if not proved:
             _leave_initialisation(members)
-        saved = [self._save(name, slave, loop) for name, slave, _, _, _ in members]
+        if number not in self._kept:
+            self._kept[number] = [_Kept(slave) for _, slave, _, _, _ in members]
+        kept = self._kept[number]
+        for (name, _, _, _, _), state in zip(members, kept, strict=True):
+            self._save(name, state, loop)
         guess = self._fresh[loop.feedback]
         due = tuple(getattr(slave, "due", True) for _, slave, _, _, _ in members)  # who does not step proves nothing
 
         def back() -> None:
-            for (name, slave, _, _, _), state in zip(members, saved, strict=True):
+            for (name, _, _, _, _), state in zip(members, kept, strict=True):
                 self._announce(name)
-                slave.set_state(state)
+                state.back()
 
         def prove(when: str) -> None:
             if (when, due) not in proved:
                 proved.add((when, due))
                 back()
-                self._prove(loop, members, saved, t, h)
+                self._prove(loop, members, kept, t, h)
                 back()
                 self._fresh[loop.feedback] = guess
 
@@ -159,26 +165,26 @@ class Iterated:
                 u[at] = 0.5 * (u[at] + self._last[sources[followed]])
             slave.set_inputs(u)
 
-    def _save(self, name: str, slave: Slave, loop: Loop) -> Any:
+    def _save(self, name: str, state: _Kept, loop: Loop) -> None:
         self._announce(name)
         try:
-            return slave.get_state()
+            state.save()
         except Exception as error:
             raise IterationError(
                 f"component {name!r} is in the loop {loop} and cannot save its state, which iterating needs: {describe(error)}\n{_REMEDY}",
                 name,
             ) from error
 
-    def _prove(self, loop: Loop, members: Sequence[Entry], saved: Sequence[Any], t: float, h: float) -> None:
+    def _prove(self, loop: Loop, members: Sequence[Entry], kept: Sequence[_Kept], t: float, h: float) -> None:
         """One round in which every member steps twice from its saved state; IterationError names the one that does not repeat itself."""
-        for entry, state in zip(members, saved, strict=True):
+        for entry, state in zip(members, kept, strict=True):
             name, slave, _, u, y = entry
             self._announce(name)
             self._set_inputs(loop, entry)
             slave.step(t, h)
             slave.get_outputs(y)
             first, reached = y.copy(), slave.get_state()
-            slave.set_state(state)
+            state.back()
             slave.set_inputs(u)
             slave.step(t, h)
             slave.get_outputs(y)
@@ -193,6 +199,28 @@ class Iterated:
                     f"its step from t = {t:.9g} s, made again from the saved state, gave {what}: its saved state is incomplete\n{_REMEDY}",
                     name,
                 )
+
+
+class _Kept:
+    """The state of a member at the start of the step: in memory where the slave can do that, else as `get_state` gives it."""
+
+    def __init__(self, slave: Slave) -> None:
+        self._slave, self._rollback = slave, rollback_of(slave)
+        self._state: Any = None
+
+    def save(self) -> None:
+        """Keep the present state."""
+        if self._rollback is not None:
+            self._rollback.save()
+        else:
+            self._state = self._slave.get_state()
+
+    def back(self) -> None:
+        """Go back to it."""
+        if self._rollback is not None:
+            self._rollback.back()
+        else:
+            self._slave.set_state(self._state)
 
 
 def _leave_initialisation(members: Sequence[Entry]) -> None:

@@ -69,7 +69,47 @@ class Native(Protocol):
         ...
 
     def failed(self, what: str, block: int, status: int, t: float, h: float) -> Exception:
-        """The error for a call of the given kind (`inputs`, `step`, `outputs`; number of the block) that returned `status`."""
+        """The error for a call that returned `status`: `inputs` or `outputs` with the number of the block, `step`, `save` or `back`."""
+        ...
+
+
+class Rollback(Protocol):
+    """A state that is kept aside and put back again and again, without serialising it: by two functions, or as memory.
+
+    A slave that can has a method `rollback()`. It is asked for when the slave has left initialisation; valid as `Native` is.
+    """
+
+    @property
+    def instance(self) -> int:
+        """First argument of both functions; without functions the address of the memory that is the state."""
+        ...
+
+    @property
+    def get(self) -> int:
+        """Address of `int f(void *instance, void **kept)`; 0 = the state is memory."""
+        ...
+
+    @property
+    def set(self) -> int:
+        """Address of `int f(void *instance, void *kept)`; 0 = the state is memory."""
+        ...
+
+    @property
+    def kept(self) -> int:
+        """Address of the pointer to what is kept; without functions of the memory for the copy."""
+        ...
+
+    @property
+    def size(self) -> int:
+        """Bytes of the memory that is the state."""
+        ...
+
+    def save(self) -> None:
+        """Keep the present state, from Python."""
+        ...
+
+    def back(self) -> None:
+        """Go back to what is kept, from Python."""
         ...
 
 
@@ -88,6 +128,13 @@ def native_of(slave: Any) -> Native | None:
     """The native face of a slave, None if it has none."""
     method = getattr(slave, "native", None)
     found: Native | None = method() if method is not None else None
+    return found
+
+
+def rollback_of(slave: Any) -> Rollback | None:
+    """A state of this slave that can be kept aside; None if its states must be serialised."""
+    method = getattr(slave, "rollback", None)
+    found: Rollback | None = method() if method is not None else None
     return found
 
 
