@@ -1,9 +1,10 @@
-"""`robomill blind make|run|score`: the withheld-effect benchmark on the command line; only here it meets the diagnosis."""
+"""`robomill blind make|run|score|page`: the withheld-effect benchmark on the command line; only here it meets the diagnosis."""
 
 from __future__ import annotations
 
 import json
 from argparse import SUPPRESS, Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -13,26 +14,31 @@ from rich.table import Table
 
 from robomill.binding import convert, resolve
 
+PAGE = Path("docs/benchmarks/blind.md")
 CATALOGUE = Path(__file__).parent.parent / "scenarios" / "catalogue.toml"
 
 
 def add_arguments(parser: Any) -> None:
-    """The three steps and their options."""
+    """The steps and their options."""
     steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
     make = steps.add_parser("make", help="simulate cases with withheld effects and seal the truth", description="Make a benchmark.")
     make.add_argument("folder", type=Path, metavar="DIR", help="folder for it")
     make.add_argument("--cases", type=int, default=240, help="how many (default: 240)")
     make.add_argument("--seed", type=int, default=1, help="same seed, same bits (default: 1)")
     make.add_argument("--tier", choices=("T0", "T1"), default="T1", help="T1: with a laser tracker on the tool tip (default); T0: without")
-    make.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
+    make.add_argument("--jobs", type=int, help="processes (default: one per core)")
     run = steps.add_parser("run", help="diagnose every case that has no prediction yet", description="Diagnose the cases; may be repeated.")
     run.add_argument("folder", type=Path, metavar="DIR", help="folder of the benchmark")
-    run.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
+    run.add_argument("--jobs", type=int, help="processes (default: one per core)")
+    run.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers see DIR, such as tcp://host:8786")
     score = steps.add_parser("score", help="hash the predictions, unseal, score", description="Score the predictions.")
     score.add_argument("folder", type=Path, metavar="DIR", help="folder of the benchmark")
     score.add_argument("--no-isolability", action="store_true", help="take every detectable single as isolable; saves minutes")
     score.add_argument("--no-baselines", action="store_true", help="leave out the methods to compare with; saves minutes")
-    for step in (make, run, score):
+    page = steps.add_parser("page", help="write the results of scored benchmarks as Markdown", description="Write the page of results.")
+    page.add_argument("folders", type=Path, nargs="+", metavar="DIR", help="folders of scored benchmarks, in the order of the page")
+    page.add_argument("--output", type=Path, default=PAGE, metavar="FILE", help=f"the page (default: {PAGE})")
+    for step in (make, run, score, page):
         step.add_argument("--json", action="store_true", default=SUPPRESS, help="print the result as JSON and nothing else")
 
 
@@ -66,9 +72,11 @@ def blind(options: Namespace) -> int:
         elif options.step == "run":
             from blind.run import run_cases
 
-            summary = run_cases(options.folder, diagnose_case, options.jobs, report)
+            summary = run_cases(options.folder, diagnose_case, options.jobs, report, options.scheduler)
             text = f"{summary['done']} diagnosed, {summary['before']} were there, {len(summary['failed'])} failed, of {summary['cases']}"
             text += "".join(f"\ncase {name}: {error}" for name, error in sorted(summary["failed"].items()))
+        elif options.step == "page":
+            summary, text = write_page(options.folders, options.output)
         else:
             from blind.score import score
 
@@ -87,17 +95,34 @@ def blind(options: Namespace) -> int:
     return 1 if summary.get("failed") else 0
 
 
+def write_page(folders: Sequence[Path], output: Path) -> tuple[dict[str, Any], str]:
+    """Write the page of results; returns what was done and says it. BenchmarkError where a folder has not been scored."""
+    from blind.page import page
+    from blind.score import BenchmarkError
+
+    for folder in folders:
+        if not (folder / "score.json").is_file():
+            raise BenchmarkError(f"{folder} has not been scored (no score.json); score it with: robomill blind score {folder}")
+    scores = [json.loads((folder / "score.json").read_text(encoding="utf-8")) for folder in folders]
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text(page(scores, f"robomill blind page {' '.join(f.name for f in folders)}"), encoding="utf-8")
+    return {"page": str(output), "benchmarks": len(scores)}, f"{len(scores)} benchmarks in {output}"
+
+
 def tables(summary: dict[str, Any]) -> list[Table]:
     """The scores beside those of the baselines, and what was said for each true effect."""
+    from blind.acceptance import bound, met
+
     baselines = summary["baselines"]
     first = Table(title=f"tier {summary['tier']}, {summary['cases']} cases, {summary['predictions']} predictions", box=SIMPLE)
-    for heading in ("", "value", "95 %", "cases", *baselines):
+    for heading in ("", "value", "95 %", "cases", "bound", *baselines):
         first.add_column(heading.replace("_", " "), justify="left" if heading == "" else "right")
     for key, figure in summary["scores"].items():
         others = [_number(baselines[b].get(key)) for b in baselines]
         interval = figure["interval"]
         between = f"{interval[0]:.2f} .. {interval[1]:.2f}" if interval else ""
-        first.add_row(key, _number(figure), between, str(figure["count"]), *others)
+        asked, style = bound(key, summary["tier"]), "red" if met(key, figure, summary["tier"]) is False else None
+        first.add_row(key, _number(figure), between, str(figure["count"]), "" if asked is None else str(asked), *others, style=style)
     second = Table(title="single effects", box=SIMPLE)
     for heading in ("effect", "cases", "detectable", "isolable", "detected", "named", "in first 3", "said first"):
         second.add_column(heading, justify="left" if heading in ("effect", "said first") else "right")

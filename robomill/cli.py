@@ -102,7 +102,7 @@ def parser() -> argparse.ArgumentParser:
     diagnose_command.add_arguments(diagnose)
 
     blind = _command(
-        commands, "blind", "the benchmark of withheld effects: make, run, score", "robomill blind make results/blind --cases 24"
+        commands, "blind", "the benchmark of withheld effects: make, run, score, page", "robomill blind make results/blind --cases 24"
     )
     blind_command.add_arguments(blind)
     return main_parser

@@ -1,0 +1,76 @@
+"""The page of results: every figure with count, interval, bound and baselines, effect by effect, for any number of benchmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from blind.acceptance import bound, met
+
+Score = Mapping[str, Any]
+"""score.json."""
+
+
+def page(scores: Sequence[Score], command: str) -> str:
+    """Markdown of some score.json (as a rule one of tier T1 and one of T0), with the command that wrote it."""
+    lines = [
+        "# The blind benchmark: results",
+        "",
+        f"Written by `{command}`. What the figures mean: [blind.md](../blind.md).",
+        "Intervals are 95 %. A figure without cases is neither within its bound nor outside. Baselines get the same runs.",
+    ]
+    for s in scores:
+        lines += ["", *_benchmark(s)]
+    return "\n".join(lines) + "\n"
+
+
+def _benchmark(s: Score) -> list[str]:
+    kinds = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in s["kinds"].items())
+    seal = (
+        "as they were when the truth was first opened" if s["predictions_as_first_unsealed"] else "**changed after the truth was opened**"
+    )
+    lines = [
+        f"## Tier {s['tier']}",
+        "",
+        f"{s['cases']} cases ({kinds}), seed {s['seed']}, generator version {s['version']}; {s['predictions']} predictions, {seal}. "
+        f"Scored {s['date']}, commit {s['commit'] or 'unknown'}.",
+        "" if s["isolability"] else "Isolability was not looked at: every detectable effect counts as isolable.",
+    ]
+    judged = {k: met(k, f, s["tier"]) for k, f in s["scores"].items()}
+    asked = [v for v in judged.values() if v is not None]
+    lines += ["", f"Within the bounds: {sum(asked)} of {len(asked)} figures that have cases.", ""]
+    names = list(s["baselines"])
+    rows = []
+    for key, figure in s["scores"].items():
+        limit = bound(key, s["tier"])
+        verdict = {None: "", True: "yes", False: "**no**"}[judged[key]]
+        others = [_value(s["baselines"][n].get(key)) for n in names]
+        rows.append([key, _value(figure), _interval(figure), figure["count"], "" if limit is None else limit, verdict, *others])
+    lines += _table(["figure", "value", "95 %", "cases", "bound", "met", *names], rows)
+    lines += ["", f"### By how far the effects stand out ({s['tier']})", ""]
+    rows = []
+    for name, stratum in s["strata"].items():
+        rows.append([name, *(f"{_value(f)} ({f['count']})" for f in stratum.values())])
+    lines += _table(["oracle ratio", *next(iter(s["strata"].values()))], rows)
+    lines += ["", f"### Single effects ({s['tier']})", ""]
+    rows = [[key, *row.values()] for key, row in s["per_effect"].items()]
+    lines += _table(["effect", *(k.replace("_", " ") for k in next(iter(s["per_effect"].values()), {}))], rows)
+    lines += ["", f"### What was said first ({s['tier']})", "", "All cases but doubles and triples, detectable or not.", ""]
+    rows = [[true, ", ".join(f"{said} {n}" for said, n in row.items())] for true, row in s["confusion"].items()]
+    return lines + _table(["true", "said, cases"], rows)
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[str]:
+    return [_row(heads), _row(["---"] * len(heads)), *(_row(r) for r in rows)]
+
+
+def _row(cells: Sequence[Any]) -> str:
+    return f"| {' | '.join(str(c) for c in cells)} |"
+
+
+def _value(figure: Mapping[str, Any] | None) -> str:
+    return "" if figure is None or figure["value"] is None else f"{figure['value']:.3g}"
+
+
+def _interval(figure: Mapping[str, Any]) -> str:
+    return "" if not figure["interval"] else f"{figure['interval'][0]:.3g} .. {figure['interval'][1]:.3g}"
