@@ -14,6 +14,7 @@ import os
 import shutil
 import sys
 import sysconfig
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -23,6 +24,9 @@ from typing import Any
 KEPT = 20
 """Folders of former sources that stay: a handful of components, other branches, other processes."""
 PACKAGE = Path(__file__).parent
+_PARSING = (
+    threading.Lock()
+)  # builds side by side: CPython 3.11 counts the depth of its trees for all threads together, and then finds it wrong
 
 
 def user_folder() -> Path:
@@ -92,7 +96,9 @@ def source_files(module: str) -> dict[str, Path]:
         found[name] = file
         if "." in name:
             waiting.append(name.rpartition(".")[0])
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        with _PARSING:
+            tree = ast.parse(file.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
             if isinstance(node, ast.Import):
                 waiting += [alias.name for alias in node.names if _followed(alias.name, own)]
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level and _followed(node.module, own):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -113,3 +115,20 @@ def test_the_users_cache_folder_is_where_the_platform_has_it(
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
     assert user_folder() == Path(expected)
+
+
+def test_threads_may_look_for_sources_side_by_side() -> None:
+    """CPython 3.11 mixes up the depths of trees that are parsed while the garbage collector changes threads."""
+    before, interval = gc.get_threshold(), sys.getswitchinterval()
+    change_threads = lambda *_: sum(range(50))  # noqa: E731
+    gc.callbacks.append(change_threads)
+    gc.set_threshold(50, 2, 2)
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            found = list(pool.map(lambda _: source_files("models.robot_drive"), range(8)))
+    finally:
+        gc.callbacks.remove(change_threads)
+        gc.set_threshold(*before)
+        sys.setswitchinterval(interval)
+    assert all(f == found[0] for f in found)
