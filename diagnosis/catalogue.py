@@ -28,6 +28,10 @@ A TOML file::
     component = "sensor"
     parameters = {noise_f = 0}
 
+    [refinement]                        # what the communication step itself does is seen by a simulation with a part of it
+    divide = 2
+    sampled = ["sensor", "controller"]  # components that keep their cycle
+
 Parameters of "logging" are `lag PATTERN` [s], `gain PATTERN` [1], `offset PATTERN` [unit of the channel], with a pattern on
 `component.port[element]` as in the recording section of a system file.
 """
@@ -49,12 +53,15 @@ OBSERVATIONS = ("lag", "gain", "offset")
 
 Address = tuple[str, str]
 """(component, parameter element)."""
+REFINED: Address = ("system", "step / n")
+"""Stands for the communication step among the addresses; its value is the number that the step is divided by."""
 
 _EFFECT = {"name", "component", "description", "source", "locations", "minimum", "maximum", "prior", "unit", "sign"}
 _LOCATION = {"name", "parameters"}
 _NUISANCE = {"component", "parameters", "relative", "absolute", "source"}
 _QUIET = {"component", "parameters"}
 _SEED = {"component", "parameter"}
+_REFINEMENT = {"divide", "sampled"}
 
 
 class CatalogueError(ValueError):
@@ -140,6 +147,15 @@ class Tolerance:
 
 
 @dataclass(frozen=True)
+class Refinement:
+    """How the system is run at a smaller communication step."""
+
+    divide: int
+    sampled: tuple[str, ...] = ()
+    """Components that keep the cycle that they have."""
+
+
+@dataclass(frozen=True)
 class Catalogue:
     """All candidates, nuisance numbers, and what is switched off in simulations."""
 
@@ -151,6 +167,7 @@ class Catalogue:
     """Parameters that make a simulation another repeat of itself."""
     descriptions: Mapping[str, tuple[str, str]] | None = None
     """effect -> (description, source)."""
+    refinement: Refinement | None = None
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -213,7 +230,7 @@ class _Reader:
         return tuple(value)
 
     def catalogue(self, table: dict[str, Any]) -> Catalogue:
-        self.keys("the file", table, {"effect", "nuisance", "quiet", "seed"}, {"effect"})
+        self.keys("the file", table, {"effect", "nuisance", "quiet", "seed", "refinement"}, {"effect"})
         candidates: list[Candidate] = []
         descriptions: dict[str, tuple[str, str]] = {}
         for i, entry in enumerate(self.listed("effect", table["effect"])):
@@ -247,7 +264,18 @@ class _Reader:
             where = f"[[seed]] {i + 1}"
             self.keys(where, entry, _SEED, _SEED)
             seeds.append((self.text(where, "component", entry["component"]), self.text(where, "parameter", entry["parameter"])))
-        return Catalogue(self.file, tuple(candidates), tuple(tolerances), quiet, tuple(seeds), descriptions)
+        refinement = self.refinement(table["refinement"]) if "refinement" in table else None
+        return Catalogue(self.file, tuple(candidates), tuple(tolerances), quiet, tuple(seeds), descriptions, refinement)
+
+    def refinement(self, entry: Any) -> Refinement:
+        self.keys("[refinement]", entry, _REFINEMENT, {"divide"})
+        divide = entry["divide"]
+        if isinstance(divide, bool) or not isinstance(divide, int) or divide < 2:
+            raise self.fail("[refinement]", f"divide = {divide!r}; expected a whole number from 2")
+        sampled = entry.get("sampled", [])
+        if not isinstance(sampled, list):
+            raise self.fail("[refinement]", f"sampled = {sampled!r}; expected a list of components")
+        return Refinement(divide, tuple(self.text("[refinement]", "sampled", name) for name in sampled))
 
     def listed(self, key: str, value: Any) -> list[Any]:
         if not isinstance(value, list):

@@ -15,10 +15,13 @@ import numpy as np
 from diagnosis import closure, gate, isolability, next_run
 from diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
 from diagnosis.estimation import Fit, probabilities
+from diagnosis.localise import Projection
 from diagnosis.measured import Condition, DataError, sort_by_condition
+from diagnosis.replay import intervals
 from diagnosis.search import NOMINAL, Search, expected
 from diagnosis.simulation import Laboratory, Report, Simulator, decimate, setting
 from diagnosis.store import Store
+from diagnosis.where import combined, direction_of, located
 from orchestration.assembly import Resolver, assemble, run
 from orchestration.parameters import Convert, same_unit_only
 from orchestration.recorder import frame_of
@@ -31,8 +34,6 @@ ROWS = 1500
 """Samples that a diagnosis works on, over all conditions: longer logs are averaged in blocks."""
 CLOSING = 4
 """Simulations with different noise that the closure is measured with."""
-TEMPERATURE = 2.0
-"""By which evidence is divided: noise is not exactly what it is taken for."""
 IDENTIFIED = 0.8
 """Probability from which one answer is given."""
 UNEXPLAINED = 0.25
@@ -41,6 +42,8 @@ CLEAR = 6.0
 """Log of the (tempered) odds from which an effect is believed to be there at all."""
 LISTED = 0.01
 """Probability from which a candidate is listed."""
+TEMPERATURE = 1.0
+"""By which evidence is divided; what two systems that are not quite the same leave is in the noise already (`search.DEPENDENCE`)."""
 SIGNIFICANT = 6.0
 """Deviations of noise above which a gap is there."""
 
@@ -51,6 +54,8 @@ class Menu:
 
     titles: Mapping[str, str] = field(default_factory=dict)
     """array or column -> what people call it."""
+    projections: Mapping[str, Projection] = field(default_factory=dict)
+    """output -> the coordinates (joints) that its residual is projected on."""
     offers: Callable[[], Mapping[str, next_run.Offer]] = dict
     """Kinds of runs that could be made next; called when they are needed."""
 
@@ -99,7 +104,9 @@ def diagnose(
     decimation = max(1, math.ceil(sum(len(c.grid) for c in conditions[:n]) / ROWS))
     nuisances = _nuisances(system, conditions, resolver, convert, catalogue)
     nominal = {u.address: u.nominal for u in nuisances if u.nominal}
-    laboratory = Laboratory(system, conditions, channels, resolver, convert, catalogue.quiet or {}, nominal, decimation, catalogue.seeds)
+    laboratory = Laboratory(
+        system, conditions, channels, resolver, convert, catalogue.quiet or {}, nominal, decimation, catalogue.seeds, catalogue.refinement
+    )
     groups = [[decimate(c.matrix(r, channels), decimation) for r in c.runs] for c in conditions]
     with Simulator(laboratory, workers, report, store) as simulator:
         simulator.expected = expected(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
@@ -260,7 +267,8 @@ class _Conclusion:
             result["probability_none"] = float(self.weights[0])
         else:
             result["which"] = self.which(marginal)
-            result["where"] = self.where()
+            found = located(self.laboratory, self.n, self.search.catalogue, self.search.nuisances, self.figures(), self.menu.projections)
+            result |= found | {"where": combined(verdict, self.where(), found["where"])}
             result["how_far"] = self.how_far(adopted) if adopted else []
             result["next_run"] = self.next_run(verdict) if verdict in ("identified", "ambiguous", "unknown") else None
             result["predictive"] = {f.name: f.predictive for f in self.fits if f.predictive}
@@ -357,7 +365,7 @@ class _Conclusion:
             total += energy.sum(axis=0)
             over = energy.sum(axis=1)
             if i == 0 and over.max() > 0.0:
-                regime = _intervals(over > 0.1 * over.max(), self.laboratory.conditions[0].grid, self.laboratory.decimation)
+                regime = intervals(over > 0.1 * over.max(), self.laboratory.conditions[0].grid, self.laboratory.decimation)
         strongest = names[int(total.argmax())]
         return {"direction": direction_of(strongest), "channel": strongest, "regime": regime}
 
@@ -369,6 +377,11 @@ class _Conclusion:
                 groups.setdefault(base_name(name), []).append(i)
         wanted = [g for g in groups if g in self.menu.titles] or list(groups)
         return {g: groups[g] for g in wanted}
+
+    def figures(self) -> dict[str, FloatArray]:
+        """Weights of the channels in each figure."""
+        every = np.arange(len(self.laboratory.channels))
+        return {name: np.isin(every, members).astype(np.float64) for name, members in self.metrics().items()}
 
     def how_far(self, adopted: Mapping[Address, float]) -> list[dict[str, Any]]:
         """Closure per figure, on the diagnosed runs, held-out repeats and held-out conditions."""
@@ -455,7 +468,7 @@ class _Conclusion:
             energy += left.sum(axis=0)
             if i == 0:
                 over = left.sum(axis=1)
-                regime = _intervals(over > 0.1 * over.max(), self.laboratory.conditions[0].grid, self.laboratory.decimation)
+                regime = intervals(over > 0.1 * over.max(), self.laboratory.conditions[0].grid, self.laboratory.decimation)
         order = np.argsort(-energy)[:5]
         return {
             "channels": [{"channel": names[k], "share": float(energy[k] / energy.sum())} for k in order],
@@ -499,26 +512,3 @@ def _curves(
 def _halves(group: Sequence[FloatArray], weight: FloatArray, index: Any) -> tuple[FloatArray, FloatArray]:
     """Two independent means of simulations (the same one twice where there is only one)."""
     return (np.mean(group[::2], axis=0) * weight)[:, index], (np.mean(group[1::2] or group, axis=0) * weight)[:, index]
-
-
-def direction_of(channel: str) -> str:
-    """`compliance.p_BT_B[2]` -> B.y; the channel itself where it is not one of three axes."""
-    port = channel.partition(".")[2]
-    match = re.fullmatch(r"(\w+)\[(\d)\]", port)
-    if not match or int(match[2]) > 3:
-        return channel
-    frame = frame_of(match[1])
-    return f"{frame}.{'xyz'[int(match[2]) - 1]}" if frame else channel
-
-
-def _intervals(on: Any, grid: FloatArray, decimation: int) -> list[list[float]]:
-    """[[from, to], ...] in s where `on` is true; gaps below 0.2 s are bridged."""
-    step = float(grid[1] - grid[0]) * decimation
-    found: list[list[float]] = []
-    for i in np.flatnonzero(on):
-        t = float(grid[0]) + i * step
-        if found and t - found[-1][1] < 0.2 + step:
-            found[-1][1] = t + step
-        else:
-            found.append([t, t + step])
-    return [[round(a, 3), round(b, 3)] for a, b in found][:40]

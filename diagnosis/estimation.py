@@ -66,10 +66,21 @@ class Fit:
 class Space:
     """Whitened residual, columns of the candidates, and the inner product with the nuisances marginalised."""
 
-    def __init__(self, y: FloatArray, blocks: Mapping[str, slice], nuisances: FloatArray, names: Sequence[Address] = ()) -> None:
-        """`y` [n]; `blocks` condition -> its part of y; `nuisances` [n, m] whitened, per standard deviation, called `names`."""
+    def __init__(
+        self,
+        y: FloatArray,
+        blocks: Mapping[str, slice],
+        nuisances: FloatArray,
+        names: Sequence[Address] = (),
+        products: FloatArray | None = None,
+    ) -> None:
+        """`y` [n]; `blocks` condition -> its part of y; `nuisances` [n, m] whitened, per standard deviation, called `names`.
+
+        `products`: nuisances' nuisances, if known.
+        """
         self.y, self.blocks, self.nuisances, self.names = y, blocks, nuisances, tuple(names)
-        precision = np.eye(nuisances.shape[1]) + nuisances.T @ nuisances
+        self._products: FloatArray = nuisances.T @ nuisances if products is None else products
+        precision = np.eye(nuisances.shape[1]) + self._products
         self._inner = np.linalg.inv(precision)
         self.energy = float(self.dot(y, y))
         self.log_determinant = float(np.linalg.slogdet(precision)[1])
@@ -84,7 +95,8 @@ class Space:
             return self
         if gone not in self._without:
             keep = [i for i, a in enumerate(self.names) if a not in gone]
-            self._without[gone] = Space(self.y, self.blocks, self.nuisances[:, keep], [self.names[i] for i in keep])
+            names, products = [self.names[i] for i in keep], self._products[np.ix_(keep, keep)]
+            self._without[gone] = Space(self.y, self.blocks, self.nuisances[:, keep], names, products)
         return self._without[gone]
 
     def find_alike(self, columns: Mapping[Address, FloatArray], scales: Mapping[Address, float]) -> None:
@@ -94,6 +106,7 @@ class Space:
             products = self.nuisances.T @ c
             energy = float(c @ c) + 1e-300
             same = np.abs(products) / (sizes * math.sqrt(energy)) > ALIKE
+            same |= np.array([name == a for name in self.names], dtype=bool)
             self.alike[a] = {self.names[i]: float(abs(products[i]) / energy * scales[a]) for i in np.flatnonzero(same)}
 
     def explained(self, left: FloatArray) -> FloatArray:

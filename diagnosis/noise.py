@@ -6,10 +6,12 @@ the models are not trusted to: without it noiseless channels would decide everyt
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import dct
 from scipy.linalg import solve_toeplitz, solve_triangular
 from scipy.ndimage import uniform_filter1d
 
@@ -17,6 +19,12 @@ from orchestration.slave import FloatArray
 
 ORDER = 3
 """Order of the autoregressive models, in (decimated) samples."""
+SPELL = 0.5
+"""Length [s] of the spells in which it is looked at, too."""
+RARE = 2.5
+"""Variance of a spell, over that of white noise, that chance rarely gives to so few repeats."""
+SLOW = (0, 1, 2, 4, 8)
+"""Bands of slow cosines (half waves in a run) in which the noise is looked at apart from the autoregressive model."""
 SHRINKAGE = 0.05
 """Part by which covariances between channels are drawn to zero."""
 
@@ -34,11 +42,18 @@ class Whitening:
     guessed: bool
     """Whether there were no repeats, so that only the fast part of the residual could be used."""
 
-    def apply(self, residual: FloatArray, repeats: float = 1.0) -> FloatArray:
-        """White, flat; `residual` [samples, channels] is a mean over so many repeats."""
+    def apply(self, residual: FloatArray, repeats: float = 1.0, sudden: FloatArray | None = None) -> FloatArray:
+        """White, flat; `residual` [samples, channels] is a mean over so many repeats.
+
+        `sudden` [samples, channels]: standard deviation, in the unit of the channel, that single runs have beyond the noise.
+        """
         e = residual.copy()
         for k in range(self.coefficients.shape[1]):
             e[k + 1 :] -= self.coefficients[:, k] * residual[: -k - 1]
+        e[: self.coefficients.shape[1]] = 0.0  # nothing comes before these: their innovations are not known
+        if sudden is not None:
+            own = np.sqrt((self.factor**2).sum(axis=1))
+            e /= np.hypot(1.0, sudden / own)
         white: FloatArray = solve_triangular(self.factor, e.T, lower=True, check_finite=False).T * np.sqrt(repeats)
         return white.ravel()
 
@@ -79,6 +94,38 @@ def whitening(groups: Sequence[Sequence[FloatArray]], floor: FloatArray) -> Whit
     size = np.sqrt(np.diag(s))
     factor = np.linalg.cholesky(s / np.outer(size, size) + 1e-9 * np.eye(channels)) * size[:, None]
     return Whitening(coefficients, factor, deviation, guessed)
+
+
+def own_noise(groups: Sequence[Sequence[FloatArray]], channels: int, rows_of_a_spell: int) -> FloatArray:
+    """What single runs of a condition have of their own beyond whitened noise: columns [n, m], of standard deviation 1 in a mean of repeats.
+
+    `groups`: whitened repeats, flat [samples * channels], measured ones and simulated ones with different noise. Offsets and drifts
+    (cosines, in the bands of SLOW) and spells (boxes) of each channel should scatter from repeat to repeat by 1. Where they do by
+    more, the excess is a column: an axis that stands a little off until it moves again is no white noise.
+    """
+    runs = [np.stack(g).reshape(len(g), -1, channels) for g in groups if len(g) > 1]
+    if not runs:
+        return np.zeros((groups[0][0].size, 0))
+    rows = runs[0].shape[1]
+    cosines = dct(np.eye(rows), axis=0, norm="ortho")[: min(SLOW[-1], rows)]  # [coefficient, row]
+    edges = np.linspace(0, rows, max(1, rows // rows_of_a_spell) + 1).astype(int)
+    boxes = np.zeros((len(edges) - 1, rows))
+    for box, low, high in zip(boxes, edges, edges[1:], strict=False):
+        box[low:high] = 1.0 / np.sqrt(high - low)
+    columns: list[FloatArray] = []
+    for shapes, bands, least in ((cosines, SLOW, 1.0), (boxes, tuple(range(len(edges))), RARE)):
+        scatter = [np.einsum("kr,irc->ikc", shapes, r - r.mean(axis=0)) for r in runs]
+        for low, high in itertools.pairwise(bands):
+            high = min(high, len(shapes))
+            if low >= high:
+                break
+            variance = np.max([(x[:, low:high] ** 2).sum(axis=(0, 1)) / ((len(x) - 1) * (high - low)) for x in scatter], axis=0)
+            for c in np.flatnonzero(variance > least):
+                for k in range(low, high):
+                    column = np.zeros((rows, channels))
+                    column[:, c] = np.sqrt(variance[c] - 1.0) * shapes[k]
+                    columns.append(column.ravel())
+    return np.stack(columns, axis=1) if columns else np.zeros((rows * channels, 0))
 
 
 def _taper(n: int) -> FloatArray:

@@ -8,15 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
+from diagnosis.catalogue import LOGGING, REFINED, Address, Candidate, Catalogue, Nuisance
 from diagnosis.estimation import Fit, Model, Space, leave_one_out, quadratic_fit, scaled_bounds, solve
 from diagnosis.measured import DataError
-from diagnosis.noise import Whitening, whitening
+from diagnosis.noise import SPELL, Whitening, own_noise, whitening
 from diagnosis.simulation import Setting, Simulator, setting
 from orchestration.slave import FloatArray
 
 TRUST = 0.02
 """Part of an effect of typical size that the models are not trusted to: the noise floor of each channel."""
+DEPENDENCE = 10.0
+"""Samples that are worth one: what is left of two systems that are not quite the same is no noise, and comes in one direction for a while."""
+LATENESS = 12.0**-0.5
+"""Communication steps that the channels of a component may be late: outputs hold for a step, so a uniform part of one."""
+SUDDEN = 0.25
+"""Communication steps, at random, that a change may come early or late: what happens within a step is not modelled."""
 NOMINAL = 8
 """Simulations of the nominal system with different noise, of each condition."""
 POLISH, POLISHED = 6, 8
@@ -36,7 +42,7 @@ class Evidence:
     columns: dict[Address, FloatArray]
     """Whitened change per prior scale, for each parameter that changes anything."""
     repeats: list[float]
-    """Per condition: repeats that the mean residual is worth, the scatter of the simulated mean included."""
+    """Per condition: repeats that the mean residual is worth, the scatter of the simulated mean and DEPENDENCE included."""
     halves: list[tuple[FloatArray, FloatArray]]
     """Per condition: what two independent means of nominal simulations are away from the mean of all, whitened."""
 
@@ -59,6 +65,8 @@ class Search:
         scales = {a: c.prior.scale for c in self.catalogue.candidates for a in c.addresses}
         unknown = {n.address: n.scale for n in self.nuisances}
         sizes = {**{a: 3.0 * s for a, s in unknown.items()}, **scales}
+        if self.catalogue.refinement is not None:
+            sizes[REFINED] = float(self.catalogue.refinement.divide)
         tasks = [(i, self.simulator.seeded(setting({a: s}))) for a, s in sizes.items() for i in range(len(self.groups))]
         results = iter(self.simulator.many(tasks, "effects"))
         changes: dict[Address, list[FloatArray]] = {}
@@ -76,7 +84,7 @@ class Search:
         scales: dict[Address, float],
         unknown: dict[Address, float],
     ) -> Evidence:
-        moved = np.array([np.any([np.any(c, axis=0) for c in change], axis=0) for change in changes.values()])
+        moved = np.array([np.any([np.any(c, axis=0) for c in change], axis=0) for a, change in changes.items() if a != REFINED])
         if not moved.any():
             raise DataError("no parameter of the catalogue changes any of the measured channels: there is nothing to diagnose with")
         self.active: npt.NDArray[np.bool_] = np.asarray(
@@ -100,21 +108,46 @@ class Search:
         counts = [
             len(g) * len(m) / (len(g) + len(m)) if len(m) > 1 else float(len(g)) for g, m in zip(self.groups, self.nominals, strict=True)
         ]
-        residuals = [[w.apply(x - m) for x in g] for g, m in zip(self.groups, means, strict=True)]
+        laboratory = self.simulator.laboratory
+        # change of each channel in a communication step
+        rates = [np.gradient(m, axis=0) / laboratory.decimation for m in means]
+        self.sudden = [SUDDEN * rate * np.sqrt(n) for rate, n in zip(rates, counts, strict=True)]
+        residuals = [[w.apply(x - m, 1.0, s) for x in g] for g, m, s in zip(self.groups, means, self.sudden, strict=True)]
         halves = [
-            (w.apply(np.mean(g[::2], axis=0) - m), w.apply(np.mean(g[1::2] or g, axis=0) - m))
-            for g, m in zip(self.nominals, means, strict=True)
+            (w.apply(np.mean(g[::2], axis=0) - m, 1.0, s), w.apply(np.mean(g[1::2] or g, axis=0) - m, 1.0, s))
+            for g, m, s in zip(self.nominals, means, self.sudden, strict=True)
         ]
+        counts = [n / DEPENDENCE for n in counts]
         y = np.concatenate([np.sqrt(n) * np.mean(r, axis=0) for n, r in zip(counts, residuals, strict=True)])
         blocks, start = {}, 0
         for i, n in enumerate([b.size for b in self.base]):
             blocks[self.simulator.laboratory.conditions[i].name] = slice(start, start + n)
             start += n
-        raw = {a: np.concatenate([w.apply(c, n) for c, n in zip(change, counts, strict=True)]) for a, change in changes.items()}
+        raw = {
+            a: np.concatenate([w.apply(c, n, s) for c, n, s in zip(change, counts, self.sudden, strict=True)])
+            for a, change in changes.items()
+        }
         columns = {a: raw[a] * (scales[a] / sizes[a]) for a in scales if a in raw}
         doubtful = [a for a in unknown if a in raw]
         nuisances = [raw[a] * (unknown[a] / sizes[a]) for a in doubtful]
-        unknowns = np.stack(nuisances, axis=1) if nuisances else np.zeros((y.size, 0))
+        if REFINED in raw:
+            doubtful.append(REFINED)
+            nuisances.append(raw[REFINED])
+        names = [c for c, on in zip(laboratory.channels, self.active, strict=True) if on]
+        for component in dict.fromkeys(name.partition(".")[0] for name in names):
+            here = np.array([name.partition(".")[0] == component for name in names])
+            late = [w.apply(-LATENESS * rate * here, n, s) for rate, n, s in zip(rates, counts, self.sudden, strict=True)]
+            doubtful.append((LOGGING, f"lag {component}.*"))
+            nuisances.append(np.concatenate(late))
+        spell = max(1, round(SPELL / (laboratory.system.step * laboratory.decimation)))
+        own = []
+        for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
+            simulated = [w.apply(x - means[i], 1.0, self.sudden[i]) for x in self.nominals[i]]
+            column = own_noise([group, simulated], channels, spell)
+            own.append(np.zeros((y.size, column.shape[1])))
+            own[-1][block] = column / np.sqrt(DEPENDENCE)
+        doubtful += [(LOGGING, f"noise {i + 1}") for i in range(sum(o.shape[1] for o in own))]
+        unknowns = np.concatenate([np.stack(nuisances, axis=1), *own], axis=1)
         space = Space(y, blocks, unknowns, doubtful)
         space.find_alike(columns, scales)
         return Evidence(space, w, residuals, columns, counts, halves)
@@ -122,10 +155,10 @@ class Search:
     def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
         """Whitened change of simulations of all conditions against the nominal ones; None if one of them failed."""
         parts = []
-        for r, b, n in zip(results, self.base, self.evidence.repeats, strict=True):
+        for r, b, n, s in zip(results, self.base, self.evidence.repeats, self.sudden, strict=True):
             if r is None:
                 return None
-            parts.append(self.evidence.whitening.apply(r[:, self.active] - b, n))
+            parts.append(self.evidence.whitening.apply(r[:, self.active] - b, n, s))
         return np.concatenate(parts)
 
     def nominal(self) -> Fit:
@@ -194,11 +227,11 @@ class Search:
         """Whitened change that these settings make, as a mean over noise; None where the system cannot run."""
         groups = self.simulator.repeated(range(len(self.groups)), changes, POLISH, "fits")
         parts = []
-        for g, b, weight in zip(groups, self.nominals, self.evidence.repeats, strict=True):
+        for g, b, weight, s in zip(groups, self.nominals, self.evidence.repeats, self.sudden, strict=True):
             if g is None:
                 return None
             change = np.mean([x[:, self.active] for x in g], axis=0) - np.mean(b[: len(g)], axis=0)
-            parts.append(self.evidence.whitening.apply(change, weight))
+            parts.append(self.evidence.whitening.apply(change, weight, s))
         return np.concatenate(parts)
 
     def polish(self, fits: Sequence[Fit]) -> list[Fit]:
@@ -269,7 +302,7 @@ class Search:
             a, b = left - one, left - other  # independent simulations on both sides: their scatter does not count as a gap
             products, same = float(a.sum(axis=0) @ b.sum(axis=0)), float((a * b).sum())
             total += (products - same) / (n * (n - 1)) if n > 1 else same - size
-            variance += 2.0 * size / weight**2 if n > 1 else 2.0 * size
+            variance += 2.0 * size / (weight * DEPENDENCE) ** 2 if n > 1 else 2.0 * size
         return total, float(np.sqrt(variance)) * 1.5
 
 

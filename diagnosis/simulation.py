@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.catalogue import LOGGING, Address
+from diagnosis.catalogue import LOGGING, REFINED, Address, Refinement
 from diagnosis.measured import Condition
 from diagnosis.store import Store
 from orchestration.assembly import Resolver, run
@@ -49,6 +49,7 @@ class Laboratory:
     decimation: int = 1
     seeds: Sequence[Address] = ()
     """Parameters that make a simulation another repeat of itself."""
+    refinement: Refinement | None = None
 
     def signature(self, index: int) -> tuple[Any, ...]:
         """All that a simulation of condition `index` depends on, except for the changes."""
@@ -70,6 +71,8 @@ class Laboratory:
         for (component, parameter), value in changes:
             if component == LOGGING:
                 observed.append((parameter, value))
+            elif (component, parameter) == REFINED:
+                system = refined(system, int(value), self.refinement.sampled if self.refinement is not None else ())
             elif condition.system is None or any(c.name == component for c in system.components):
                 system = with_values(system, component, {parameter: value + self.nominal.get((component, parameter), 0.0)})
         try:
@@ -91,6 +94,12 @@ def decimate(full: FloatArray, factor: int) -> FloatArray:
     n = len(full) // factor
     means: FloatArray = full[: n * factor].reshape(n, factor, -1).mean(axis=1)
     return means
+
+
+def refined(system: System, divide: int, sampled: Sequence[str]) -> System:
+    """The system at a part of its communication step; components in `sampled` keep their cycle."""
+    components = tuple(replace(c, every=c.every * divide) if c.name in sampled else c for c in system.components)
+    return replace(system, step=system.step / divide, components=components)
 
 
 def with_values(system: System, component: str, values: Mapping[str, Any]) -> System:
