@@ -6,7 +6,7 @@ import math
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
@@ -16,7 +16,7 @@ from diagnosis import closure, gate, isolability, next_run
 from diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
 from diagnosis.estimation import Fit, probabilities
 from diagnosis.localise import Projection
-from diagnosis.measured import Condition, DataError, sort_by_condition
+from diagnosis.measured import Condition, DataError, in_units, sort_by_condition
 from diagnosis.replay import intervals
 from diagnosis.search import NOMINAL, Search, expected
 from diagnosis.simulation import Laboratory, Report, Simulator, decimate, setting
@@ -26,7 +26,7 @@ from orchestration.assembly import Resolver, assemble, run
 from orchestration.parameters import Convert, same_unit_only
 from orchestration.recorder import frame_of
 from orchestration.results import Run
-from orchestration.slave import FloatArray, base_name
+from orchestration.slave import FloatArray, PortData, base_name
 from orchestration.system import System
 
 SCHEMA = "robomill-diagnosis/1"
@@ -100,7 +100,10 @@ def diagnose(
         raise DataError("no run to diagnose: all of them are held out")
     conditions = [*sort_by_condition(used, system), *sort_by_condition(held, system, held_out=True)]
     n = sum(not c.held_out for c in conditions)
-    channels, ranges = _channels(system, conditions, resolver, convert, catalogue)
+    ports = _ports(system, conditions, resolver, convert, catalogue)
+    conditions = [replace(c, runs=tuple(in_units(r, ports, convert) for r in c.runs)) for c in conditions]
+    channels = list(ports)
+    ranges = {c: (p.minimum, p.maximum) for c, p in ports.items()}
     decimation = max(1, math.ceil(sum(len(c.grid) for c in conditions[:n]) / ROWS))
     nuisances = _nuisances(system, conditions, resolver, convert, catalogue)
     nominal = {u.address: u.nominal for u in nuisances if u.nominal}
@@ -120,10 +123,10 @@ def diagnose(
         return _Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu, repair, began).diagnosis()
 
 
-def _channels(
+def _ports(
     system: System, conditions: Sequence[Condition], resolver: Resolver | None, convert: Convert, catalogue: Catalogue
-) -> tuple[list[str], dict[str, tuple[float | None, float | None]]]:
-    """Measured real outputs that the system has too, and the range of each."""
+) -> dict[str, PortData]:
+    """Measured real outputs that the system has too, as the system has them."""
     probe = Laboratory(system, conditions, (), resolver, convert, catalogue.quiet or {})
     step = system.step
     short = Condition("", conditions[0].parameters, conditions[0].runs, np.array([0.0, step]))
@@ -134,7 +137,7 @@ def _channels(
         has = ", ".join(sorted({base_name(c) for k in conditions for r in k.runs for c in r.columns}))
         outputs = ", ".join(dict.fromkeys(map(base_name, simulated.columns)))
         raise DataError(f"no measured column is an output of the system; measured: {has}; outputs: {outputs}")
-    return common, {c: (simulated.ports[c].minimum, simulated.ports[c].maximum) for c in common}
+    return {c: simulated.ports[c] for c in common}
 
 
 def _nuisances(

@@ -6,14 +6,15 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from orchestration.parameters import Convert
 from orchestration.results import Run
-from orchestration.slave import FloatArray
+from orchestration.slave import FloatArray, PortData
 from orchestration.system import System
 
 
@@ -42,6 +43,21 @@ class Condition:
             good = np.isfinite(values)
             columns.append(np.interp(self.grid, run.t[good], values[good]) if good.any() else np.zeros(len(self.grid)))
         return np.stack(columns, axis=1)
+
+
+def in_units(run: Run, ports: Mapping[str, PortData], convert: Convert) -> Run:
+    """The run with every column in the unit of the port of the same name; DataError where that cannot be."""
+    columns, units = dict(run.columns), dict(run.ports)
+    for name in run.columns.keys() & ports.keys():
+        there, wanted = run.ports[name].unit, ports[name].unit
+        if not there or not wanted or there == wanted:
+            continue
+        try:
+            zero, one = convert(0.0, there, wanted), convert(1.0, there, wanted)
+        except ValueError as error:
+            raise DataError(f"{run.folder}: column {name} is in {there}, the system has it in {wanted}: {error}") from None
+        columns[name], units[name] = zero + (one - zero) * run.columns[name], replace(run.ports[name], unit=wanted)
+    return replace(run, columns=columns, ports=units)
 
 
 def sort_by_condition(runs: Sequence[Run], system: System, held_out: bool = False) -> list[Condition]:
