@@ -52,6 +52,7 @@ def _save(figure: Figure, name: str, folder: Path) -> str:
     folder.mkdir(parents=True, exist_ok=True)
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    figure.set_layout_engine("none")  # it stays as it is
     figure.savefig(folder / f"{name}.png", dpi=150, metadata={"Software": None})
     text = "\n".join(line.rstrip() for line in buffer.getvalue().splitlines()) + "\n"
     (folder / f"{name}.svg").write_text(text, encoding="utf-8")
@@ -274,6 +275,7 @@ def visible(s: Subject) -> Figure | None:
         ax.axvline(1.0, color=INK, lw=0.8)
         ax.tick_params(axis="y", length=0)
         ax.minorticks_off()
+        ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
         ax.grid(axis="x")
         ax.set_xlabel("smallest visible / typical size", loc="left")
     _legend(
@@ -292,29 +294,35 @@ def log(s: Subject) -> Figure | None:
         return None
     condition = s.conditions[0]
     curves = s.found.curves[condition]
-    rows: list[tuple[str, str]] = []
+    rows: dict[str, tuple[str, bool]] = {}
     for f in s.result["gate"]["findings"]:
         pattern = re.compile(re.escape(f["channel"]).replace(r"\*", ".*"))
         members = [c for c in s.found.channels if pattern.fullmatch(c) or pattern.fullmatch(base_name(c))]
         if f["fatal"] and members:
             loud = s.loudness(condition)
             channel = max(members, key=lambda c: loud[c])
-            if channel not in [r[0] for r in rows]:
-                rows.append((channel, f["text"]))
+            rows.setdefault(channel, (f["text"], f["kind"] == "lag"))
     if not rows:
         return None
-    rows = rows[:ROWS]
-    figure = Figure(figsize=(WIDTH, 0.75 + 1.45 * len(rows)), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True))
-    for ax, (channel, text) in zip(axes, rows, strict=True):
+    shown = list(rows.items())[:ROWS]
+    figure = Figure(figsize=(WIDTH, 0.75 + 1.45 * len(shown)), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(len(shown), 1, sharex=True))
+    for ax, (channel, (text, late)) in zip(axes, shown, strict=True):
         i = s.index(channel)
+        if late:  # two curves a few milliseconds apart look like one
+            _gap(ax, s, condition, channel, after=False)
+            ax.set_title(f"{channel}, log − simulation: {text}")
+            continue
         both = curves["measured"][:, i], curves["nominal"][:, i]
         factor, symbol = scale(s.unit(channel), max(float(np.abs(b).max()) for b in both) or 1.0)
         ax.plot(curves["t"], factor * both[1], color=AFTER, lw=1.0)
         ax.plot(curves["t"], factor * both[0], color=BEFORE, lw=1.2)
-        ax.set_title(f"{channel} — {text}")
+        ax.set_title(f"{channel} {text}")
         ax.set_ylabel(symbol or "(no unit)")
         ax.set_xlim(curves["t"][0], curves["t"][-1])
     axes[-1].set_xlabel(f"time in s ({condition})")
-    _legend(figure, [Line2D([], [], color=BEFORE, label="log (mean of repeats)"), Line2D([], [], color=AFTER, label="simulation")])
+    handles: list[Any] = [Line2D([], [], color=BEFORE, label="log (mean of repeats)")]
+    handles += [Line2D([], [], color=AFTER, label="simulation")] if not all(late for _, (_, late) in shown) else []
+    handles += [Patch(color=NOISE, label="±2σ of a repeat")] if any(late for _, (_, late) in shown) else []
+    _legend(figure, handles)
     return figure

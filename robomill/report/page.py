@@ -11,7 +11,7 @@ from diagnosis.isolability import CONFUSABLE
 from orchestration.slave import base_name
 from robomill.report.figures import component_name, smallest
 from robomill.report.subject import HELD_OUT, KINDS, Subject, effect_name, listed, verdict_sentence
-from robomill.report.units import number, percent, percent_interval, quantity, relative, scale, with_interval
+from robomill.report.units import join, number, percent, percent_interval, quantity, relative, scale, with_interval
 
 BADGES = {
     "none": "No gap found",
@@ -54,7 +54,7 @@ def page(s: Subject, figures: Mapping[str, str]) -> str:
 <main>
 <header>
 <p class="over">Machine against simulation · {escape(s.system.name)}</p>
-<h1><span class="badge {s.verdict}">{BADGES[s.verdict]}</span><br/>{escape(verdict_sentence(s))}</h1>
+<h1><span class="badge {s.verdict}">{BADGES[s.verdict]}</span>{escape(verdict_sentence(s))}</h1>
 </header>
 {_tiles(s)}
 <nav aria-label="Sections">{links}</nav>
@@ -83,7 +83,11 @@ def _figure(figures: Mapping[str, str], name: str, caption: str) -> str:
 
 
 def _bar(share: float) -> str:
-    return f'<span class="bar" aria-hidden="true"><span style="width: {100.0 * min(max(share, 0.0), 1.0):.1f}%"></span></span>'
+    """A share as a bar and a number."""
+    width = 100.0 * min(max(share, 0.0), 1.0)
+    return (
+        f'<span class="share"><span class="bar" aria-hidden="true"><span style="width: {width:.1f}%"></span></span>{percent(share)}</span>'
+    )
 
 
 def _paragraph(text: str, kind: str = "") -> str:
@@ -91,7 +95,13 @@ def _paragraph(text: str, kind: str = "") -> str:
 
 
 def _code(text: str) -> str:
-    return f"<code>{escape(text)}</code>"
+    """A name, that may be broken where its parts meet."""
+    return "<code>" + escape(text).replace(".", ".<wbr/>") + "</code>"
+
+
+def _spoken(name: object) -> str:
+    """Name of a candidate or model in the words of the page: `backlash @ joint 3 + runout @ cutter` -> `backlash, joint 3 with runout, cutter`."""
+    return str(name).replace("_", " ").replace(" @ ", ", ").replace(" + ", " with ")
 
 
 def _times(regime: Sequence[Sequence[float]]) -> str:
@@ -118,7 +128,7 @@ def _tiles(s: Subject) -> str:
             break
     used = [c for c in s.conditions if not c.endswith(HELD_OUT)]
     held = len(s.conditions) - len(used)
-    about = f"{_count(len(used), 'condition')} diagnosed, {held} held out, {len(s.found.channels)} channels" if s.conditions else ""
+    about = f"{_count(len(used), 'condition')} diagnosed{f', {held} held out' if held else ''}, {len(s.found.channels)} channels"
     tiles.append(("Runs", str(len(s.runs)), about))
     return '<dl class="tiles">' + "".join(f"<div><dt>{a}</dt><dd>{b}<small>{escape(c)}</small></dd></div>" for a, b, c in tiles) + "</dl>"
 
@@ -141,7 +151,7 @@ def _log(s: Subject, figures: Mapping[str, str]) -> str:
             status = '<span class="bad">stops the diagnosis</span>'
         else:
             status = "noted"
-        size = quantity(f["value"], f["unit"]) if f["unit"] not in ("", "1") else number(f["value"])
+        size = quantity(f["value"], f["unit"]) if f["unit"] not in ("", "1") else f"{f['value']:.3g}"
         rows.append((_code(f["channel"]), escape(f["kind"]), escape(str(f["text"])), size, status))
     text = "No, for these reasons:" if s.verdict == "bad_log" else "Yes. This was noticed:"
     remedy = ""
@@ -207,9 +217,9 @@ def _direction(direction: str, s: Subject) -> str:
 
 def _unknown(s: Subject) -> str:
     known = s.result["unknown"]
-    rows = [(f"{_bar(c['share'])}{percent(c['share'])}", escape(s.label(c["channel"])), _code(c["channel"])) for c in known["channels"]]
+    rows = [(_bar(c["share"]), escape(s.label(c["channel"])), _code(c["channel"])) for c in known["channels"]]
     lines = [
-        f"The catalogue's nearest answer is {str(known['nearest']).replace('_', ' ')}, and it is not good enough. What it leaves is strongest in "
+        f"The catalogue's nearest answer is {_spoken(known['nearest'])}, and it is not good enough. What it leaves is strongest in "
         f"the outputs of {known['component']} ({_direction(str(known['direction']), s)})"
         + (f", at {_times(known['regime'])}." if known.get("regime") else ".")
         + " The cause is there or upstream of it."
@@ -233,11 +243,11 @@ def _which(s: Subject) -> str:
     rows = []
     for w in entries:
         description = described.get(w["effect"], ("", ""))[0]
-        others = [str(c).replace("_", " ").replace(" @ ", ", ") for c in w["confusable_with"]]
+        others = [_spoken(c) for c in w["confusable_with"]]
         names = "".join(f"<small>{_code(w['component'] + '.' + n)}</small>" for n in w["parameters"])
         rows.append(
             (
-                f"{_bar(w['probability'])}{percent(w['probability'])}",
+                _bar(w["probability"]),
                 f"<strong>{escape(effect_name(w))}</strong><small>{escape(description)}</small>",
                 _values(w),
                 f"{escape(w['component'])}{names}",
@@ -262,7 +272,7 @@ def _isolability(s: Subject) -> str:
         return ""
     rows = [
         (
-            " against ".join(escape(str(n).replace("_", " ").replace(" @ ", ", ")) for n in p["pair"]),
+            " against ".join(escape(_spoken(n)) for n in p["pair"]),
             number(p["distance"], 0.1),
             "cannot be told apart" if p["confusable"] else "told apart",
         )
@@ -306,7 +316,7 @@ def _visible(s: Subject, figures: Mapping[str, str]) -> str:
             "visible",
             "From which size each effect would have been seen, in units of its typical size. Right of the line, an effect of typical size would have been missed.",
         )
-        + f"<details><summary>All sizes</summary>\n{table}\n</details>"
+        + f'<details open="open"><summary>All sizes</summary>\n{table}\n</details>'
     )
 
 
@@ -323,7 +333,8 @@ def _far(s: Subject, figures: Mapping[str, str]) -> str:
             rows.append((escape(kind[0].upper() + kind[1:]),))
         for h in here:
             factor, symbol = scale(h["unit"], max(h["before"], h["after"], h["floor"]))
-            sizes = [f"{number(factor * h[k])}{f'&#160;{symbol}' if symbol else ''}" for k in ("before", "after", "floor")]
+            # what is left may well come out as nothing: it is known to a part of the noise only
+            sizes = [join(number(factor * h[k]) if h[k] else "≈ 0", symbol) for k in ("before", "after", "floor")]
             title = "all channels, in deviations of noise" if h["channel"] == WHITENED else s.titles.get(h["channel"], h["channel"])
             if h["closure"] is None:
                 closed, ratio = "not measurable", ""
@@ -349,7 +360,7 @@ def _next(s: Subject) -> str:
     r = s.result.get("next_run")
     if not r:
         return ""
-    pair = listed([str(x).replace("_", " ").replace(" @ ", ", ") for x in r["separates"]])
+    pair = listed([_spoken(x) for x in r["separates"]])
     if r.get("separated") is False:
         text = f"No run on the menu would tell apart {pair}. The one that comes nearest: {r['kind']}."
     else:

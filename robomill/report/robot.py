@@ -127,9 +127,9 @@ def parts(component: str, location: str, effect: str) -> list[str]:
 
 
 def draw(s: Subject) -> Figure | None:
-    """Side view in the plane of the arm, and top view; None where there is no arm or nobody knows its pose."""
-    component, q = arm(s.system), angles(s)
-    if component is None or q is None:
+    """Side view in the plane of the arm, and top view; None where nothing is to be marked, there is no arm, or nobody knows its pose."""
+    component, q, said = arm(s.system), angles(s), marks(s)
+    if component is None or q is None or not said:
         return None
     body = geometry(component)
     t = s.found.curves[s.conditions[0]]["t"]
@@ -137,7 +137,6 @@ def draw(s: Subject) -> Figure | None:
     at = int(np.searchsorted(t, 0.5 * sum(regime[0]))) if regime else len(t) // 2
     now = pose(body, q[min(at, len(q) - 1)])
     path = np.array([pose(body, row).tip for row in q[:: max(1, len(q) // POINTS)]])
-    said = marks(s)
     heading = np.arctan2(now.joints[4][1], now.joints[4][0])
     across = np.array([np.cos(heading), np.sin(heading), 0.0])
     views = {
@@ -172,7 +171,7 @@ def draw(s: Subject) -> Figure | None:
     return figure
 
 
-def _place(part: str, now: Pose, path: FloatArray) -> FloatArray:
+def place_of(part: str, now: Pose, path: FloatArray) -> FloatArray:
     """Where a mark points to [3]."""
     if part.startswith("joint "):
         point: FloatArray = now.joints[int(part[6:]) - 1]
@@ -190,7 +189,7 @@ def _place(part: str, now: Pose, path: FloatArray) -> FloatArray:
 
 def _labels(figure: Figure, ax: Axes, now: Pose, path: FloatArray, view: FloatArray, said: Mapping[str, str], total: float) -> None:
     """One line of text above the side view for each mark, with a line to its place."""
-    places = sorted((tuple(_place(part, now, path) @ view), text) for part, text in said.items())
+    places = sorted((tuple(place_of(part, now, path) @ view), text) for part, text in said.items())
     for i, (place, text) in enumerate(places):  # from left to right and downwards: no line crosses a text
         across = figure.transFigure.inverted().transform(ax.transData.transform(place))[0]
         x, y = min(across + 0.02, 0.4), 1.0 - (0.36 + 0.19 * i) / total
@@ -241,10 +240,13 @@ def _arm(ax: Axes, now: Pose, path: FloatArray, view: FloatArray, said: Mapping[
     capsule([now.spindle, now.nose - 0.055 * down], 0.11, "tool")
     ax.plot(*(np.array([now.nose, now.tip]) @ view).T, color=INK, lw=2.0, solid_capstyle="butt")
     ax.plot(*(path @ view).T, color=MUTED, lw=0.8)
-    for i, point in enumerate(now.joints):
+    drawn: list[FloatArray] = []
+    for i in sorted(range(6), key=lambda i: (f"joint {i + 1}" not in said, -i)):  # what is marked, then from the tool to the base
         on = f"joint {i + 1}" in said
-        x, y = point @ view
-        if i == 0 and not upright:
-            x, y = 0.0, 0.0
+        place = now.joints[i] @ view
+        if any(np.linalg.norm(place - other) < 0.1 for other in drawn):
+            continue  # behind another
+        drawn.append(place)
+        x, y = place
         ax.plot(x, y, "o", ms=13 if on else 10, mfc=MARK if on else PAPER, mec=MARK if on else INK, mew=0.8, zorder=5)
         ax.text(x, y, str(i + 1), color=PAPER if on else INK, fontsize=7, ha="center", va="center_baseline", zorder=6)

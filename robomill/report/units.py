@@ -38,7 +38,7 @@ def number(value: float, spacing: float | None = None) -> str:
     if not math.isfinite(value):
         return "∞" if value > 0.0 else "−∞" if value < 0.0 else "–"
     if spacing is not None and 0.0 < spacing < math.inf:
-        decimals = 1 - math.floor(math.log10(spacing))
+        decimals = 1 - math.floor(math.log10(spacing) + 1e-9)
     else:
         decimals = 2 - (math.floor(math.log10(abs(value))) if value else 2)
     if decimals > 5:
@@ -72,6 +72,8 @@ def with_interval(value: float, interval: Sequence[float] | None, unit: str) -> 
 
 def percent(share: float) -> str:
     """`0.937` -> `94 %`; a decimal where that is needed not to say 0 or 100 of something that is neither."""
+    if abs(share) >= 10.0:
+        return join("over 1000" if share > 0.0 else "below −1000", "%")
     value = 100.0 * share
     plain = f"{value:.0f}"
     if (plain in ("100", "0", "-0")) and abs(value - round(value)) >= 0.05:
@@ -80,11 +82,11 @@ def percent(share: float) -> str:
 
 
 def percent_interval(interval: Sequence[float]) -> str:
-    """`0.962, 0.984` -> `96 % to 98 %`; with a decimal where both ends are the same without."""
+    """`0.962, 0.984` -> `96 % to 98 %`; with a decimal where both ends are the same without, and one of them if they still are."""
     low, high = (percent(x) for x in interval)
-    if low == high and interval[0] < interval[1]:
-        low, high = (join(number(100.0 * x, 1.0), "%") for x in interval)
-    return f"{low} to {high}"
+    if low == high:
+        low, high = (join(f"{100.0 * x:.1f}".replace("-", "−"), "%") for x in interval)
+    return low if low == high else f"{low} to {high}"
 
 
 def join(text: str, symbol: str) -> str:

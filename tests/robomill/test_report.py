@@ -1,0 +1,346 @@
+"""The report of a diagnosis: what each verdict says, and a page that is sound, alone and the same each time."""
+
+from __future__ import annotations
+
+import functools
+import re
+import shutil
+import subprocess
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from diagnosis.catalogue import Catalogue
+from diagnosis.engine import Diagnosis, Menu, diagnose
+from diagnosis.next_run import Offer
+from models.robots import forward
+from orchestration.results import Run
+from orchestration.system import System
+from robomill import report
+from robomill.binding import convert
+from robomill.report import robot, units
+from robomill.report.figures import draw_all
+from robomill.report.page import page as html
+from robomill.report.style import COLOURS, MARK
+from robomill.report.subject import Subject, verdict_sentence
+from tests.diagnosis.demo import CATALOGUE, SYSTEM, changed, measure, resolve
+from tests.tolerances import EXACT
+
+SCENARIOS = Path("scenarios")
+STIFF = {"masses": {"stiffness_error[2]": -0.08}}
+TITLES = {"sensors.y": "displacement error"}
+VERDICTS = ("none", "identified", "ambiguous", "unknown", "bad_log", "late")
+
+
+def _catalogue(folder: Path, twin: bool = False) -> Catalogue:
+    """The demo's; with an effect that does exactly what another does."""
+    text = CATALOGUE + ("\n[[effect]]" + CATALOGUE.split("[[effect]]")[3].replace('"gain"', '"scale"') if twin else "")
+    (folder / "catalogue.toml").write_text(text)
+    return Catalogue.load(folder / "catalogue.toml")
+
+
+def _offers() -> Mapping[str, Offer]:
+    force = {"force": {"amplitude": 2.0}}
+    return {"harder push": Offer(SYSTEM, force, 6.0, 5.0, 3, force)}
+
+
+def _subject(folder: Path, runs: list[Run], twin: bool = False, **more: Any) -> Subject:
+    found = _catalogue(folder, twin)
+    held = more.pop("held_out", [])
+    result = diagnose(SYSTEM, runs, found, held_out=held, resolver=resolve, menu=Menu(TITLES, _offers), **more)
+    return Subject(result, SYSTEM, [*runs, *held], found, TITLES)
+
+
+@pytest.fixture(scope="module")
+def subject(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Subject]:
+    """Verdict -> a real diagnosis of the two masses that ends so."""
+
+    @functools.cache
+    def made(verdict: str) -> Subject:
+        folder = tmp_path_factory.mktemp(verdict)
+        if verdict == "none":
+            return _subject(folder, measure(seed=100))
+        if verdict == "identified":
+            held = measure(STIFF, repeats=2, seed=8) + measure(STIFF, amplitude=1.5, repeats=2, seed=9)
+            return _subject(folder, measure(STIFF) + measure(STIFF, amplitude=0.6, seed=2), held_out=held)
+        if verdict == "ambiguous":
+            gain = {"sensors": {"gain_error[1]": 0.04}}
+            return _subject(folder, measure(gain) + measure(gain, amplitude=0.6, seed=2), twin=True)
+        if verdict == "unknown":
+            return _subject(folder, changed(measure(), "sensors.y[1]", lambda t, y: y + 2e-3 * np.sin(9.0 * t) * (t > 5.0)))
+        if verdict == "bad_log":
+            return _subject(folder, changed(measure(STIFF), "sensors.y[2]", lambda t, y: -y))
+        return _subject(folder, changed(measure(), "sensors.y[2]", lambda t, y: np.interp(t - 0.02, t, y)))
+
+    return made
+
+
+@pytest.fixture(scope="module")
+def page(subject: Callable[[str], Subject], tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Verdict -> its report.html."""
+
+    @functools.cache
+    def made(verdict: str) -> Path:
+        return report.write(subject(verdict), tmp_path_factory.mktemp("report"))
+
+    return made
+
+
+def _text(page: Path | str) -> str:
+    """What one reads, in one line; spaces as spaces."""
+    body = (page if isinstance(page, str) else page.read_text(encoding="utf-8")).split("</style>", 1)[1]
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", body)).replace("\u00a0", " ")
+
+
+def _figures(page: Path) -> set[str]:
+    return {f.name for f in (page.parent / "figures").iterdir()}
+
+
+class TestContent:
+    def test_identified_says_what_where_and_how_far_in_human_units(
+        self, page: Callable[[str], Path], subject: Callable[[str], Subject]
+    ) -> None:
+        text = _text(page("identified"))
+        value = subject("identified").result["which"][0]["parameters"]["stiffness_error[2]"]["value"]
+        assert f"The gap is caused by stiffness, spring 2 (−{-100.0 * value:.2f} %)" in text
+        assert re.search(r"displacement error on new conditions falls from [\d.]+ to [\d.]+ [µm]+ \(rms\)", text)
+        assert "a spring is not as stiff as it should be" in text
+        assert "robomill run SCENARIO.toml --adopt adopt.ssv" in text
+        assert "Held-out condition" in text
+        assert {f"{n}.{kind}" for n in ("shares", "signals", "overlay", "closure") for kind in ("svg", "png")} == _figures(
+            page("identified")
+        )
+
+    def test_none_says_what_would_have_been_seen(self, page: Callable[[str], Path], subject: Callable[[str], Subject]) -> None:
+        text = _text(page("none"))
+        assert "there is no gap to explain" in text
+        gain = min(v["value"] for v in subject("none").result["smallest_visible"] if v["effect"] == "gain")
+        assert units.quantity(gain, "%").replace("\u00a0", " ") in text
+        assert "--adopt" not in text
+        assert _figures(page("none")) == {"visible.svg", "visible.png"}
+
+    def test_ambiguous_names_the_set_and_the_next_run(self, page: Callable[[str], Path]) -> None:
+        text = _text(page("ambiguous"))
+        assert re.search(r"causes that these runs cannot tell apart: \w+, sensor 1 \([\d.]+ %\) at 50 % or \w+, sensor 1", text)
+        assert re.search(r"(gain|scale), sensor 1 against (gain|scale), sensor 1 0\.00? cannot be told apart", text)
+        assert "No run on the menu would tell apart gain, sensor 1 and scale, sensor 1" in text
+        assert "harder push" in text
+        assert "force.amplitude = 2" in text
+
+    def test_unknown_is_described(self, page: Callable[[str], Path]) -> None:
+        text = _text(page("unknown"))
+        assert "Something real that is not in the catalogue" in text
+        assert "it shows most in sensors.y[1]" not in text  # by its title
+        assert "it shows most in displacement error, element 1 (sensors)" in text
+        assert "values should not be believed" in text
+        assert "--adopt" not in text
+
+    def test_a_bad_log_is_shown_with_the_reason(self, page: Callable[[str], Path]) -> None:
+        text = _text(page("bad_log"))
+        assert "This log cannot be diagnosed: sensors.y[2] has the wrong sign" in text
+        assert "stops the diagnosis" in text
+        assert "robomill import" in text
+        assert _figures(page("bad_log")) == {"log.svg", "log.png"}
+
+    def test_a_late_clock_comes_with_its_remedy(self, page: Callable[[str], Path]) -> None:
+        text = _text(page("late"))
+        assert "This log cannot be diagnosed: the clock of the second channel is late by 20" in text
+        assert "--repair" in text
+
+    def test_findings_that_do_not_stop_are_notes(self, subject: Callable[[str], Subject]) -> None:
+        s = subject("identified")
+        finding = {"channel": "t", "kind": "time", "value": 0.06, "unit": "s", "text": "no samples", "fatal": False, "repaired": False}
+        gate = {"usable": True, "findings": [finding, {**finding, "text": "late", "repaired": True}]}
+        text = _text(html(replace(s, found=replace(s.found, result={**s.result, "gate": gate})), {}))
+        assert "no samples 60.0 ms noted" in text
+        assert "late 60.0 ms corrected" in text
+
+    def test_a_guess_of_the_noise_is_called_one(self, subject: Callable[[str], Subject]) -> None:
+        s = subject("identified")
+        guess = {**s.result, "gap": {**s.result["gap"], "noise_is_a_guess": True}}
+        assert "the noise is a guess" in _text(html(replace(s, found=replace(s.found, result=guess)), {}))
+        assert "the noise is a guess" not in _text(html(s, {}))
+
+    def test_names_are_escaped(self, subject: Callable[[str], Subject]) -> None:
+        text = html(replace(subject("none"), system=replace(SYSTEM, name="a <b> & c")), {})
+        assert "a &lt;b&gt; &amp; c" in text
+        assert "<b>" not in text
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+class TestPage:
+    def test_is_well_formed_and_its_links_lead_somewhere(self, page: Callable[[str], Path], verdict: str) -> None:
+        text = page(verdict).read_text(encoding="utf-8")
+        root = ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>"))
+        counted = Counter(e.get("id") for e in root.iter() if e.get("id"))
+        assert {i: n for i, n in counted.items() if n > 1} == {}
+        links = re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text)
+        assert {a or b for a, b in links} <= set(counted)
+
+    def test_needs_nothing_but_itself(self, page: Callable[[str], Path], verdict: str) -> None:
+        text = page(verdict).read_text(encoding="utf-8")
+        addresses = set(re.findall(r'https?://[^"\s]+', text))
+        assert addresses <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}  # names of XML, nobody opens them
+        for outside in (r'(?:src|href)="(?!#)', r"url\((?!#)", "@import", "<script", "<link", "<img", "<iframe"):
+            assert not re.search(outside, text)
+
+    def test_its_colours_are_those_of_the_style_sheet(self, page: Callable[[str], Path], verdict: str) -> None:
+        style, body = page(verdict).read_text(encoding="utf-8").split("</style>", 1)
+        assert [c for c in COLOURS.values() if c in body] == []
+        for name in re.findall(r"var\(--([a-z]+)\)", body):
+            assert style.count(f"--{name}:") in (1, 3)  # letters once; colours in light, dark and print
+
+
+def test_it_is_the_same_each_time(subject: Callable[[str], Subject], page: Callable[[str], Path], tmp_path: Path) -> None:
+    first, second = page("identified").parent, report.write(subject("identified"), tmp_path).parent
+    files = sorted(f.relative_to(first) for f in first.rglob("*") if f.is_file())
+    assert files == sorted(f.relative_to(second) for f in second.rglob("*") if f.is_file())
+    assert [f for f in files if (first / f).read_bytes() != (second / f).read_bytes()] == []
+
+
+def test_figures_of_an_earlier_answer_go(subject: Callable[[str], Subject], tmp_path: Path) -> None:
+    report.write(subject("bad_log"), tmp_path)
+    assert _figures(report.write(subject("none"), tmp_path)) == {"visible.svg", "visible.png"}
+
+
+class TestUnits:
+    @pytest.mark.parametrize(
+        ("value", "interval", "unit", "expected"),
+        [
+            (80.2e-6, (79.1e-6, 81.3e-6), "rad", ("80.2 µrad", "79.1 to 81.3")),
+            (0.0349, (0.03, 0.04), "rad", ("2.00°", "1.72 to 2.29")),
+            (0.0501, (0.0498, 0.0504), "s", ("50.10 ms", "49.80 to 50.40")),
+            (-0.122, (-0.142, -0.102), "%", ("−12.2 %", "−14.2 to −10.2")),
+            (2.1e-8, (2.0e-8, 2.2e-8), "m/N", ("0.0210 µm/N", "0.0200 to 0.0220")),
+            (123456.0, (120000.0, 126912.0), "N.m/rad", ("123\u202f456 N m/rad", "120\u202f000 to 126\u202f912")),
+        ],
+    )
+    def test_values_have_the_digits_of_their_interval(
+        self, value: float, interval: tuple[float, float], unit: str, expected: tuple[str, str]
+    ) -> None:
+        assert tuple(t.replace("\u00a0", " ") for t in units.with_interval(value, interval, unit)) == expected
+
+    @pytest.mark.parametrize(
+        ("share", "text"), [(0.937, "94 %"), (0.996, "99.6 %"), (1.0, "100 %"), (0.003, "0.3 %"), (-0.05, "−5 %"), (-1e-5, "0 %")]
+    )
+    def test_percentages_do_not_say_all_or_nothing_of_less(self, share: float, text: str) -> None:
+        assert units.percent(share).replace("\u00a0", " ") == text
+
+    def test_an_exponent_is_no_percentage(self) -> None:
+        assert units.relative("size_effect_exponent", "1") == "1"
+        assert units.relative("stiffness_error[2]", "1") == "%"
+
+    def test_numbers_that_are_none(self) -> None:
+        assert [units.number(x) for x in (float("nan"), float("inf"), -0.0)] == ["–", "∞", "0"]
+
+
+ANGLES = np.deg2rad([[10.0, -70.0, 100.0, 5.0, -30.0, 20.0], [12.0, -68.0, 99.0, 4.0, -31.0, 21.0]])
+
+
+def _cell(entry: Mapping[str, Any], **more: Any) -> Subject:
+    """A diagnosis of the milling cell with this one entry in `which`, at ANGLES."""
+    channels = tuple(f"drive.q_motor[{i}]" for i in range(1, 7))
+    curves = {"t": np.array([0.0, 1.0]), "measured": ANGLES, "nominal": ANGLES, "spread": np.full(6, 1e-6)}
+    result = {"verdict": "identified", "which": [entry], "where": [], "how_far": [], **more}
+    found = Diagnosis(result, {}, channels=channels, curves={"slot": curves})
+    return Subject(found, System.load(SCENARIOS / "milling_cell.toml", convert), [], Catalogue.load(SCENARIOS / "catalogue.toml"))
+
+
+class TestRobot:
+    def test_the_drawn_tool_tip_is_that_of_the_kinematics(self) -> None:
+        body = robot.geometry(robot.arm(System.load(SCENARIOS / "milling_cell.toml", convert)))
+        drawn = robot.pose(body, ANGLES[0])
+        forward(body, ANGLES[0])
+        assert np.abs(drawn.tip - body.link_p[6]).max() == EXACT
+        # the spindle stands on the axis of the tool, and the elbow on that of the forearm
+        assert np.linalg.norm(np.cross(drawn.spindle - drawn.tip, body.link_R[6][:, 0])) < 1e-9
+        assert np.linalg.norm(np.cross(drawn.elbow - drawn.joints[4], body.link_R[3][:, 2])) < 1e-9
+
+    def test_lengths_given_in_the_system_are_used(self) -> None:
+        arm = robot.arm(System.load(SCENARIOS / "milling_cell.toml", convert))
+        assert arm is not None
+        longer = replace(arm, parameters={"dh_a[3]": 1.3, "p_FT_F": [0.1, 0.0, 0.2]})
+        body = robot.geometry(longer)
+        assert body.dh_a[2] == 1.3
+        assert list(body.p_FT_F) == [0.1, 0.0, 0.2]
+
+    def test_the_named_joint_is_marked(self, tmp_path: Path) -> None:
+        entry = {"effect": "backlash", "component": "drive", "location": "joint 3", "probability": 0.97, "parameters": {}}
+        svg = draw_all(_cell(entry, gap={"unexplained": 0.02}), tmp_path)["robot"]
+        assert "backlash, joint 3" in svg
+        circle = (tmp_path / "robot.svg").read_text().split(MARK)
+        assert len(circle) > 3  # both views and the line to the name
+
+    @pytest.mark.parametrize("component", ["compliance", "drive", "sensor", "milling"])
+    def test_every_place_of_the_catalogue_is_on_the_arm(self, component: str) -> None:
+        candidates = [
+            c for c in Catalogue.load(SCENARIOS / "catalogue.toml").candidates if c.component == component and c.location != "path"
+        ]
+        body = robot.geometry(robot.arm(System.load(SCENARIOS / "milling_cell.toml", convert)))
+        drawn = robot.pose(body, ANGLES[0])
+        for c in candidates:
+            places = robot.parts(c.component, c.location, c.effect)
+            assert places, c.name
+            assert all(np.isfinite(robot.place_of(p, drawn, drawn.tip[None, :])).all() for p in places)
+
+    @pytest.mark.parametrize("component", ["controller", "logging"])
+    def test_what_is_not_on_the_arm_is_not_drawn(self, component: str, tmp_path: Path) -> None:
+        entry = {"effect": "extra_delay", "component": component, "location": "corrections", "probability": 0.97, "parameters": {}}
+        assert "robot" not in draw_all(_cell(entry, gap={"unexplained": 0.02}), tmp_path)
+
+    def test_a_system_without_a_robot_has_no_drawing(self, subject: Callable[[str], Subject]) -> None:
+        assert robot.draw(subject("identified")) is None
+
+
+def test_labels_are_those_that_people_use() -> None:
+    titles = {
+        "drive.q_motor": "motor angle error",
+        "compliance.p_BT_B": "tool-tip path error",
+        "milling.spindle_torque": "spindle torque error",
+    }
+    s = replace(_cell({}), titles=titles)
+    channels = ("drive.q_motor[3]", "compliance.p_BT_B[2]", "milling.spindle_torque", "sensor.f_T_T[1]")
+    assert [s.label(c) for c in channels] == [
+        "motor angle error, joint 3",
+        "tool-tip path error, y",
+        "spindle torque error",
+        "sensor.f_T_T, x",
+    ]
+
+
+def test_two_causes_are_both_in_the_sentence() -> None:
+    entry = {"effect": "backlash", "component": "drive", "location": "joint 3", "probability": 0.97}
+    entry["parameters"] = {"backlash[3]": {"value": 8e-5, "interval": [7e-5, 9e-5], "unit": "rad"}}
+    other = {"effect": "tool_wear", "component": "milling", "location": "cutter", "probability": 0.9}
+    other["parameters"] = {"tool_wear": {"value": 0.2, "interval": [0.1, 0.3], "unit": "1"}}
+    s = _cell(entry, gap={"unexplained": 0.02})
+    s.result["which"].append(other)
+    sentence = verdict_sentence(s).replace("\u00a0", " ")
+    assert sentence == "The gap is caused by backlash, joint 3 (80.0 µrad) and tool wear, cutter (20.0 %), which explains 98 % of it."
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_a_browser_shows_it(page: Callable[[str], Path], verdict: str, tmp_path: Path) -> None:
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if browser is None:
+        pytest.skip("no Chromium on this machine: apt-get install chromium")
+    picture = tmp_path / "page.png"
+    command = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={tmp_path / 'profile'}"]
+    # no address resolves: what is shown comes from the file
+    command += ["--host-resolver-rules=MAP * ~NOTFOUND", "--enable-logging=stderr", "--window-size=1100,1600", f"--screenshot={picture}"]
+    done = subprocess.run([*command, page(verdict).as_uri()], capture_output=True, text=True, timeout=120, check=True)
+    assert "CONSOLE" not in done.stderr
+    shown = imread(picture)[:, :, :3]
+    assert shown.shape[:2] == (1600, 1100)
+    # letters and lines, from the head of the page on and over most of its height
+    inked = np.abs(shown - shown[0, 0]).max(axis=2) > 0.3
+    assert inked[:400].sum() > 2000
+    assert inked.any(axis=1).mean() > 0.2
