@@ -304,7 +304,7 @@ class Scorer:
         named = [c for c in singles if c.prediction.claimed and c.prediction.claimed[0].is_exactly(c.effects[0])]
         estimates = [e for c in named if (e := _estimate(c)) is not None]
         closed = self._closures(named)
-        answered = [c for c in self.of("single", "null", "outside") if c.prediction.which and c.prediction.found]
+        answered = [c for c in self.of("single", "null", "outside") if c.prediction.found and c.prediction.claimed]
         times = [c.prediction.cpu for c in self.cases if c.prediction.cpu is not None]
         return {
             "null_false_alarm": proportion([c.prediction.verdict != "none" for c in self.of("null")]),
@@ -332,7 +332,7 @@ class Scorer:
             "closure_over_ceiling_median": median([r for r, _ in closed]),
             "closure_over_ceiling_p10": median([r for r, _ in closed], 0.1),
             "claimed_closure_error_median": median([e for _, e in closed if e is not None]),
-            "ece": calibration([c.prediction.which[0].probability for c in answered], [_first_right(c) for c in answered]),
+            "ece": calibration([c.prediction.claimed[0].probability for c in answered], [_first_right(c) for c in answered]),
             "cpu_time_median": median(times),
             "cpu_time_p90": median(times, 0.9),
         }
