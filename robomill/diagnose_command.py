@@ -45,7 +45,7 @@ def menu(system: System, folder: Path) -> Menu:
             made[kind] = Offer(r.system, r.parameters, r.seconds, r.minutes, r.repeats, {c: v for c, v in shown.items() if v})
         return made
 
-    return Menu(TITLES, offers)
+    return Menu(titles=TITLES, offers=offers)
 
 
 def add_arguments(command: Any) -> None:
@@ -73,7 +73,10 @@ def run(options: Namespace) -> int:
     runs, held = [Run.load(f) for f in options.runs], [Run.load(f) for f in options.held_out]
     store = Store(options.out / SIMULATIONS, sources())
     if len(store) and not options.json:
-        print(f"{len(store)} simulations of an interrupted diagnosis are in {store.folder}/; those that still hold are taken over", file=sys.stderr)
+        print(
+            f"{len(store)} simulations of an interrupted diagnosis are in {store.folder}/; those that still hold are taken over",
+            file=sys.stderr,
+        )
     with _progress(options.json) as progress, TemporaryDirectory() as folder:
         found = diagnose(
             system,

@@ -54,7 +54,7 @@ def _offers() -> Mapping[str, Offer]:
 def _subject(folder: Path, runs: list[Run], twin: bool = False, **more: Any) -> Subject:
     found = _catalogue(folder, twin)
     held = more.pop("held_out", [])
-    result = diagnose(SYSTEM, runs, found, held_out=held, resolver=resolve, menu=Menu(TITLES, _offers), **more)
+    result = diagnose(SYSTEM, runs, found, held_out=held, resolver=resolve, menu=Menu(titles=TITLES, offers=_offers), **more)
     return Subject(result, SYSTEM, [*runs, *held], found, TITLES)
 
 
