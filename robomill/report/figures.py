@@ -106,7 +106,8 @@ def _gap(ax: Axes, s: Subject, condition: str, channel: str, *, before: bool = T
 
 def component_name(s: Subject, entry: Any) -> str:
     """`drive (joint 3)`; the log is not a component."""
-    return f"{'log' if entry['component'] == LOGGING else entry['component']} ({entry['location']})"
+    place = f" ({entry['location']})" if entry.get("location") else ""
+    return f"{'log' if entry['component'] == LOGGING else entry['component']}{place}"
 
 
 def shares(s: Subject) -> Figure | None:
@@ -115,7 +116,8 @@ def shares(s: Subject) -> Figure | None:
     if not entries:
         return None
     rows = [(component_name(s, w), w["share"], w["interval"], True) for w in entries]
-    rows.append(("not explained", s.result["gap"]["unexplained"], None, False))
+    if not any("nearest" in w for w in entries):  # shares of a replay are no parts of the model that leaves this
+        rows.append(("not explained", s.result["gap"]["unexplained"], None, False))
     figure = Figure(figsize=(WIDTH, 0.62 + 0.36 * len(rows)), layout="constrained")
     ax = figure.subplots()
     for i, (_, share, interval, known) in enumerate(rows):

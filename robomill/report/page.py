@@ -21,6 +21,11 @@ BADGES = {
     "bad_log": "Log not usable",
 }
 WHITENED = "all channels, whitened"
+_SHARES = {
+    False: "Share of the whitened gap that goes when the effects found in a component are switched on in the closed loop, with its 90 % interval.",
+    True: "Share of the whitened gap that goes when the outputs of a component are replaced by their measurements, with its 90 % interval.",
+}
+"""Whether the shares come from replay and swaps -> what they are."""
 PAIRS = 12
 """Pairs of candidates that are listed, at most."""
 
@@ -176,8 +181,7 @@ def _where(s: Subject, figures: Mapping[str, str]) -> str:
             _figure(
                 figures,
                 "shares",
-                "Share of the whitened gap that goes when the effects found in a component are switched on in the closed loop "
-                "(Shapley value, where there are several), with its 90 % interval.",
+                _SHARES["nearest" in s.result["where"][0]],
             )
         )
     parts.append(
@@ -195,18 +199,62 @@ def _where(s: Subject, figures: Mapping[str, str]) -> str:
     rows = []
     for w in s.result["where"]:
         channel = w.get("channel")
+        others = f"<small>or {escape(listed(w['alternatives'], 'or'))}</small>" if w.get("alternatives") else ""
+        depends = [f"{escape(d['variable'])} ({percent(d['share'])})" for d in (w.get("dependence") or [])[:3]]
         rows.append(
             (
-                escape(component_name(s, w)),
+                f"<strong>{escape(component_name(s, w))}</strong>{others}",
                 f"{percent(w['share'])}<small>{percent_interval(w['interval'])}</small>",
                 escape(_direction(str(w.get("direction", "")), s)),
                 f"{escape(s.label(channel))}<small>{_code(channel)}</small>" if channel else "",
                 escape(_times(w.get("regime") or [])),
+                "<br/>".join(depends) or "–",
             )
         )
     if rows:
-        parts.append(_table(("Component", "Share", "Direction", "Strongest in", "When"), rows))
-    return "\n".join(p for p in parts if p)
+        parts.append(_table(("Component", "Share", "Direction", "Strongest in", "When", "Depends on"), rows))
+    return "\n".join(p for p in [*parts, _replay(s), _swap(s)] if p)
+
+
+def _replay(s: Subject) -> str:
+    """What each measured output says when its component is driven with measured inputs."""
+    readings = s.result.get("replay") or []
+    if not readings:
+        return ""
+    loud = sorted((r for r in readings if r["significant"]), key=lambda r: -r["unexplained"])
+    rows = []
+    for r in loud:
+        value, interval = with_interval(r["residual"], r["interval"], r["unit"])
+        name = f"{escape(s.titles.get(r['output'], ''))}<small>{_code(r['output'])}</small>"
+        rows.append(
+            (
+                name,
+                escape(listed(r["components"], "or")),
+                f"{value}<small>{interval}</small>",
+                number(r["whitened"]),
+                number(r["unexplained"]),
+            )
+        )
+    text = (
+        "Each component was driven alone with measured inputs, so that nothing that happens before it can show in its outputs. "
+        f"{len(loud)} of {_count(len(readings), 'output')} differ from the measurement by more than noise and the tolerances of calibrated numbers"
+        + (":" if loud else ".")
+    )
+    table = _table(("Output", "To blame", "Left, rms", "In noise", "Beyond tolerances"), rows, (2, 3, 4)) if rows else ""
+    return f"<h3>Component by component</h3>\n{_paragraph(text)}{table}"
+
+
+def _swap(s: Subject) -> str:
+    """How much of each figure's gap goes when a component's outputs are replaced by their measurements."""
+    swapped = s.result.get("swap") or []
+    if not swapped:
+        return ""
+    rows = [
+        (escape(s.titles.get(w["figure"], w["figure"])), escape(w["component"]), _bar(w["share"]), percent_interval(w["interval"]))
+        for w in swapped
+    ]
+    text = "The closed loop was run again with the outputs of a component replaced by their measurement; the share of the gap that this takes away (Shapley value):"
+    return f"<details><summary>Shares by replacing outputs</summary>\n{_paragraph(text)}{_table(('Gap in', 'Component', 'Share', '90 %'), rows)}</details>"
 
 
 def _direction(direction: str, s: Subject) -> str:

@@ -104,10 +104,10 @@ def marks(s: Subject) -> dict[str, str]:
             for part in parts(w["component"], w["location"], w["effect"]):
                 found.setdefault(part, []).append(text)
     elif s.verdict == "unknown":
-        known = s.result["unknown"]
-        place = str(known.get("location") or known["direction"])
-        for part in parts(known["component"], place.replace("drive.q_motor[", "joint ").replace("drive.torque_motor[", "joint "), ""):
-            found.setdefault(part, []).append("not in the catalogue")
+        replayed = [w for w in s.result["where"] if "nearest" in w]
+        for w in replayed or [{**s.result["unknown"], "location": s.label(s.result["unknown"]["direction"])}]:
+            for part in parts(w["component"], w["location"], str(w["nearest"]).partition(" @ ")[0]):
+                found.setdefault(part, []).append("not in the catalogue")
     return {part: ", ".join(dict.fromkeys(texts)) for part, texts in found.items()}
 
 
