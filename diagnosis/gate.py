@@ -152,13 +152,15 @@ def _arrays(channels: Sequence[str]) -> list[list[int]]:
 def _axes(members: list[int], x: FloatArray, s: FloatArray, channels: Sequence[str], noise: FloatArray) -> list[Finding]:
     """Permuted axes, and rotated triples."""
     found = []
-    size, shown = (s * s).sum(axis=0), (x * x).sum(axis=0)
+    # what is there all the time (a position, a weight) says nothing of how large a difference is usual
+    moving, shown = ((s - s.mean(axis=0)) ** 2).sum(axis=0), (x * x).sum(axis=0)
     for i, j in itertools.combinations(members, 2):
         if not all(_visible(shown[k], noise[k], len(x)) for k in (i, j)):
             continue
         straight = ((x[:, [i, j]] - s[:, [i, j]]) ** 2).sum()
         crossed = min(((x[:, [i, j]] - s[:, [j, i]] * np.array(g)) ** 2).sum() for g in itertools.product((1.0, -1.0), repeat=2))
-        if straight > 0.3 * (size[i] + size[j]) and crossed < MUCH_BETTER * straight:
+        clear = _visible(straight, float(noise[[i, j]].max()), 2 * len(x))
+        if clear and straight > 0.3 * (moving[i] + moving[j]) and crossed < MUCH_BETTER * straight:
             found.append(Finding(channels[i], "axes", float(j - i), "1", f"is interchanged with {channels[j]}"))
     if found or len(members) != 3:
         return found
