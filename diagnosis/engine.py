@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -24,7 +23,6 @@ from diagnosis.store import Store
 from diagnosis.where import combined, direction_of, located
 from orchestration.assembly import Resolver, assemble, run
 from orchestration.parameters import Convert, same_unit_only
-from orchestration.recorder import frame_of
 from orchestration.results import Run
 from orchestration.slave import FloatArray, PortData, base_name
 from orchestration.system import System
