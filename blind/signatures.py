@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from blind.conditions import Condition
 from blind.effects import EFFECTS, Instance
@@ -146,23 +147,32 @@ def confusable(lib: Library, true: Instance, change: FloatArray, limit: float) -
 def clocks(lib: Library, reference: Run, change: FloatArray, limit: float) -> list[str]:
     """Clocks of the log (`logging.lag COMPONENT`) that explain the whitened change but for `limit`, by a lag of up to `LATEST`."""
     of_change = change.reshape(len(lib.columns), -1)
-    rows = slice(0, of_change.shape[1] * STRIDE, STRIDE)
     found = []
     for device in dict.fromkeys(name.partition(".")[0] for name in lib.columns):
         late = [i for i, name in enumerate(lib.columns) if name.partition(".")[0] == device]
         on_time = [i for i in range(len(lib.columns)) if i not in late]
         if on_time and _largest_window(of_change[on_time]) >= limit:
             continue
-        for lag in np.arange(-LATEST, LATEST + STEP, STEP):
-            shifted = [
-                ((np.interp(reference.t - lag, reference.t, y) - y) / floor(lib.columns[i], y))[rows]
-                for i in late
-                for y in (reference.columns[lib.columns[i]],)
-            ]
-            if _largest_window(of_change[late] - np.array(shifted)) < limit:
-                found.append(f"logging.lag {device}")
-                break
+        if _largest_window(_without_lag(of_change[late], reference, [lib.columns[i] for i in late])) < limit:
+            found.append(f"logging.lag {device}")
     return found
+
+
+def _without_lag(change: FloatArray, reference: Run, names: Sequence[str]) -> FloatArray:
+    """What the best lag leaves of a whitened change, [names, rows]."""
+    rows = slice(0, change.shape[1] * STRIDE, STRIDE)
+    logged = [reference.columns[name] for name in names]
+    floors = [floor(name, y) for name, y in zip(names, logged, strict=True)]
+
+    def left(lag: float) -> FloatArray:
+        shifted = [((np.interp(reference.t - lag, reference.t, y) - y) / f)[rows] for y, f in zip(logged, floors, strict=True)]
+        return change - np.array(shifted)
+
+    def misfit(lag: float) -> float:
+        return float(np.sum(left(lag) ** 2))
+
+    near = min(np.arange(-LATEST, LATEST + STEP, STEP), key=misfit)
+    return left(minimize_scalar(misfit, bounds=(near - STEP, near + STEP), method="bounded", options={"xatol": 1e-6}).x)
 
 
 def _largest_window(values: FloatArray, rows: int = 25) -> float:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from blind.baselines import BASELINES
 from blind.effects import BY_KEY, Instance
-from blind.signatures import FLOOR, STRIDE, Library, confusable, features, floor
+from blind.signatures import FLOOR, STRIDE, Library, clocks, confusable, features, floor
 from blind.world import STEP
+from orchestration.results import Run
 
 ROWS = 100
 COLUMNS = ("drive.q_motor[1]", "sensor.f_T_T[1]", "compliance.p_BT_B[1]")
@@ -53,6 +56,16 @@ def test_signatures_of_one_direction_are_confusable_and_others_are_not(library):
     assert confusable(library, gain, library.matrix[1], limit=1.0) == []
     weak = 0.05 * library.matrix[2]  # what the other column shows of it is below the limit
     assert confusable(library, tool, weak, limit=1.0) == ["drive.backlash[1]", "sensor.sensor_gain_error"]
+
+
+def test_a_clock_explains_what_looks_like_a_late_device_and_nothing_that_others_show(library):
+    t = np.arange(ROWS * STRIDE) * STEP
+    reference = Run(Path(), t, {name: 0.2 * np.cos(3.0 * t) for name in COLUMNS}, {}, {})
+    late = {**reference.columns, "drive.q_motor[1]": 0.2 * np.cos(3.0 * np.maximum(t - 0.021, 0.0))}
+    change = features(late, reference.columns, COLUMNS, ROWS)
+    assert clocks(library, reference, change, 3.0) == ["logging.lag drive"]
+    both = {**late, "compliance.p_BT_B[1]": reference.columns["compliance.p_BT_B[1]"] + 1e-3}
+    assert clocks(library, reference, features(both, reference.columns, COLUMNS, ROWS), 3.0) == []
 
 
 def test_tier_t0_has_no_tracker(library):
