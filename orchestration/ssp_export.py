@@ -42,7 +42,8 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 def export(system: System, file: str | Path, convert: Convert = same_unit_only) -> Path:
     """Write `system`, whose components are all FMUs, as the package `file`; returns its path.
 
-    All that `assemble` checks is checked, and what it raises is raised. SystemFileError names components that are no FMUs.
+    All that `assemble` checks is checked, and what it raises is raised. SystemFileError names components that are no FMUs,
+    or FMUs of FMI 3.0, whose arrays SSP 1.0 cannot connect.
     """
     others = [f"{c.name} ({c.source})" for c in system.components if not c.source.endswith(".fmu")]
     if others:
@@ -51,6 +52,11 @@ def export(system: System, file: str | Path, convert: Convert = same_unit_only) 
         )
     here = replace(system, components=tuple(replace(c, isolate=False) for c in system.components))
     with assemble(here, convert=convert) as assembly:
+        new = [name for name, slave in assembly.slaves.items() if getattr(_description(slave), "fmi", 2) == 3]
+        if new:
+            raise SystemFileError(
+                f"{system.where(None)}an SSP 1.0 connects FMUs of FMI 2.0; of FMI 3.0: {', '.join(new)}: build them with --fmi 2"
+            )
         content = _Package(assembly, system).content()
     file = Path(file)
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -63,6 +69,11 @@ def export(system: System, file: str | Path, convert: Convert = same_unit_only) 
             archive.writestr(entry, data)
     part.replace(file)
     return file
+
+
+def _description(slave: Any) -> Any:
+    """Of the FMU, also one that steps at another rate."""
+    return getattr(getattr(slave, "inside", slave), "description", None)
 
 
 class _Package:
@@ -166,7 +177,7 @@ class _Package:
         """Definitions of the units that connectors have, as the FMUs define them."""
         known: dict[str, Any] = {}
         for slave in self.assembly.slaves.values():
-            known |= getattr(getattr(getattr(slave, "inside", slave), "description", None), "units", {})
+            known |= getattr(_description(slave), "units", {})
         used = sorted({p.unit for ports in self.ports.values() for p in ports if p.unit is not None and p.unit in known})
         if used:
             units = SubElement(root, "ssd:Units")

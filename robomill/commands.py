@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import tomllib
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
@@ -55,6 +56,8 @@ def run(options: Namespace) -> int:
     """`robomill run`: a scenario of any kind, a plain system file, or an SSP package."""
     if options.file.suffix == ".ssp":
         with open_ssp(options.file, options.step) as package:
+            for text in package.ignored:
+                print(f"{options.file.name}: ignored: {text}", file=sys.stderr)
             return _run_system(package.system, options, package.start)
     if not options.file.is_file():
         load_scenario(options.file)  # says what there is

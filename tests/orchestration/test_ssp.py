@@ -18,7 +18,7 @@ from orchestration.errors import OrchestrationError, SlaveError, SystemFileError
 from orchestration.ssp_export import export
 from orchestration.ssp_import import open_ssp
 from orchestration.system import Component, Connection, Recording, System
-from tests.orchestration import c_fmu
+from tests.orchestration import c_fmu, c_fmu3
 
 SCHEMAS = Path(fmpy.__file__).parent / "ssp/schema"
 
@@ -166,6 +166,12 @@ class TestProfile:
         with pytest.raises(SystemFileError, match=r"an SSP holds FMUs; not one yet: g \(mock\), r \(replay:x\): build them"):
             export(System("s", 0.1, (Component("g", "mock"), Component("r", "replay:x"))), tmp_path / "s.ssp")
 
+    def test_not_of_fmi_3(self, euler, tmp_path):
+        new = c_fmu3.build(tmp_path, c_fmu3.PLAIN)
+        made = System("s", 0.1, (Component("a", str(euler)), Component("b", str(new)), Component("c", str(new), rate=2)))
+        with pytest.raises(SystemFileError, match=r"an SSP 1.0 connects FMUs of FMI 2.0; of FMI 3.0: b, c: build them with --fmi 2"):
+            export(made, tmp_path / "s.ssp")
+
     def test_two_fmus_of_one_name(self, euler, tmp_path):
         (tmp_path / "other").mkdir()
         other = c_fmu.build(tmp_path / "other", c_fmu.SOURCE.replace("y += h", "y += 2 * h"))
@@ -265,10 +271,10 @@ class TestOthers:
     @pytest.mark.parametrize(
         ("change", "text"),
         [
-            (('version="1.0" name="theirs"', 'version="2.0" name="theirs"'), r"is of SSP version '2.0'; only 1.0 can be read"),
+            (('version="1.0" name="theirs"', 'version="3.0" name="theirs"'), r"is of SSP version '3.0'; only 1.0 and 2.0 can be read"),
             (
-                ('<ssd:Component name="2"', '<ssd:System name="sub"/><ssd:Component name="2"'),
-                r"System 'sub' within the system: only a flat",
+                ('<ssd:Component name="2"', '<ssd:SignalDictionaryReference name="bus"/><ssd:Component name="2"'),
+                r"SignalDictionaryReference 'bus' cannot be read; only components and systems can: connect what it joins directly",
             ),
             (('name="2" source', 'name="the first.one" source'), r"component 'the first.one': its name is given twice"),
             (
@@ -293,11 +299,14 @@ class TestOthers:
             ),
             (("all%20of%20them", "none"), r"parameters of the system: there is no parameters/none.ssv in the package"),
             (('prefix="ga"', 'type="text/csv"'), r"component 'the first.one': parameters of type 'text/csv' cannot be read"),
-            (('prefix="ga">', "><ssd:ParameterMapping/>"), r"component 'the first.one': a parameter mapping \(SSM\) cannot be read"),
-            (('value="7"', 'value="seven"'), r"component 'the first.one': parameter 'gain' = 'seven' is not of type Real"),
+            (
+                ('prefix="ga">', "><ssd:ParameterMapping/>"),
+                r"parameter mapping of component 'the first.one': neither a source nor a ParameterMapping within",
+            ),
+            (('value="7"', 'value="seven"'), r"component 'the first.one': parameter 'in' = 'seven' is not of type Real"),
             (
                 ('<ssv:Real value="7"/>', '<ssv:Binary value="00"/>'),
-                r"parameter 'gain' is of type Binary; expected a value of type Real, Integer",
+                r"parameter 'in' is of type Binary; expected a value of type Real, Float64, Float32, Integer",
             ),
             (
                 ('endConnector="twice"/>', 'endConnector="twice"><ssc:LinearTransformation factor="2"/></ssd:Connection>'),
@@ -309,7 +318,7 @@ class TestOthers:
             ),
             (
                 ('name="twice" kind="output"', 'name="twice" kind="calculatedParameter"'),
-                r"2.u -> the first.one.twice: parameters cannot be connected",
+                r"connection of 2.u and the first.one.twice: parameters cannot be connected",
             ),
             (('baseStepSize="1e-1"', 'baseStepSize="fast"'), r"FixedStepAlgorithm: baseStepSize = 'fast' is not a value of type float"),
             (('baseStepSize="1e-1"', 'baseStepSize="0"'), r"step = 0.0 s is not a positive whole number of nanoseconds"),
@@ -326,7 +335,6 @@ class TestOthers:
     @pytest.mark.parametrize(
         ("change", "text"),
         [
-            (('name="2.gain"', 'name="2.gein"'), r"component '2': unknown parameter 'gein'; did you mean 'gain'\?"),
             (('value="3" unit="1"', 'value="3" unit="mm"'), r"parameter 'gain': unit 'mm' cannot be converted to '1'"),
             (('value="3" unit="1"', 'value="-3" unit="1"'), r"parameter 'gain': -3 1 is below its minimum 0 1"),
         ],
@@ -335,9 +343,16 @@ class TestOthers:
         with open_ssp(self.package(euler, tmp_path, change)) as package, pytest.raises(SystemFileError, match=text):
             run(package.system, start=10.0)
 
+    def test_values_that_fit_nothing_are_ignored_and_told(self, euler, tmp_path):
+        """As the standard wants it: a parameter set may hold more than the system has."""
+        with open_ssp(self.package(euler, tmp_path, ('name="2.gain"', 'name="2.gein"'))) as package:
+            assert package.system.components[1].parameters == {"label": "text"}
+            (text,) = package.ignored
+        assert text.startswith("component '2': unknown variable 'gein'; did you mean 'gain'?")
+
     def test_connectors_that_the_fmu_does_not_have(self, euler, tmp_path):
         change = ('startElement="2" startConnector="u"', 'startElement="2" startConnector="v"')
-        with open_ssp(self.package(euler, tmp_path, change)) as package, pytest.raises(WiringError, match=r"unknown output of '2': 'v'"):
+        with open_ssp(self.package(euler, tmp_path, change)) as package, pytest.raises(WiringError, match=r"unknown input of '2': 'v'"):
             run(package.system)
 
     def test_not_a_package(self, tmp_path):
