@@ -84,6 +84,10 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
     found: list[Finding] = []
     suspects: set[str] = set()
     size = (s * s).sum(axis=0)
+    for members in _arrays(channels):
+        for i, j in _interchanged(members, x, s, noise):
+            found.append(Finding(channels[i], "axes", float(j - i), "1", f"is interchanged with {channels[j]}"))
+            suspects |= {channels[i], channels[j]}
     for i, name in enumerate(channels):
         spread = float(np.ptp(s[:, i]))
         if np.ptp(run.columns[name][np.isfinite(run.columns[name])]) == 0.0 and spread > 20.0 * noise[i] and spread > 1e-9:
@@ -96,7 +100,7 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
             suspects.add(name)
             continue
         found += _spikes(run, name)
-        if not _visible(float(x[:, i] @ x[:, i]), noise[i], len(x)):  # measured over measured: whatever its unit is
+        if name in suspects or not _visible(float(x[:, i] @ x[:, i]), noise[i], len(x)):  # measured over measured: whatever its unit is
             continue
         off = ((x[:, i] - s[:, i]) ** 2).sum()
         if off < FAR_OFF * size[i]:
@@ -112,7 +116,7 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
                 found.append(Finding(name, "sign", -1.0, "1", "has the wrong sign"))
                 suspects.add(name)
     for members in _arrays(channels):
-        found += _axes([i for i in members if channels[i] not in suspects], x, s, channels, noise)
+        found += _turned([i for i in members if channels[i] not in suspects], x, s, channels, noise)
     return found
 
 
@@ -149,21 +153,26 @@ def _arrays(channels: Sequence[str]) -> list[list[int]]:
     return [g for g in groups.values() if 2 <= len(g) <= 6]
 
 
-def _axes(members: list[int], x: FloatArray, s: FloatArray, channels: Sequence[str], noise: FloatArray) -> list[Finding]:
-    """Permuted axes, and rotated triples."""
-    found = []
+def _interchanged(members: list[int], x: FloatArray, s: FloatArray, noise: FloatArray) -> list[tuple[int, int]]:
+    """Pairs of channels of an array that stand in each other's place, possibly with another sign."""
     # what is there all the time (a position, a weight) says nothing of how large a difference is usual
     moving, shown = ((s - s.mean(axis=0)) ** 2).sum(axis=0), (x * x).sum(axis=0)
+    found = []
     for i, j in itertools.combinations(members, 2):
-        if not all(_visible(shown[k], noise[k], len(x)) for k in (i, j)):
+        if not all(_visible(float(shown[k]), float(noise[k]), len(x)) for k in (i, j)):
             continue
-        straight = ((x[:, [i, j]] - s[:, [i, j]]) ** 2).sum()
+        straight = float(((x[:, [i, j]] - s[:, [i, j]]) ** 2).sum())
         crossed = min(((x[:, [i, j]] - s[:, [j, i]] * np.array(g)) ** 2).sum() for g in itertools.product((1.0, -1.0), repeat=2))
         clear = _visible(straight, float(noise[[i, j]].max()), 2 * len(x))
         if clear and straight > 0.3 * (moving[i] + moving[j]) and crossed < MUCH_BETTER * straight:
-            found.append(Finding(channels[i], "axes", float(j - i), "1", f"is interchanged with {channels[j]}"))
-    if found or len(members) != 3:
-        return found
+            found.append((i, j))
+    return found
+
+
+def _turned(members: list[int], x: FloatArray, s: FloatArray, channels: Sequence[str], noise: FloatArray) -> list[Finding]:
+    """A triple in another frame."""
+    if len(members) != 3:
+        return []
     base = base_name(channels[members[0]])
     a, b = x[:, members], s[:, members]
     u, _, vt = np.linalg.svd(a.T @ b)
@@ -176,12 +185,12 @@ def _axes(members: list[int], x: FloatArray, s: FloatArray, channels: Sequence[s
         and straight > 0.1 * (b * b).sum()
         and _visible(float((a * a).sum()), float(noise[members].max()), len(x))
     ):
-        found.append(
+        return [
             Finding(
                 base, "rotation", angle, "rad", f"is turned by {np.rad2deg(angle):.0f} degrees: another frame, or a transposed rotation"
             )
-        )
-    return found
+        ]
+    return []
 
 
 def repeats(condition: Condition, group: Sequence[FloatArray], channels: Sequence[str]) -> list[Finding]:
