@@ -161,12 +161,16 @@ def _interchanged(members: list[int], x: FloatArray, s: FloatArray, noise: Float
     for i, j in itertools.combinations(members, 2):
         if not all(_visible(float(shown[k]), float(noise[k]), len(x)) for k in (i, j)):
             continue
-        straight = float(((x[:, [i, j]] - s[:, [i, j]]) ** 2).sum())
-        crossed = min(((x[:, [i, j]] - s[:, [j, i]] * np.array(g)) ** 2).sum() for g in itertools.product((1.0, -1.0), repeat=2))
+        straight, crossed = _apart(x[:, [i, j]], s[:, [i, j]]), _apart(x[:, [i, j]], s[:, [j, i]])
         clear = _visible(straight, float(noise[[i, j]].max()), 2 * len(x))
         if clear and straight > 0.3 * (moving[i] + moving[j]) and crossed < MUCH_BETTER * straight:
             found.append((i, j))
     return found
+
+
+def _apart(a: FloatArray, b: FloatArray) -> float:
+    """Energy of the differences of channels, whatever their signs are."""
+    return float(np.minimum(((a - b) ** 2).sum(axis=0), ((a + b) ** 2).sum(axis=0)).sum())
 
 
 def _turned(members: list[int], x: FloatArray, s: FloatArray, channels: Sequence[str], noise: FloatArray) -> list[Finding]:
