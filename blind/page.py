@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from blind.acceptance import bound, met
+from blind.acceptance import MARGIN, bound, met
 
 Score = Mapping[str, Any]
 """score.json."""
@@ -34,8 +34,9 @@ def _benchmark(s: Score) -> list[str]:
         "",
         f"{s['cases']} cases ({kinds}), seed {s['seed']}, generator version {s['version']}; {s['predictions']} predictions, {seal}. "
         f"Scored {s['date']}, commit {s['commit'] or 'unknown'}.",
-        "" if s["isolability"] else "Isolability was not looked at: every detectable effect counts as isolable.",
     ]
+    if not s["isolability"]:
+        lines += ["", "Isolability was not looked at: every detectable effect counts as isolable."]
     judged = {k: met(k, f, s["tier"]) for k, f in s["scores"].items()}
     asked = [v for v in judged.values() if v is not None]
     lines += ["", f"Within the bounds: {sum(asked)} of {len(asked)} figures that have cases.", ""]
@@ -47,6 +48,7 @@ def _benchmark(s: Score) -> list[str]:
         others = [_value(s["baselines"][n].get(key)) for n in names]
         rows.append([key, _value(figure), _interval(figure), figure["count"], "" if limit is None else limit, verdict, *others])
     lines += _table(["figure", "value", "95 %", "cases", "bound", "met", *names], rows)
+    lines += _margins(s)
     lines += ["", f"### By how far the effects stand out ({s['tier']})", ""]
     rows = []
     for name, stratum in s["strata"].items():
@@ -58,6 +60,17 @@ def _benchmark(s: Score) -> list[str]:
     lines += ["", f"### What was said first ({s['tier']})", "", "All cases but doubles and triples, detectable or not.", ""]
     rows = [[true, ", ".join(f"{said} {n}" for said, n in row.items())] for true, row in s["confusion"].items()]
     return lines + _table(["true", "said, cases"], rows)
+
+
+def _margins(s: Score) -> list[str]:
+    """By how many points the best of the baselines is beaten, where it gives a figure."""
+    found = []
+    for key in ("component_top1", "location_top1", "effect_top1"):
+        others = [v for b in s["baselines"].values() if (v := (b.get(key) or {}).get("value")) is not None]
+        own = s["scores"][key]["value"]
+        if others and own is not None:
+            found.append(f"{key} {100.0 * (own - max(others)):+.0f}")
+    return ["", f"Points above the best of the baselines ({MARGIN} are asked for): {', '.join(found)}."] if found else []
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[str]:

@@ -499,7 +499,7 @@ def _estimate(c: Case) -> tuple[float, bool | None] | None:
 
 def freeze_predictions(folder: Path) -> tuple[dict[str, str], bool]:
     """Hash the predictions and note that before the truth is opened; returns the hashes and whether they are those of the first time."""
-    current = {k: v for k, v in hashes(folder / "predictions").items() if k.endswith("/diagnosis.json")}
+    current = {k: v for k, v in hashes(folder / "predictions").items() if k.endswith("/diagnosis.json") and not k.startswith(".")}
     file = folder / "predictions.json"
     if file.is_file():
         return current, json.loads(file.read_text(encoding="utf-8")) == current

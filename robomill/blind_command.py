@@ -116,7 +116,7 @@ def tables(summary: dict[str, Any]) -> list[Table]:
     baselines = summary["baselines"]
     first = Table(title=f"tier {summary['tier']}, {summary['cases']} cases, {summary['predictions']} predictions", box=SIMPLE)
     for heading in ("", "value", "95 %", "cases", "bound", *baselines):
-        first.add_column(heading.replace("_", " "), justify="left" if heading == "" else "right")
+        first.add_column(heading.replace("_", " "), justify="left" if heading == "" else "right", no_wrap=heading == "")
     for key, figure in summary["scores"].items():
         others = [_number(baselines[b].get(key)) for b in baselines]
         interval = figure["interval"]

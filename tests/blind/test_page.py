@@ -46,6 +46,7 @@ def test_each_figure_has_count_interval_bound_and_baselines_beside_it():
     assert row(text, "doubles_exact") == "| doubles_exact |  |  | 0 | at least 0.65 |  |  |"
     assert row(text, "compliance.stiffness_error").startswith("| compliance.stiffness_error | 1 | 1 | 1 | 1 | 0 |")
     assert "| compliance.stiffness_error | sensor.sensor_gain_error 1 |" in text
+    assert "Points above the best of the baselines (15 are asked for): effect_top1 +25." in text
     assert "seed 5, generator version 2; 3 predictions, as they were when the truth was first opened." in text
     assert "Scored 2026-01-02 03:04 UTC, commit abc1234." in text
 

@@ -250,6 +250,12 @@ def test_predictions_are_hashed_before_the_truth_is_opened_and_later_changes_sho
     assert not freeze_predictions(folder)[1]
 
 
+def test_what_an_interrupted_diagnosis_left_is_no_prediction(folder):
+    (folder / "predictions" / ".0002.part").mkdir()
+    (folder / "predictions" / ".0002.part" / "diagnosis.json").write_text("{}")
+    assert list(freeze_predictions(folder)[0]) == ["0001/diagnosis.json"]
+
+
 def test_a_truth_that_was_changed_is_refused(folder):
     assert load_cases(folder, unseal(folder)[1])[0].prediction.verdict == "none"
     (folder / "sealed" / "0001.json").write_text(json.dumps(truth("single", GAIN)))
