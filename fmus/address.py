@@ -52,9 +52,9 @@ class Addresses:
 
 
 class Rollback:
-    """The words of a record that steps change, and as much memory for a copy of them: no functions are needed."""
+    """The words of a record that steps change, and as much memory for a copy of them: no functions are needed, none can fail."""
 
-    get = set = 0
+    get = set = limit = 0
 
     def __init__(self, instance: Instance) -> None:
         self._words = instance.data.view(np.uint8)[: instance.interface.tables_at]

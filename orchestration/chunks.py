@@ -16,7 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from orchestration import compiled
-from orchestration.native import Block, Native, native_of
+from orchestration.acceleration import Iteration, Work
+from orchestration.callbacks import face_of, rollback_of
+from orchestration.errors import IterationError
+from orchestration.iteration import unconverged_text
+from orchestration.native import Block, native_of
 from orchestration.rate import MultiRate
 from orchestration.slave import FloatArray, Slave
 from orchestration.system import TICK
@@ -68,9 +72,10 @@ class CompiledLoop:
         bounds: tuple[FloatArray, FloatArray],
         observed: bool = True,
         capacity: int | None = None,
+        iteration: Iteration | None = None,
     ) -> None:
         self._slaves, self._wiring, self._bus, self._bounds = slaves, wiring, bus, bounds
-        self._natives = [_native(slave) for slave in slaves.values()]
+        self._natives = [face_of(slave) for slave in slaves.values()]
         capacity = capacity or (min(max(_ROW_BYTES // (8 + 8 * wiring.n_outputs), 16), _MOST_STEPS) if observed else _MOST_STEPS)
         self.capacity, self._steps = capacity, _FIRST_CHUNK
         # One column per signal, as they are written. Two sets: a recorder may still write one while the other is filled.
@@ -88,7 +93,8 @@ class CompiledLoop:
         self._calls = [call for phase in phases for call in phase]
         if not jacobi:  # all calls of a component after each other
             self._calls.sort(key=lambda call: call.component)
-        self._rated = [(c, s) for c, s in enumerate(slaves.values()) if isinstance(s, MultiRate)]
+        # who is called back in Python counts there, too
+        self._rated = [(c, s) for c, s in enumerate(slaves.values()) if isinstance(s, MultiRate) and native_of(s) is not None]
         self._clocks = np.array([[1, 1, 0, 0, 0]] * len(slaves), dtype=np.int64)
         for c, slave in self._rated:
             self._clocks[c, [compiled.RATE, compiled.EVERY]] = slave.rate, slave.every
@@ -98,6 +104,7 @@ class CompiledLoop:
         for o, call in enumerate(self._calls):
             self._operations[o, compiled.FIRST] = first
             first += len(call.places)
+        self._loops = None if iteration is None else Loops(slaves, wiring, iteration, [call.component for call in self._calls])
 
     def advance(self, steps: float, start: int, step: int, done: int, watched: int, gather: Gather) -> Chunk:
         """Make up to `steps` steps, no more than the pace allows: `start`, `step` [ticks] and `done` [steps] as the master counts them.
@@ -111,20 +118,12 @@ class CompiledLoop:
             self._clocks[c, [compiled.COUNT, compiled.BEGAN]] = slave.count, round(slave.began * TICK)
         self._columns.reverse()
         columns = self._columns[0]
-        made = compiled.advance(
-            int(min(steps, self._steps)),
-            self._ticks,
-            bool(self._rated),
-            self._wiring.any_delayed,
-            watched,
-            self._operations,
-            self._clocks,
-            self._places,
-            self._bus,
-            *self._bounds,
-            columns,
-            self._report,
-        )
+        most, rates = int(min(steps, self._steps)), bool(self._rated)
+        tables = self._operations, self._clocks, self._places, self._bus, *self._bounds, columns, self._report
+        if self._loops is None:
+            made = compiled.advance(most, self._ticks, rates, self._wiring.any_delayed, watched, *tables)
+        else:
+            made = self._loops.advance(most, self._ticks, rates, watched, *tables)
         names = list(self._slaves)
         for c, slave in self._rated:  # what they keep themselves in Python: a checkpoint asks them for it
             count, began = int(self._clocks[c, compiled.COUNT]), int(self._clocks[c, compiled.BEGAN]) / TICK
@@ -135,6 +134,8 @@ class CompiledLoop:
             call = self._calls[operation]
             t = (start + (done + made) * step) / TICK
             failed = names[call.component], self._natives[call.component].failed(call.phase, call.number, status, t, step / TICK)
+        elif self._loops is not None:
+            failed = self._loops.failed(outcome, operation, status)
         return Chunk(made, columns, failed, outcome != compiled.VIOLATED)
 
     def pace(self, elapsed: float) -> None:
@@ -161,9 +162,12 @@ class CompiledLoop:
             block, name, first = call.block, names[call.component], int(row[compiled.FIRST])
             own = np.array(call.places, dtype=np.int64)
             places = gather[name][own] if call.phase == "inputs" else self._wiring.output_slice[name].start + own
+            if call.phase == "inputs" and self._loops is not None:
+                places = places + compiled.MEAN * self._loops.holds_mean(name, gather[name])[own]
             self._places[first : first + len(places)] = places
             # reals that stand on the bus in the order of the block are read from (written to) there
-            direct = block.kind == "float64" and block.function != 0 and len(places) > 0 and bool(np.all(np.diff(places) == 1))
+            plain = block.kind == "float64" and block.references != 0 and places.max(initial=-1) < compiled.MEAN
+            direct = plain and len(places) > 0 and bool(np.all(np.diff(places) == 1))
             through = (compiled.SET if call.phase == "inputs" else compiled.GET) + compiled.KINDS.index(block.kind)
             row[compiled.OPERATION] = compiled.CALL if direct else through
             row[compiled.BUFFER] = self._bus.ctypes.data + 8 * int(places[0]) if direct else block.buffer
@@ -185,8 +189,60 @@ class _Call:
         return tuple(self.block.places) if self.block is not None else ()
 
 
-def _native(slave: Slave) -> Native:
-    found = native_of(slave)
-    if found is None:
-        raise TypeError(f"component {slave.name!r} can only be called from Python")
-    return found
+class Loops:
+    """Iterated coupling for compiled code: the tables of `compiled_iteration`. `components` by operation, in their order."""
+
+    def __init__(self, slaves: Mapping[str, Slave], wiring: Wiring, settings: Iteration, components: Sequence[int]) -> None:
+        from orchestration import compiled_iteration  # compiling it takes seconds where it is not kept yet
+
+        self._kernel, self._settings, self._loops = compiled_iteration, settings, wiring.loops
+        names = list(slaves)
+        stages: list[list[int]] = []
+        unknowns: list[tuple[int, int]] = []
+        members: list[str] = []
+        for name in names:
+            loop = next((x for x in wiring.loops if name in x.members), None)
+            if loop is None or name == loop.members[0]:
+                group = loop.members if loop else (name,)
+                chosen = [o for o, c in enumerate(components) if names[c] in group]
+                first, known = len(members), len(unknowns)
+                if loop is not None:
+                    members += group
+                    unknowns += list(zip(loop.feedback.tolist(), loop.arrays.tolist(), strict=True))
+                end = chosen[-1] + 1 if chosen else 0
+                stages.append([chosen[0] if chosen else 0, end, first, len(members), known, len(unknowns)])
+        self._members = members
+        self._rollbacks = [rollback_of(slaves[name]) for name in members]
+        states = [[r.instance, r.get, r.set, r.kept, r.size, r.limit] for r in self._rollbacks]
+        self._stages = np.array(stages, np.int64).reshape(-1, 6)
+        self._states = np.array(states, np.int64).reshape(-1, 6)
+        self._unknowns = np.array(unknowns, np.int64).reshape(-1, 2)
+        self._work = Work(settings, len(unknowns))
+        self._scratch, self._found = np.zeros((5, len(unknowns))), np.zeros(2)
+        self._inner = {name: loop.inner[name] for loop in wiring.loops for name in loop.members}
+
+    def holds_mean(self, name: str, gather: npt.NDArray[np.intp]) -> npt.NDArray[np.int64]:
+        """By input of a component: 1 where it holds the mean over the step; not one that is overridden just now."""
+        found = np.zeros(len(gather), np.int64)
+        if self._settings.hold == "mean" and name in self._inner:
+            at, sources = self._inner[name]
+            found[at] = gather[at] == sources
+        return found
+
+    def advance(self, steps: int, ticks: Any, rates: bool, watched: int, *tables: Any) -> int:
+        """See `compiled_iteration`; returns the number of steps made."""
+        s = self._settings
+        numbers = self._work.method, s.max_iterations, s.unconverged == "accept", s.tolerance, s.relaxation
+        keeps = self._scratch, self._work.history, self._work.factor, self._found
+        return self._kernel.advance(steps, ticks, rates, watched, *tables, self._stages, self._states, self._unknowns, *numbers, *keeps)
+
+    def failed(self, outcome: int, place: int, status: int) -> tuple[str, Exception] | None:
+        """Component and its error, if the outcome is one of the iteration."""
+        if outcome == compiled.UNCONVERGED:
+            loop = next(x for x in self._loops if x.members[0] == self._members[self._stages[place, self._kernel.MEMBERS]])
+            return loop.members[0], IterationError(
+                unconverged_text(loop, self._settings, float(self._found[0]), int(self._found[1])), loop.members[0]
+            )
+        if outcome in (compiled.UNSAVED, compiled.STUCK):
+            return self._members[place], self._rollbacks[place].failed("save" if outcome == compiled.UNSAVED else "back", status)
+        return None

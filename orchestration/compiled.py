@@ -22,10 +22,12 @@ TICK = 1_000_000_000  # as in `system`; Numba's cache does not notice constants 
 
 OPTIONS = {"error_model": "numpy", "_nrt": False}
 """Without counting references to the tables at every use: that took longer than the calls themselves."""
-DONE, STOPPED, FAILED, VIOLATED = range(4)
+DONE, STOPPED, FAILED, VIOLATED, UNSAVED, STUCK, UNCONVERGED = range(7)
 """Outcomes in the first place of the report."""
 STEP, CALL, SET, GET = 0, 1, 2, 5
 """Operations: a step; a set or get that reads or writes the bus itself; sets and gets by way of a buffer (plus the number of its kind)."""
+MEAN = 1 << 40
+"""Added to the place of an input that holds the mean of the values at both ends of the step."""
 KINDS = ("float64", "int32", "int64")
 """Types of the buffers."""
 # Columns of the table of operations, in the order in which a step makes them
@@ -34,7 +36,8 @@ OPERATION, FUNCTION, INSTANCE, REFERENCES, N, BUFFER, FIRST, LIMIT, COMPONENT = 
 RATE, EVERY, EACH, COUNT, BEGAN = range(5)
 
 
-def _pointer(builder: Any, value: Any, kind: Any) -> Any:
+def pointer(builder: Any, value: Any, kind: Any) -> Any:
+    """A whole number as a pointer to something of this kind, in LLVM."""
     return builder.inttoptr(value, ir.PointerType(kind))
 
 
@@ -45,8 +48,8 @@ def _call_values(context: Any, function: Any, instance: Any, references: Any, co
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         byte, size = ir.IntType(8), ir.IntType(64)
         kind = ir.FunctionType(ir.IntType(32), [ir.PointerType(byte), ir.PointerType(byte), size, ir.PointerType(byte)])
-        f = _pointer(builder, args[0], kind)
-        given = [_pointer(builder, args[1], byte), _pointer(builder, args[2], byte), args[3], _pointer(builder, args[4], byte)]
+        f = pointer(builder, args[0], kind)
+        given = [pointer(builder, args[1], byte), pointer(builder, args[2], byte), args[3], pointer(builder, args[4], byte)]
         return builder.call(f, given)
 
     return types.int32(types.int64, types.int64, types.int64, types.int64, types.int64), generate
@@ -58,8 +61,8 @@ def _call_step(context: Any, function: Any, instance: Any, t: Any, h: Any) -> An
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         byte, whole, double = ir.IntType(8), ir.IntType(32), ir.DoubleType()
-        f = _pointer(builder, args[0], ir.FunctionType(whole, [ir.PointerType(byte), double, double, whole]))
-        return builder.call(f, [_pointer(builder, args[1], byte), args[2], args[3], ir.Constant(whole, 0)])
+        f = pointer(builder, args[0], ir.FunctionType(whole, [ir.PointerType(byte), double, double, whole]))
+        return builder.call(f, [pointer(builder, args[1], byte), args[2], args[3], ir.Constant(whole, 0)])
 
     return types.int32(types.int64, types.int64, types.float64, types.float64), generate
 
@@ -70,14 +73,14 @@ def _memory(kind: Any, number: Any) -> tuple[Any, Any]:
     @intrinsic
     def load(context: Any, address: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            return builder.load(_pointer(builder, args[0], number))
+            return builder.load(pointer(builder, args[0], number))
 
         return kind(types.int64), generate
 
     @intrinsic
     def store(context: Any, address: Any, value: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            builder.store(args[1], _pointer(builder, args[0], number))
+            builder.store(args[1], pointer(builder, args[0], number))
             return context.get_dummy_value()
 
         return types.void(types.int64, kind), generate
@@ -87,16 +90,21 @@ def _memory(kind: Any, number: Any) -> tuple[Any, Any]:
 
 _load_f64, _store_f64 = _memory(types.float64, ir.DoubleType())
 _load_i32, _store_i32 = _memory(types.int32, ir.IntType(32))
-_load_i64, _store_i64 = _memory(types.int64, ir.IntType(64))
+load_i64, _store_i64 = _memory(types.int64, ir.IntType(64))
 
 
 @njit(inline="always", **OPTIONS)
-def _load(ops: Any, o: int, bus: Any, places: Any) -> None:
-    """Bus to the buffer of an operation."""
+def _load(ops: Any, o: int, bus: Any, places: Any, n_outputs: int) -> None:
+    """Bus to the buffer of an operation. Behind the outputs on the bus stand those of the last step."""
     n, buffer, first, kind = ops[o, N], ops[o, BUFFER], ops[o, FIRST], ops[o, OPERATION] - SET
     if kind == 0:
         for i in range(n):
-            _store_f64(buffer + 8 * i, bus[places[first + i]])
+            place = places[first + i]
+            if place < MEAN:
+                _store_f64(buffer + 8 * i, bus[place])
+            else:
+                place -= MEAN
+                _store_f64(buffer + 8 * i, 0.5 * (bus[place] + bus[n_outputs + place]))
     elif kind == 1:
         for i in range(n):
             _store_i32(buffer + 4 * i, np.int32(bus[places[first + i]]))
@@ -117,7 +125,7 @@ def _unload(ops: Any, o: int, bus: Any, places: Any) -> None:
             bus[places[first + i]] = _load_i32(buffer + 4 * i)
     else:
         for i in range(n):
-            bus[places[first + i]] = _load_i64(buffer + 8 * i)
+            bus[places[first + i]] = load_i64(buffer + 8 * i)
 
 
 @njit(inline="always", **OPTIONS)
@@ -132,6 +140,53 @@ def _small_steps(ops: Any, o: int, clocks: Any) -> int:
     return status
 
 
+@njit(inline="always", **OPTIONS)
+def operate(ops: Any, o: int, rates: bool, clocks: Any, bus: Any, n_outputs: int, places: Any, t: float, h: float) -> int:
+    """One operation in the step of the system from `t` to `t + h` [s]; returns its status."""
+    what, function, status = ops[o, OPERATION], ops[o, FUNCTION], 0
+    if rates and clocks[ops[o, COMPONENT], COUNT] != clocks[ops[o, COMPONENT], EVERY] - 1:
+        return 0
+    if what == STEP:
+        if rates:
+            status = _small_steps(ops, o, clocks)
+        else:
+            status = _call_step(function, ops[o, INSTANCE], t, h)
+    else:
+        if SET <= what < GET:
+            _load(ops, o, bus, places, n_outputs)
+        if function != 0:
+            status = _call_values(function, ops[o, INSTANCE], ops[o, REFERENCES], ops[o, N], ops[o, BUFFER])
+        if what >= GET and 0 <= status <= ops[o, LIMIT]:
+            _unload(ops, o, bus, places)
+    return status
+
+
+@njit(inline="always", **OPTIONS)
+def begin(rates: bool, clocks: Any, now: int) -> None:
+    """A step of the system begins at `now` [ticks]."""
+    if rates:
+        for c in range(len(clocks)):
+            if clocks[c, COUNT] == 0:
+                clocks[c, BEGAN] = now
+
+
+@njit(inline="always", **OPTIONS)
+def finish(rates: bool, clocks: Any, now: int, k: int, bus: Any, low: Any, high: Any, columns: Any) -> bool:
+    """A step of the system has ended at `now` [ticks]: write its row; false if an output is out of its bounds."""
+    n = len(low)
+    if rates:
+        for c in range(len(clocks)):
+            clocks[c, COUNT] = 0 if clocks[c, COUNT] == clocks[c, EVERY] - 1 else clocks[c, COUNT] + 1
+    good = True
+    for i in range(n):
+        good &= (bus[i] >= low[i]) & (bus[i] <= high[i])  # false for NaN
+    if good and len(columns) > 0:
+        columns[0, k] = now / TICK
+        for i in range(n):
+            columns[1 + i, k] = bus[i]
+    return good
+
+
 @njit(cache=True, nogil=True, **OPTIONS)
 def advance(
     steps: int, ticks: Any, rates: bool, delayed: bool, watched: int, ops: Any, clocks: Any, places: Any, bus: Any,
@@ -141,50 +196,22 @@ def advance(
 
     `ticks`: [start, step, done so far]. `rates`: some component has another rate. `report`: [outcome, operation, status].
     """
-    n = len(low)
-    h = ticks[1] / TICK
+    n, h = len(low), ticks[1] / TICK
     for k in range(steps):
         now = ticks[0] + (ticks[2] + k) * ticks[1]
         t = now / TICK
         if delayed:
             for i in range(n):
                 bus[n + i] = bus[i]
-        if rates:
-            for c in range(len(clocks)):
-                if clocks[c, COUNT] == 0:
-                    clocks[c, BEGAN] = now
+        begin(rates, clocks, now)
         for o in range(len(ops)):
-            what, function, status = ops[o, OPERATION], ops[o, FUNCTION], 0
-            if rates and clocks[ops[o, COMPONENT], COUNT] != clocks[ops[o, COMPONENT], EVERY] - 1:
-                continue
-            if what == STEP:
-                if rates:
-                    status = _small_steps(ops, o, clocks)
-                else:
-                    status = _call_step(function, ops[o, INSTANCE], t, h)
-            else:
-                if SET <= what < GET:
-                    _load(ops, o, bus, places)
-                if function != 0:
-                    status = _call_values(function, ops[o, INSTANCE], ops[o, REFERENCES], ops[o, N], ops[o, BUFFER])
-                if what >= GET and 0 <= status <= ops[o, LIMIT]:
-                    _unload(ops, o, bus, places)
+            status = operate(ops, o, rates, clocks, bus, n, places, t, h)
             if status < 0 or status > ops[o, LIMIT]:
                 report[0], report[1], report[2] = FAILED, o, status
                 return k
-        if rates:
-            for c in range(len(clocks)):
-                clocks[c, COUNT] = 0 if clocks[c, COUNT] == clocks[c, EVERY] - 1 else clocks[c, COUNT] + 1
-        good = True
-        for i in range(n):
-            good &= (bus[i] >= low[i]) & (bus[i] <= high[i])  # false for NaN
-        if not good:
+        if not finish(rates, clocks, now + ticks[1], k, bus, low, high, columns):
             report[0] = VIOLATED
             return k
-        if len(columns) > 0:
-            columns[0, k] = (now + ticks[1]) / TICK
-            for i in range(n):
-                columns[1 + i, k] = bus[i]
         if watched >= 0 and bus[watched] != 0.0:
             report[0] = STOPPED
             return k + 1

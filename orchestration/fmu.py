@@ -240,24 +240,26 @@ class NativeFmu:
 
     def failed(self, what: str, block: int, status: int, t: float, h: float) -> SlaveError:
         """The error of the call, with the FMU's messages."""
-        fmi = self._slave._fmi
         if what == "step":
             return self._slave.failure(self._slave._step_text(t, h), status)
-        if what in ("save", "back"):
-            return self._slave.failure(fmi.prefix + (fmi.state.get if what == "save" else fmi.state.set), status)
         return self._slave.failure((self._slave._inputs if what == "inputs" else self._slave._outputs)[block].name, status)
 
 
 class RollbackFmu:
     """A state that the FMU keeps aside in memory of its own, replaced by every `save`."""
 
-    size = 0
+    size, limit = 0, WARNING
 
     def __init__(self, slave: FmuSlave) -> None:
         self._slave, self._pointer = slave, ctypes.c_void_p()
         slave._states.append(self._pointer)  # freed with the instance
         self.instance, self.kept = slave._fmi.instance.value or 0, ctypes.addressof(self._pointer)
         self.get, self.set = (slave._fmi.address(name) for name in (slave._fmi.state.get, slave._fmi.state.set))
+
+    def failed(self, what: str, status: int) -> SlaveError:
+        """The error of the call, with the FMU's messages."""
+        fmi = self._slave._fmi
+        return self._slave.failure(fmi.prefix + (fmi.state.get if what == "save" else fmi.state.set), status)
 
     def save(self) -> None:
         """Keep the present state."""

@@ -20,12 +20,14 @@ import numpy as np
 import numpy.typing as npt
 
 from orchestration.acceleration import Iteration, Work, compare, improve
+from orchestration.callbacks import rollback_of
 from orchestration.errors import IterationError, describe
 from orchestration.loops import Loop
-from orchestration.native import rollback_of
-from orchestration.slave import FloatArray, Slave
+from orchestration.native import Rollback
+from orchestration.slave import FloatArray, Slave, inputs
 from orchestration.wiring import Wiring
 
+_AT_WORK = "first return"  # when the second proof is made
 Entry = tuple[str, Slave, npt.NDArray[np.intp], FloatArray, FloatArray]
 """Of a component: name, slave, positions of its inputs on the bus, its input and its output buffer."""
 
@@ -40,7 +42,7 @@ class Iterated:
     def __init__(
         self, wiring: Wiring, settings: Iteration, plan: Sequence[Entry], bus: FloatArray, announce: Callable[[str], None]
     ) -> None:
-        self._settings, self._bus, self._announce = settings, bus, announce
+        self.settings, self._bus, self._announce = settings, bus, announce
         n = wiring.n_outputs
         self._fresh, self._last = bus[:n], bus[n : 2 * n]
         by_name = {entry[0]: entry for entry in plan}
@@ -61,7 +63,7 @@ class Iterated:
         Nothing has to be set back here: inputs can be set any number of times. Values at the start are not means.
         """
         self._proved: dict[int, set[tuple[str, tuple[bool, ...]]]] = {}
-        self._kept: dict[int, list[_Kept]] = {}
+        self._kept: dict[int, list[Rollback]] = {}
         self._begin()
         for loop, members in self._stages:
 
@@ -79,6 +81,26 @@ class Iterated:
                 self._fresh[loop.feedback] = loop.starts
                 self._solve(loop, evaluate, lambda: None, lambda: None)
         self._fresh[-2:] = self._rounds, self._residual
+
+    @property
+    def proved(self) -> bool:
+        """Whether the members of all loops have gone back at work, as they will again."""
+        shown = {number for number, proofs in self._proved.items() if any(when == _AT_WORK for when, _ in proofs)}
+        return all(loop is None or number in shown for number, (loop, _) in enumerate(self._stages))
+
+    def obstacle(self) -> str | None:
+        """Why compiled code cannot iterate these components; None if it can."""
+        for loop, members in self._stages:
+            if loop is None:
+                continue
+            for name, slave, _, _, _ in members:
+                ports, every = inputs(slave.ports), getattr(slave, "every", 1)
+                if every > 1:
+                    return f"component {name!r} is in the loop {loop} and steps only once in {every} steps"
+                for i in loop.inner[name][0]:
+                    if ports[i].type != "real":
+                        return f"the loop {loop} hands round a whole number: input {name}.{ports[i].name}"
+        return None
 
     def advance(self, t: float, h: float) -> None:
         """One step of all components from `t` [s] to `t + h` [s]."""
@@ -99,7 +121,7 @@ class Iterated:
         if not proved:
             _leave_initialisation(members)
         if number not in self._kept:
-            self._kept[number] = [_Kept(slave) for _, slave, _, _, _ in members]
+            self._kept[number] = [rollback_of(slave) for _, slave, _, _, _ in members]
         kept = self._kept[number]
         for (name, _, _, _, _), state in zip(members, kept, strict=True):
             self._save(name, state, loop)
@@ -120,11 +142,11 @@ class Iterated:
                 self._fresh[loop.feedback] = guess
 
         prove("first step")
-        self._solve(loop, lambda: self._round(loop, members, t, h), back, lambda: prove("first return"))
+        self._solve(loop, lambda: self._round(loop, members, t, h), back, lambda: prove(_AT_WORK))
 
     def _solve(self, loop: Loop, evaluate: Callable[[], None], back: Callable[[], None], first_return: Callable[[], None]) -> None:
         """Make rounds until the unknowns of `loop` stay the same; what stands on the bus before is the first guess."""
-        settings, fresh, feedback = self._settings, self._fresh, loop.feedback
+        settings, fresh, feedback = self.settings, self._fresh, loop.feedback
         n, x = len(feedback), fresh[feedback]
         work, sizes, largest, scale = Work(settings, n), np.ones(n), np.zeros(n), np.ones(n)
         residual, worst = math.inf, 0
@@ -158,14 +180,14 @@ class Iterated:
         name, slave, gather, u, _ = entry
         if len(u):
             self._bus.take(gather, out=u, mode="clip")
-            if loop is not None and self._settings.hold == "mean":
+            if loop is not None and self.settings.hold == "mean":
                 at, sources = loop.inner[name]
                 followed = gather[at] == sources  # an input that is overridden just now is no mean
                 at = at[followed]
                 u[at] = 0.5 * (u[at] + self._last[sources[followed]])
             slave.set_inputs(u)
 
-    def _save(self, name: str, state: _Kept, loop: Loop) -> None:
+    def _save(self, name: str, state: Rollback, loop: Loop) -> None:
         self._announce(name)
         try:
             state.save()
@@ -175,7 +197,7 @@ class Iterated:
                 name,
             ) from error
 
-    def _prove(self, loop: Loop, members: Sequence[Entry], kept: Sequence[_Kept], t: float, h: float) -> None:
+    def _prove(self, loop: Loop, members: Sequence[Entry], kept: Sequence[Rollback], t: float, h: float) -> None:
         """One round in which every member steps twice from its saved state; IterationError names the one that does not repeat itself."""
         for entry, state in zip(members, kept, strict=True):
             name, slave, _, u, y = entry
@@ -199,28 +221,6 @@ class Iterated:
                     f"its step from t = {t:.9g} s, made again from the saved state, gave {what}: its saved state is incomplete\n{_REMEDY}",
                     name,
                 )
-
-
-class _Kept:
-    """The state of a member at the start of the step: in memory where the slave can do that, else as `get_state` gives it."""
-
-    def __init__(self, slave: Slave) -> None:
-        self._slave, self._rollback = slave, rollback_of(slave)
-        self._state: Any = None
-
-    def save(self) -> None:
-        """Keep the present state."""
-        if self._rollback is not None:
-            self._rollback.save()
-        else:
-            self._state = self._slave.get_state()
-
-    def back(self) -> None:
-        """Go back to it."""
-        if self._rollback is not None:
-            self._rollback.back()
-        else:
-            self._slave.set_state(self._state)
 
 
 def _leave_initialisation(members: Sequence[Entry]) -> None:

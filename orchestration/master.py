@@ -276,7 +276,7 @@ class Master:
                 raise KeyboardInterrupt
             if save is not None and self._done % save[0] == 0:
                 save[1](self)
-            if self._done >= compiled_from:
+            if self._done >= compiled_from and (self._iterated is None or self._iterated.proved):
                 self._chunk(min(total - self._done, save[0] - self._done % save[0] if save is not None else math.inf), watched)
             else:
                 self.step()
@@ -288,9 +288,9 @@ class Master:
         if self._wanted_loop == "python":
             return False
         obstacle = native.obstacle(self._slaves)
-        if self._iterated is not None:
-            obstacle = "algorithm = 'iterated' goes back and forth in Python"
-        elif self._manipulators:
+        if self._iterated is not None and obstacle is None:
+            obstacle = self._iterated.obstacle()
+        if self._manipulators:
             obstacle = "manipulators are called before each step"
         elif math.isfinite(total) and self._start_ticks + total * self._step_ticks > _MAX_TICKS:
             obstacle = "its times are too large to be counted exactly"
@@ -305,8 +305,10 @@ class Master:
         if self._compiled is None:
             from orchestration.chunks import CompiledLoop  # it needs Numba, which takes half a second to import
 
-            jacobi = self.algorithm == "jacobi"
-            self._compiled = CompiledLoop(self._slaves, self.wiring, jacobi, self._bus, self._guard.bounds, bool(self._observers))
+            jacobi, settings = self.algorithm == "jacobi", None if self._iterated is None else self._iterated.settings
+            self._compiled = CompiledLoop(
+                self._slaves, self.wiring, jacobi, self._bus, self._guard.bounds, bool(self._observers), iteration=settings
+            )
         k = -1 if watched is None else watched
         chunk = self._compiled.advance(room, self._start_ticks, self._step_ticks, self._done, k, self._gather)
         self._done += chunk.made

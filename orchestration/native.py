@@ -26,7 +26,7 @@ class Block(Protocol):
 
     @property
     def references(self) -> int:
-        """Address of the value references."""
+        """Address of the value references; 0 = the function knows its own buffer, whatever it is given."""
         ...
 
     @property
@@ -69,7 +69,7 @@ class Native(Protocol):
         ...
 
     def failed(self, what: str, block: int, status: int, t: float, h: float) -> Exception:
-        """The error for a call that returned `status`: `inputs` or `outputs` with the number of the block, `step`, `save` or `back`."""
+        """The error for a call that returned `status`: `inputs` or `outputs` with the number of the block, or `step`."""
         ...
 
 
@@ -104,6 +104,15 @@ class Rollback(Protocol):
         """Bytes of the memory that is the state."""
         ...
 
+    @property
+    def limit(self) -> int:
+        """Largest status of the functions that is no error."""
+        ...
+
+    def failed(self, what: str, status: int) -> Exception:
+        """The error for a call of a function (`save` or `back`) that returned `status`."""
+        ...
+
     def save(self) -> None:
         """Keep the present state, from Python."""
         ...
@@ -131,16 +140,8 @@ def native_of(slave: Any) -> Native | None:
     return found
 
 
-def rollback_of(slave: Any) -> Rollback | None:
-    """A state of this slave that can be kept aside; None if its states must be serialised."""
-    method = getattr(slave, "rollback", None)
-    found: Rollback | None = method() if method is not None else None
-    return found
-
-
 def obstacle(slaves: Mapping[str, Any]) -> str | None:
-    """Why these slaves cannot be stepped by compiled code: the first that has no native face; None if they can."""
-    for name, slave in slaves.items():
-        if native_of(slave) is None:
-            return f"component {name!r} ({type(slave).__name__}) can only be called from Python"
-    return None
+    """Why compiled code is of no use for these slaves: all can only be called from Python; None if one of them has a native face."""
+    if any(native_of(slave) is not None for slave in slaves.values()):
+        return None
+    return ", ".join(f"component {name!r} ({type(slave).__name__})" for name, slave in slaves.items()) + " can only be called from Python"

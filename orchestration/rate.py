@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.native import native_of, rollback_of
+from orchestration.native import native_of
 from orchestration.slave import FloatArray, ParameterValue, Port, Slave, outputs
 from orchestration.system import TICK
 
@@ -101,8 +101,8 @@ class MultiRate:
         return native_of(self.inside)
 
     def rollback(self) -> Any:
-        """That of the slave inside, if between two steps of the system there is nothing else to remember."""
-        return rollback_of(self.inside) if self.every == 1 else None
+        """That of the slave inside, if it has one and there is nothing else to remember between two steps of the system."""
+        return getattr(self.inside, "rollback", lambda: None)() if self.every == 1 else None
 
     def take_over(self, count: int, began: float, held: FloatArray) -> None:
         """Go on from where compiled code has stepped to: `count` and `began` [s] of the interval, the outputs that are held."""

@@ -138,10 +138,10 @@ class Recorder:
         """
         kept = range(-self._seen % self.every, count, self.every)
         self._seen += count
+        self._wait()
         if self._count + len(kept) > self.chunk:
             self.flush()
         if len(kept) > self.chunk:
-            self._wait()
             self._pending = self._background.submit(self._put_columns, columns, kept)
             self._flushed = time.monotonic()
         else:

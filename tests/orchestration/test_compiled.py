@@ -10,12 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestration.assembly import run
+from orchestration import compiled, compiled_iteration
+from orchestration.acceleration import HOLDS, METHODS, Iteration
+from orchestration.assembly import assemble, run
 from orchestration.errors import Interrupted, OrchestrationError, RunError, SystemFileError
+from orchestration.master import Master
+from orchestration.memory import Memory
 from orchestration.results import Run
 from orchestration.system import Component, Connection, Recording, System
 from tests.orchestration import c_fmu
-from tests.orchestration.mocks import gain, resolver, system
+from tests.orchestration.mocks import Mock, gain, resolver, source, system
 
 pytestmark = pytest.mark.skipif(c_fmu.compiler() is None, reason="no C compiler on this machine")
 
@@ -23,6 +27,18 @@ pytestmark = pytest.mark.skipif(c_fmu.compiler() is None, reason="no C compiler 
 @pytest.fixture(scope="module")
 def fmu(tmp_path_factory):
     return c_fmu.build(tmp_path_factory.mktemp("fmu"))
+
+
+@pytest.fixture(scope="module")
+def free(tmp_path_factory):
+    """Without units, with gains below zero, and y = 1 at the start."""
+    text = (
+        c_fmu.DESCRIPTION.replace(' declaredType="Length"', "")
+        .replace(' unit="1"/>', "/>")
+        .replace('<Real start="1" min="0"/>', '<Real start="1"/>')
+    )
+    source = c_fmu.SOURCE.replace("m->v.gain = 1.0;", "m->v.gain = m->v.y = 1.0;")
+    return c_fmu.build(tmp_path_factory.mktemp("fmu"), source, text)
 
 
 CONNECTIONS = (
@@ -121,6 +137,168 @@ class TestParity:
         assert_equal(whole, run(s, tmp_path / "parts", stop=4.0, loop="compiled", resume=True))
 
 
+def oscillator(fmu, **settings):
+    """Two integrators in a ring, x' = 2 v, v' = -2 x, and one that looks on."""
+    components = (Component("a", str(fmu), {"gain": 2.0}), Component("b", str(fmu), {"gain": -2.0}), Component("on", str(fmu)))
+    wires = (Connection("a.y", "b.u"), Connection("b.y", "a.u"), Connection("a.y", "on.u"))
+    return System(
+        "oscillator", 0.02, components, wires, "iterated", check_ranges=False, iteration=Iteration(**settings)
+    )  # fmt: skip
+
+
+@pytest.fixture
+def compiled_steps(monkeypatch):
+    """How many steps compiled code has made, by kernel."""
+    made = {}
+    for module in (compiled, compiled_iteration):
+
+        def count(*arguments, kernel=module.advance, module=module):
+            done = kernel(*arguments)
+            made[module] = made.get(module, 0) + done
+            return done
+
+        monkeypatch.setattr(module, "advance", count)
+    return made
+
+
+class TestIterated:
+    """Iterated coupling: EXACT, rounds and residuals too."""
+
+    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("hold", HOLDS)
+    def test_methods(self, free, method, hold, compiled_steps):
+        a, b = both(oscillator(free, method=method, hold=hold, tolerance=1e-13))
+        assert_equal(a, b)
+        assert compiled_steps[compiled_iteration] > 190
+        assert np.ptp(b["a.y"]) > 1.0
+        assert b["master.iterations"].min() > 1
+
+    @pytest.mark.parametrize("change", [{"b": {"rate": 4}}, {"on": {"every": 3}}, {"a": {"rate": 2}, "on": {"rate": 5}}])
+    def test_rates(self, free, change, compiled_steps):
+        assert_equal(*both(rates(oscillator(free, tolerance=1e-12), **change)))
+        assert compiled_steps[compiled_iteration] > 190
+
+    def test_two_loops_and_a_delayed_connection(self, free, compiled_steps):
+        extra = Component("c", str(free), {"gain": -1.0}), Component("d", str(free), {"gain": 3.0})
+        s = System(
+            "two", 0.02, (*oscillator(free).components, *extra),
+            (*oscillator(free).connections, Connection("c.y", "d.u"), Connection("d.y", "c.u"), Connection("on.n", "a.offset", True)),
+            "iterated", check_ranges=False, iteration=Iteration("anderson", tolerance=1e-12, hold="mean"),
+        )  # fmt: skip
+        assert_equal(*both(s))
+        assert compiled_steps[compiled_iteration] > 190
+
+    def test_component_that_is_called_back_in_the_loop(self, free, compiled_steps):
+        """Its states go through `get_state` and `set_state`."""
+        connections = (Connection("a.y", "m.u"), Connection("m.y", "a.u"))
+        for method in METHODS:
+            s = System(
+                "mixed", 0.02, (Component("a", str(free), {"gain": 3.0}), Component("m", "mock")), connections, "iterated",
+                iteration=Iteration(method, tolerance=1e-9),
+            )  # fmt: skip
+            assert_equal(*both(s, resolver=lambda source, name: gain("m", -1.0, 2.0)))
+        assert compiled_steps[compiled_iteration] > 3 * 190
+
+    def test_no_convergence(self, free):
+        """From t = 1 s on the loop amplifies."""
+        texts = []
+        for kind in ("python", "compiled"):
+            s = System(
+                "mixed", 0.02, (Component("a", str(free), {"gain": 3.0}), Component("m", "mock")),
+                (Connection("a.y", "m.u"), Connection("m.y", "a.u")), "iterated",
+                iteration=Iteration("fixed-point", max_iterations=14), check_ranges=False,
+            )  # fmt: skip
+            wild = Mock("m", gain("m").ports, lambda u, t: [-u[0] * (1.0 if t < 1.01 else 20.0)])
+            with pytest.raises(RunError) as caught:
+                run(s, stop=4.0, loop=kind, resolver=lambda source, name, wild=wild: wild)
+            texts.append((str(caught.value), caught.value.component, caught.value.time))
+        assert texts[0] == texts[1]
+        assert texts[0][0].startswith("in the step from t = 1 s: the loop a -> m -> a did not converge in 14 iterations: m.y still changes")
+
+    def test_override_ends_the_mean(self, free):
+        s, kept = oscillator(free, hold="mean", tolerance=1e-12), []
+        for kind in ("python", "compiled"):
+            with assemble(s) as a:
+                memory = Memory()
+                master = Master(a.slaves, a.wiring, s.step, "iterated", (memory,), check_ranges=False, iteration=s.iteration, loop=kind)
+                master.run(0.2)
+                master.override("b.u", 0.25)
+                master._loop(100, None, None)
+                kept.append(memory.run())
+        assert_equal(*kept)
+
+    def test_state_that_cannot_be_put_back_any_more(self, free):
+        """After the proof, in the middle of the run."""
+
+        class Forgetful(Mock):
+            def set_state(self, state):
+                if self.t > 1.0:
+                    raise SystemFileError("lost")
+                super().set_state(state)
+
+        texts = []
+        for kind in ("python", "compiled"):
+            s = System(
+                "mixed", 0.02, (Component("a", str(free), {"gain": 3.0}), Component("m", "mock")),
+                (Connection("a.y", "m.u"), Connection("m.y", "a.u")), "iterated",
+            )  # fmt: skip
+            with pytest.raises(RunError) as caught:
+                run(s, stop=4.0, loop=kind, resolver=lambda source, name: Forgetful("m", gain("m").ports, lambda u, t: [-u[0] + t]))
+            texts.append((str(caught.value), caught.value.component, caught.value.time))
+        assert texts[0] == texts[1]
+        assert "component 'm' failed in the step from t = 1 s: lost" in texts[0][0]
+
+
+class TestMixed:
+    """Components that can only be called from Python beside others: EXACT."""
+
+    def system(self, free, algorithm):
+        components = (Component("a", str(free), {"gain": 0.5}), Component("m", "mock"), Component("b", str(free)), Component("s", "mock"))
+        connections = (Connection("s.y", "a.u"), Connection("a.y", "m.u"), Connection("m.y", "b.u"), Connection("b.n", "a.offset", True))
+        return System("mixed", 0.004, components, connections, algorithm, check_ranges=False)
+
+    def slave(self, source_, name):
+        return gain("m", 3.0, -1.0) if name == "m" else source("s", np.sin)
+
+    @pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel", "iterated"])
+    @pytest.mark.parametrize("change", [{}, {"m": {"rate": 2}, "a": {"every": 3}}, {"m": {"every": 5}}])
+    def test_all_columns(self, free, algorithm, change, compiled_steps):
+        a, b = both(rates(self.system(free, algorithm), **change), resolver=self.slave)
+        assert_equal(a, b)
+        assert sum(compiled_steps.values()) > 900 or (algorithm, "a" in change) == ("iterated", True)
+
+    def test_error_of_the_one_that_is_called_back(self, free, tmp_path):
+        class Tired(Mock):
+            def step(self, t, h):
+                if t > 1.0:
+                    raise SystemFileError("tired")
+                super().step(t, h)
+
+        texts = []
+        for kind in ("python", "compiled"):
+            with pytest.raises(RunError) as caught:
+                run(
+                    self.system(free, "jacobi"), tmp_path / kind, stop=4.0, loop=kind,
+                    resolver=lambda s, n: Tired("m", gain("m").ports, lambda u, t: u) if n == "m" else source("s", np.sin),
+                )  # fmt: skip
+            texts.append(str(caught.value).replace(str(tmp_path / kind), ""))
+        assert texts[0] == texts[1]
+        assert "component 'm' failed in the step from t = 1.004 s: tired" in texts[0]
+        assert_equal(Run.load(tmp_path / "python"), Run.load(tmp_path / "compiled"))
+
+    def test_second_ctrl_c_ends_at_once(self, free):
+        class Slow(Mock):
+            def step(self, t, h):
+                if t >= 1.0:
+                    os.kill(os.getpid(), signal.SIGINT)
+                super().step(t, h)
+
+        slow = Slow("m", gain("m").ports, lambda u, t: u)
+        with pytest.raises(Interrupted):
+            run(self.system(free, "jacobi"), stop=1e4, loop="compiled", resolver=lambda s, n: slow if n == "m" else source("s", np.sin))
+        assert len(slow.calls) == 251
+
+
 class TestErrors:
     """As in Python: what, where, when, and the rows up to there."""
 
@@ -178,15 +356,17 @@ class TestErrors:
 class TestChoice:
     """Which loop runs."""
 
-    def test_what_cannot_be_compiled_runs_in_python_or_says_so(self, fmu):
+    def test_what_cannot_be_compiled_runs_in_python_or_says_so(self, fmu, free):
         slaves = [gain("a")]
         assert run(system(slaves), stop=0.04, resolver=resolver(slaves), loop="auto").outcome == "finished"
         with pytest.raises(
             OrchestrationError, match=r"loop = 'compiled' is not possible: component 'a' \(Mock\) can only be called from Python"
         ):
             run(system(slaves), stop=0.04, resolver=resolver(slaves), loop="compiled")
-        with pytest.raises(OrchestrationError, match="algorithm = 'iterated' goes back and forth in Python"):
+        with pytest.raises(OrchestrationError, match=r"the loop a -> b -> c -> a hands round a whole number: input a.offset"):
             run(ring(fmu, "iterated"), stop=0.04, loop="compiled")
+        with pytest.raises(OrchestrationError, match="component 'b' is in the loop a -> b -> a and steps only once in 3 steps"):
+            run(rates(oscillator(free), b={"every": 3}), stop=0.04, loop="compiled")
         with pytest.raises(OrchestrationError, match="manipulators are called before each step"):
             run(ring(fmu), stop=0.04, loop="compiled", manipulators=[lambda master, t: None])
 
@@ -198,10 +378,6 @@ class TestChoice:
 
     def test_override_between_chunks_moves_the_input(self, fmu):
         """An observer may hold the master and override; the next chunk gathers from the new place."""
-        from orchestration.assembly import assemble
-        from orchestration.master import Master
-        from orchestration.memory import Memory
-
         with assemble(ring(fmu)) as a:
             memory = Memory()
             master = Master(a.slaves, a.wiring, 0.004, observers=(memory,), check_ranges=False, loop="compiled")
