@@ -23,12 +23,12 @@ def feedthrough(components: Mapping[str, Sequence[Port]]) -> dict[Element, list[
     through: dict[Element, list[Element]] = {}
     for name, ports in components.items():
         names = [p.name for p in inputs(ports)]
+        known = set(names)
         for i in names:
             through[name, i] = []
         for o in outputs(ports):
-            for i in names:
-                if o.dependencies is None or i in o.dependencies:
-                    through[name, i].append((name, o.name))
+            for i in names if o.dependencies is None else known.intersection(o.dependencies):
+                through[name, i].append((name, o.name))
     return through
 
 
