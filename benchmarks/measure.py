@@ -85,7 +85,7 @@ def duel(contenders: Sequence[Contender], rounds: int, slice_: float, outputs: i
                     row.difference = difference(answer.outputs, reference)
                     if answer.recorded:
                         row.recorded = difference(answer.recorded, answer.outputs)
-                    row.steps = steps or calibrate(runner, results, slice_, MOST // outputs)[0]
+                    row.steps = steps or calibrate(runner, results, slice_, MOST // outputs)
                     rows.append((row, runner))
             except Exception as error:  # whatever goes wrong with somebody else's library: it is reported
                 missing[c.name] = reason(error)
@@ -119,14 +119,12 @@ def difference(values: Sequence[float], reference: Sequence[float]) -> float:
     return float(np.max(np.abs(a - b)) / max(float(np.max(np.abs(b))), 1e-300))
 
 
-def calibrate(runner: Runner, results: str, slice_: float, most: int, limit: float = 60.0) -> tuple[int, Answer]:
-    """How many steps take `slice_` [s], about, at most `most`; and the first answer. It also warms up."""
+def calibrate(runner: Runner, results: str, slice_: float, most: int, limit: float = 60.0) -> int:
+    """How many steps take `slice_` [s], about, at most `most`. The runner is warm: it has made a run before."""
     steps = min(60, most)
-    answer = first = runner.run(steps, results, limit=limit)
-    while answer.wall < slice_ / 3 and steps < most:
-        steps = min(int(steps * min(20.0, 1.2 * slice_ / max(answer.wall, 1e-9))), most)
-        answer = runner.run(steps, results, limit=limit)
-    return min(max(int(steps * slice_ / answer.wall), 60), most), first
+    while (wall := runner.run(steps, results, limit=limit).wall) < slice_ / 3 and steps < most:
+        steps = min(int(steps * min(20.0, 1.2 * slice_ / max(wall, 1e-9))), most)
+    return min(max(int(steps * slice_ / wall), 60), most)
 
 
 @dataclass
@@ -159,8 +157,8 @@ def point(c: Contender, x: float, outputs: int, slice_: float, repeat: int, limi
     runner: Runner | None = None
     try:
         runner = c.start(None)
-        made.steps, first = calibrate(runner, made.results, slice_, MOST // outputs, limit)
-        made.setup = first.setup
+        made.setup = runner.run(60, made.results, limit=limit).setup  # the first run also warms up
+        made.steps = calibrate(runner, made.results, slice_, MOST // outputs, limit)
         for _ in range(repeat):
             answer = runner.run(made.steps, made.results, limit=limit)
             made.wall.values.append(answer.wall / made.steps * 1e6)

@@ -39,6 +39,7 @@ class Peer:
         """`results` is one of those of `benchmarks.contenders`."""
         began, warm = clocks()[0], min(WARM, steps // 2)
         with tempfile.TemporaryDirectory() as folder:
+            self.check = check
             self.start(results, Path(folder), steps)
             first = clocks()
             self.step(warm)
@@ -265,7 +266,7 @@ class Cosim(Peer):
 
     def end(self) -> None:
         """See `Peer`."""
-        self.kept = [self._sample(m, v) for m, v in self.network.outputs] if self.series is not None else []
+        self.kept = [self._sample(m, v) for m, v in self.network.outputs] if self.check and self.series is not None else []
         del self.execution
         self.values = self.series = self.files = None  # files are complete when their observer is gone
 

@@ -174,17 +174,17 @@ def summary(m: Measured) -> str:
             f"On the milling cell the ratio is {per} (aim: 1.3); with results {RESULTS[ours[-1].results]} "
             f"it runs {real:.0f} times as fast as real time."
         )
-    for title, duel in (("ring", r), ("milling cell, all components at once", m.jacobi)):
-        mine = find(duel, OURS, "disk")
-        others = [row for row in duel.rows if row.results != "none" and not row.name.startswith("robomill") and row.name != C_LOOP]
-        if mine and others:
-            best = min(others, key=lambda row: row.cpu.median)
-            verb = "quicker" if best.cpu.median > mine.cpu.median else "SLOWER"
-            factor = max(best.cpu.median / mine.cpu.median, mine.cpu.median / best.cpu.median)
-            said.append(
-                f"The quickest of the others with results ({title}) is {best.name} with {number(best.cpu.median)} us; "
-                f"ours on disk is {number(factor)} times {verb}."
-            )
+    for title, duel in (("ring", r), ("milling cell", g), ("milling cell, all components at once", m.jacobi)):
+        for results in ("memory", "disk"):
+            mine = find(duel, OURS, results)
+            others = [row for row in duel.rows if row.results == results and not row.name.startswith("robomill") and row.name != C_LOOP]
+            if mine and others:
+                best = min(others, key=lambda row: row.cpu.median)
+                factor = best.cpu.median / mine.cpu.median
+                said.append(
+                    f"The quickest of the others with results {RESULTS[results]} ({title}) is {best.name}, {number(best.cpu.median)} us; "
+                    f"ours takes {number(mine.cpu.median)} us, {number(max(factor, 1 / factor))} times {'less' if factor > 1 else 'MORE'}."
+                )
     return "\n".join(f"- {s}" for s in said)
 
 
