@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from blind.generate import closure, hashes
+from blind.generate import hashes
 from models.declaration import FloatArray
 
 DETECTABLE = 3.0
@@ -57,8 +57,9 @@ CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 ComponentValues = Mapping[str, Mapping[str, float]]
 """Component -> parameter -> value."""
-Closures = Callable[[int, Mapping[str, Mapping[str, float]]], Mapping[str, float]]
-"""(number of the case, component -> parameter -> value) -> true closure by held-out condition, of the array that counts at the tier."""
+Closures = Callable[[int, ComponentValues], Mapping[str, tuple[float, float]]]
+"""(number of the case, claimed values) -> sum of squares of the true gap by held-out condition, before and after, of the array that
+counts at the tier."""
 Confusable = Callable[[int, int], Sequence[str]]
 """(number of the case, index of its effect) -> other candidates (`component.parameter`) that the data cannot tell from that effect."""
 Separates = Callable[[int, Mapping[str, Any], Sequence[ComponentValues]], bool]
@@ -350,9 +351,10 @@ class Scorer:
         return found
 
     def _closures(self, cases: Sequence[Case]) -> list[tuple[float, float | None]]:
-        """For each case and held-out condition in one: true closure over ceiling, and |claimed - true| where there is a claim.
+        """For each case: true closure over ceiling, and |claimed - true| where there is a claim.
 
-        Mean over the held-out conditions on which the truth itself closes at least half of the gap.
+        The former is a mean over the held-out conditions on which the truth itself closes at least half of the gap, the latter is of all
+        held-out conditions together, as it is claimed.
         """
         if self.closures is None:
             return []
@@ -366,14 +368,15 @@ class Scorer:
             for entry in c.prediction.claimed:
                 for component, values in entry.values.items():
                     adopted.setdefault(component, {}).update(values)
-            true = self.closures(c.number, adopted)
-            ratio = float(np.mean([true[name] / ceiling for name, ceiling in ceilings.items()]))
+            gaps = self.closures(c.number, adopted)
+            ratio = float(np.mean([_closed(*gaps[name]) / ceiling for name, ceiling in ceilings.items()]))
             claims = [
                 float(h["closure"])
                 for h in c.prediction.how_far
                 if h.get("on") == "held-out condition" and h.get("closure") is not None and h.get("channel", array) == array
             ]
-            error = abs(claims[0] - float(np.mean([true[name] for name in ceilings]))) if claims else None
+            together = _closed(sum(before for before, _ in gaps.values()), sum(after for _, after in gaps.values()))
+            error = abs(claims[0] - together) if claims else None
             found.append((ratio, error))
         return found
 
@@ -415,6 +418,10 @@ class Scorer:
             row["named"] += _among(c, 1)
             row["named_top3"] += _among(c, 3)
         return dict(sorted(table.items()))
+
+
+def _closed(before: float, after: float) -> float:
+    return 0.0 if before == 0.0 else 1.0 - after / before
 
 
 def _true_name(c: Case) -> str:
@@ -549,7 +556,7 @@ def gap(folder: Path, number: int, condition: str) -> FloatArray:
 
 
 def true_closures(folder: Path, truths: Mapping[int, Mapping[str, Any]], tier: str) -> Closures:
-    """Closures by running the nominal cell with the claimed parameters against the sealed noise-free gap. 0 where it cannot run."""
+    """Gaps by running the nominal cell with the claimed parameters against the sealed noise-free gap. Unchanged where it cannot run."""
     from blind.conditions import from_truth
     from blind.generate import difference
     from blind.world import nominal, simulate_adopted
@@ -557,17 +564,16 @@ def true_closures(folder: Path, truths: Mapping[int, Mapping[str, Any]], tier: s
 
     columns = slice(0, 3) if tier == "T1" else slice(3, 6)
 
-    def closures(number: int, adopted: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    def closures(number: int, adopted: ComponentValues) -> dict[str, tuple[float, float]]:
         result = {}
         for c in [from_truth(c) for c in truths[number]["conditions"]][1:]:
-            before = gap(folder, number, c.name)
+            before = gap(folder, number, c.name)[:, columns]
             try:
-                step = difference(simulate_adopted(c, adopted).columns, nominal(c).columns)
+                step = difference(simulate_adopted(c, adopted).columns, nominal(c).columns)[:, columns]
             except OrchestrationError:
-                result[c.name] = 0.0
-                continue
+                step = np.zeros_like(before)
             n = min(len(before), len(step))
-            result[c.name] = closure(before[:n, columns], before[:n, columns] - step[:n, columns])
+            result[c.name] = float(np.sum(before[:n] ** 2)), float(np.sum((before[:n] - step[:n]) ** 2))
         return result
 
     return closures

@@ -83,7 +83,7 @@ def scores(predict, count=240, seed=7):
     def closures(number, adopted):
         true = cases[number - 1].truth["effects"]
         right = all(e["parameter"] in adopted.get(e["component"], {}) for e in true)
-        return {name: v["tool tip"] if right else 0.0 for name, v in CEILING.items()}
+        return {name: (1.0, 1.0 - v["tool tip"] if right else 1.0) for name, v in CEILING.items()}
 
     return Scorer(cases, "T1", closures, lambda number, i: [], lambda number, run, wrong: run["kind"] == "push").scores()
 
