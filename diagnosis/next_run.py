@@ -2,8 +2,9 @@
 
 The whitened distance d between two models in a run is that of their simulations, in the noise of the given repeats. Calibrated
 numbers and fitted values are not exactly known; what they do along the difference u = d / |d| counts as noise too, so the variance
-along u is 1 + mean (u . n)^2 + (relative deviation of the values)^2 (u . s)^2 with n the change that random draws of the nuisances make,
-and s the signature itself. This is the variance of a matched filter, so the distance is a lower bound of what is possible.
+along u is mean (u . r)^2 + mean (u . n)^2 + (relative deviation of the values)^2 (u . s)^2 with r the deviations of the given repeats,
+n the change that random draws of the nuisances make, and s the signature itself. This is the variance of a matched filter, so the
+distance is a lower bound of what is possible.
 """
 
 from __future__ import annotations
@@ -51,6 +52,49 @@ class Offer:
     repeats: int
     shown: Mapping[str, Mapping[str, Any]]
     """The part of `parameters` that people want to see."""
+
+
+class _Trial:
+    """Simulations of the menu, and distances between the models in them."""
+
+    def __init__(self, fits: Sequence[Fit], offers: Mapping[str, Offer], search: Search, temperature: float) -> None:
+        self.fits, self.offers, self.search, self.temperature = fits, offers, search, temperature
+        self.simulated: dict[str, list[FloatArray]] = {}
+        """Kind -> channels with each of the fits."""
+        self.nominal: dict[str, FloatArray] = {}
+        self.drawn: dict[str, list[FloatArray]] = {}
+        """Kind -> channels with draws of the nuisances."""
+        groups = search.evidence.residuals
+        # n repeats about their own mean scatter by (n - 1) / n of what they do
+        self.repeats = [(r - np.mean(g, axis=0)) * math.sqrt(len(g) / (len(g) - 1)) for g in groups if len(g) > 1 for r in g]
+        """Whitened deviations of the given repeats, flat."""
+
+    def white(self, change: FloatArray, kind: str) -> FloatArray:
+        return self.search.evidence.whitening.apply(change[:, self.search.active], self.offers[kind].repeats)
+
+    def distance(self, kind: str, i: int, j: int) -> float:
+        """Between two of the fits; nuisances and uncertain values count once their simulations are there."""
+        a, b = self.simulated[kind][i], self.simulated[kind][j]
+        difference = self.white(a - b, kind)
+        length = float(np.linalg.norm(difference))
+        if length == 0.0:
+            return 0.0
+        along = difference / length
+        # the repeats say what noise does along it, slow noise too, for which whitening is not made
+        rest = [float(along @ np.resize(r, along.size)) ** 2 for r in self.repeats]
+        variance = self.temperature * max(1.0, float(np.mean(rest)) if rest else 1.0)
+        if kind in self.nominal:
+            nominal = self.nominal[kind]
+            variance += sum(float(along @ self.white(x - nominal, kind)) ** 2 for x in self.drawn[kind]) / DRAWS
+            for k, x in ((i, a), (j, b)):
+                variance += self.temperature * (_uncertainty(self.fits[k]) * float(along @ self.white(x - nominal, kind))) ** 2
+        return length / math.sqrt(variance)
+
+
+def _draws(search: Search) -> list[Setting]:
+    """Random machines within the tolerances of the calibrated numbers."""
+    random = np.random.default_rng(0)
+    return [setting({n.address: n.scale * float(random.standard_normal()) for n in search.nuisances}) for _ in range(DRAWS)]
 
 
 @dataclass
@@ -111,43 +155,25 @@ def recommend(
     together = {(i, j): weights[i] * weights[j] for i, j in now}
     shares = {p: w / sum(together.values()) for p, w in together.items()}
     places = list(offers)
+    trial = _Trial(fits, offers, search, temperature)
     settings = [simulator.seeded(setting(f.values)) for f in fits]
     results = iter(simulator.many([(k, s) for k in range(len(places)) for s in settings], "next run"))
-    simulated = {kind: [next(results) for _ in fits] for kind in places}
-
-    def distances(kind: str, noise: Sequence[FloatArray] = (), nominal: FloatArray | None = None) -> dict[tuple[int, int], float]:
-        found = {}
-        for i, j in shares:
-            a, b = simulated[kind][i], simulated[kind][j]
-            assert a is not None
-            assert b is not None
-            difference = white(a - b, kind)
-            length = float(np.linalg.norm(difference))
-            variance = temperature
-            if length > 0.0 and nominal is not None:
-                along = difference / length
-                variance += float(np.mean([(along @ n) ** 2 for n in noise])) if noise else 0.0
-                for k, x in ((i, a), (j, b)):
-                    variance += temperature * (_uncertainty(fits[k]) * float(along @ white(x - nominal, kind))) ** 2
-            found[i, j] = length / math.sqrt(variance)
-        return found
-
-    def white(change: FloatArray, kind: str) -> FloatArray:
-        return search.evidence.whitening.apply(change[:, search.active], offers[kind].repeats)
-
-    tried = [_Tried(k, offers[k], distances(k)) for k in places if all(x is not None for x in simulated[k])]
+    for kind in places:
+        group = [next(results) for _ in fits]
+        complete = [x for x in group if x is not None]
+        if len(complete) == len(group):
+            trial.simulated[kind] = complete
+    tried = [_Tried(k, offers[k], {p: trial.distance(k, *p) for p in shares}) for k in trial.simulated]
     if not tried:
         return None
-    random = np.random.default_rng(0)
-    draws: list[Setting] = [()]
-    draws += [setting({n.address: n.scale * float(random.standard_normal()) for n in search.nuisances}) for _ in range(DRAWS)]
     tried = _ranked(tried, shares)[:SHORT_LIST]
+    draws = [(), *_draws(search)]
     results = iter(simulator.many([(places.index(t.kind), simulator.seeded(d)) for t in tried for d in draws], "next run"))
     for t in tried:
         nominal, *others = [next(results) for _ in draws]
         if nominal is not None:
-            noise = [white(x - nominal, t.kind) for x in others if x is not None]
-            t.distances = distances(t.kind, noise, nominal)
+            trial.nominal[t.kind], trial.drawn[t.kind] = nominal, [x for x in others if x is not None]
+            t.distances = {p: trial.distance(t.kind, *p) for p in shares}
     best, *rest = _ranked(tried, shares)
     return {
         "kind": best.kind,

@@ -53,7 +53,8 @@ class Laboratory:
 
     def signature(self, index: int) -> tuple[Any, ...]:
         """All that a simulation of condition `index` depends on, except for the changes."""
-        return (self.configured(index), self.conditions[index].grid, self.channels, self.nominal, self.decimation)
+        sampled = self.refinement.sampled if self.refinement is not None else ()
+        return (self.configured(index), self.conditions[index].grid, self.channels, self.nominal, self.decimation, sampled)
 
     def configured(self, index: int) -> System:
         """The nominal system of condition `index`, without noise."""
