@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: run test check quick build golden figures bench peers diagnose-real clean help
+.PHONY: run test check quick build golden figures bench diagnose-real clean help
 
 run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictures in results/test_part
 	$(BIN)/robomill build
@@ -30,11 +30,8 @@ golden: $(READY) ## write the golden results anew; review the diff
 figures: $(READY) ## the studies and pictures of docs/validation.md
 	$(BIN)/python docs/studies.py
 
-bench: $(READY) ## masters side by side on the same FMUs: docs/benchmarks (those of others, if wanted, by `make peers`)
+bench: $(READY) ## masters side by side on the same FMUs: docs/benchmarks (those of others, as far as they are installed)
 	$(BIN)/python -m benchmarks
-
-peers: $(READY) ## the other masters for `make bench`, into .venv/peers
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --prefix .venv/peers -r benchmarks/peers.txt
 
 diagnose-real: $(READY) ## the gap between model and robot on the KR 300 recordings: docs/real_gap.md
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m robomill.real_gap_report

@@ -8,7 +8,6 @@ import logging
 import pickle
 import shutil
 import sys
-import sysconfig
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -18,21 +17,13 @@ import numpy as np
 from benchmarks.answer import Answer, clocks, peak_memory
 from benchmarks.network import Member, Network, Variable, by_type
 
-PEERS = Path(__file__).parent.parent / ".venv" / "peers"
-"""Where `make peers` installs them: apart, so that nothing of theirs is seen by our tests."""
 WARM = 50  # steps before the clock starts
-
-
-def find_peers() -> None:
-    """Make their packages importable, after our own."""
-    sys.path.append(sysconfig.get_path("purelib", vars={"base": str(PEERS), "platbase": str(PEERS)}))
 
 
 class Peer:
     """A master that is set up anew for every run, so that each begins at t = 0."""
 
     def __init__(self, file: Path) -> None:
-        find_peers()
         self.network: Network = pickle.loads(file.read_bytes())
 
     def run(self, steps: int, results: str, check: bool) -> Answer:
@@ -346,13 +337,13 @@ def _number(text: str) -> float:
 
 def _load_tbb() -> None:
     """Ecos needs libtbb.so.12; the wheel `tbb` brings one, in a place where nobody looks."""
-    for found in sorted((PEERS / "lib").glob("libtbb.so.12")):
-        ctypes.CDLL(str(found), mode=ctypes.RTLD_GLOBAL)
+    brought = Path(sys.prefix) / "lib" / "libtbb.so.12"
+    if brought.exists():
+        ctypes.CDLL(str(brought), mode=ctypes.RTLD_GLOBAL)
 
 
 def build_container(network: Network, folder: Path, name: str) -> Path:
     """The network as one FMU by fmu-manipulation-toolbox; ImportError if that is not installed."""
-    find_peers()
     from fmu_manipulation_toolbox.assembly import AssemblyNode
 
     logging.getLogger("fmu_manipulation_toolbox").setLevel(logging.CRITICAL)  # it warns of loops and of open inputs

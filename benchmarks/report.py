@@ -12,7 +12,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from benchmarks import peers
 from benchmarks.contenders import C_LOOP, OURS
 from benchmarks.measure import Duel, Point, Row, Start
 
@@ -217,7 +216,6 @@ def machine() -> str:
 
 def versions() -> str:
     """Of the peers that are there."""
-    peers.find_peers()
     found = []
     for package in PACKAGES:
         try:

@@ -1,5 +1,6 @@
 """The benchmark compares what computes the same, and outlives what does not. Nothing is timed here."""
 
+import importlib
 import pickle
 import shutil
 
@@ -25,11 +26,12 @@ def ring(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def fought(ring):
-    """The C loop, our loop in Python, FMPy, and one that is not there."""
+    """The C loop, our loop in Python, FMPy, one that is not installed, and one that fails in its process."""
     chosen = [next(c for c in ring.masters() if c.name == C_LOOP)]
     chosen.append(Contender("ours", ring.worker("python", ring.system, "system"), ("none", "memory", "disk")))
     chosen += [Contender(kind, ring.worker(kind, ring.network, "network"), ("none", "memory")) for kind in ("fmpy", "fmpy-buffers")]
-    chosen.append(Contender("absent", ring.worker("absent", ring.network, "network"), ("none",)))
+    chosen.append(Contender("absent", lambda environment: importlib.import_module("absent_library"), ("none",)))
+    chosen.append(Contender("unable", ring.worker("unable", ring.network, "network"), ("none",)))
     return duel(chosen, rounds=1, slice_=0.0, outputs=6, steps=STEPS, say=lambda text: None)
 
 
@@ -45,7 +47,7 @@ def test_results_are_read_back_from_where_they_were_written(fought):
 
 
 def test_who_cannot_be_started_is_reported(fought):
-    assert fought.missing == {"absent": "KeyError: 'absent'"}
+    assert fought.missing == {"absent": "not installed (No module named 'absent_library')", "unable": "KeyError: 'unable'"}
 
 
 def test_a_master_that_dies_is_reported(tmp_path):
@@ -76,7 +78,7 @@ def test_the_page_names_who_is_missing(fought, tmp_path):
     nobody = Duel([], {"Ecos (ecospy)": "not installed"}, STEPS)
     write(Measured(fought, 9, nobody, nobody, 19, STEPS, [], [], [], [Start("ours")], 1, 0.0, 60.0, (0.0, 0.0)), tmp_path)
     page = (tmp_path / "masters.md").read_text()
-    assert "left out: KeyError: 'absent'" in page
+    assert "left out: KeyError: 'unable'" in page
     assert "left out: not installed" in page
     assert "9 of 9 rows have the bits of the C loop" in page
     assert (tmp_path / "masters.png").read_bytes()[:4] == (tmp_path / "scaling.png").read_bytes()[:4] == b"\x89PNG"
