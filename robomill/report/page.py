@@ -121,7 +121,7 @@ def _tiles(s: Subject) -> str:
     if "probability_none" in result and s.verdict == "none":
         tiles.append(("Probability that nothing is wrong", percent(result["probability_none"]), "of all answers considered"))
     elif s.verdict != "bad_log":
-        tiles.append(("Gap explained", percent(1.0 - result["gap"]["unexplained"]), "on the diagnosed runs"))
+        tiles.append(("Gap explained", percent(1.0 - max(result["gap"]["unexplained"], 0.0)), "on the diagnosed runs"))
         if s.verdict != "unknown" and result["which"]:
             first = result["which"][0]
             tiles.append(("Probability", percent(first["probability"]), effect_name(first)))
@@ -205,7 +205,7 @@ def _where(s: Subject, figures: Mapping[str, str]) -> str:
             (
                 f"<strong>{escape(component_name(s, w))}</strong>{others}",
                 f"{percent(w['share'])}<small>{percent_interval(w['interval'])}</small>",
-                escape(_direction(str(w.get("direction", "")), s)),
+                escape(_direction(str(w["direction"]), s)) if w.get("direction") not in (None, channel) else "–",
                 f"{escape(s.label(channel))}<small>{_code(channel)}</small>" if channel else "",
                 escape(_times(w.get("regime") or [])),
                 "<br/>".join(depends) or "–",

@@ -16,7 +16,7 @@ from orchestration.recorder import frame_of
 from orchestration.results import Run
 from orchestration.slave import FloatArray, base_name
 from orchestration.system import System
-from robomill.report.units import percent, quantity, relative, scale
+from robomill.report.units import join, number, percent, quantity, relative, scale
 
 HELD_OUT = " (held out)"
 KINDS = ("held-out condition", "held-out repeat", "diagnosed runs")
@@ -119,8 +119,9 @@ def sized(entry: Mapping[str, Any]) -> str:
 
 
 def listed(parts: Sequence[str], last: str = "and") -> str:
-    """`a, b and c`."""
-    return f" {last} ".join(filter(None, ["; ".join(parts[:-1]), parts[-1]])) if parts else ""
+    """`a, b and c`; with semicolons where the parts have commas of their own."""
+    between = "; " if any("," in p for p in parts) else ", "
+    return f" {last} ".join(filter(None, [between.join(parts[:-1]), parts[-1]])) if parts else ""
 
 
 def verdict_sentence(s: Subject) -> str:
@@ -144,7 +145,7 @@ def verdict_sentence(s: Subject) -> str:
         rest = f" or one of {len(open_) - 4} others" if len(open_) > 4 else ""
         return f"{first} several causes that these runs cannot tell apart: {listed(names, 'or')}{rest}."
     causes = listed([sized(w) for w in s.sure])
-    return f"The gap is caused by {causes}, which explains {percent(1.0 - left)} of it{_shrinks(s)}."
+    return f"The gap is caused by {causes}, which explains {percent(1.0 - max(left, 0.0))} of it{_shrinks(s)}."
 
 
 def reason(finding: Mapping[str, Any]) -> str:
@@ -160,7 +161,8 @@ def _shrinks(s: Subject) -> str:
             h = s.far(kind, base)
             if h is not None and h["closure"] is not None:
                 factor, symbol = scale(h["unit"], h["before"])
-                before, after = (quantity(h[k] * factor, "") for k in ("before", "after"))
+                before = join(number(h["before"] * factor), symbol)
+                after = join(number(h["after"] * factor), symbol) if h["after"] else "less than can be measured"
                 where = {"held-out condition": "new conditions", "held-out repeat": "held-out repeats"}.get(kind, "the diagnosed runs")
-                return f"; once it is in the model, {s.titles[base]} on {where} falls from {before} to {after}\u00a0{symbol} (rms)"
+                return f"; once it is in the model, {s.titles[base]} on {where} falls from {before} to {after} (rms)"
     return ""

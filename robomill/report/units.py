@@ -76,7 +76,7 @@ def percent(share: float) -> str:
         return join("over 1000" if share > 0.0 else "below −1000", "%")
     value = 100.0 * share
     plain = f"{value:.0f}"
-    if (plain in ("100", "0", "-0")) and abs(value - round(value)) >= 0.05:
+    if (plain == "100" and 99.5 <= value < 99.95) or (plain in ("0", "-0") and abs(value) >= 0.05):
         plain = f"{value:.1f}"
     return join("0" if plain == "-0" else plain.replace("-", "−"), "%")
 
