@@ -35,6 +35,11 @@ def parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--stop", type=float, metavar="S", help="stop time in s (system files and packages)")
     run.add_argument("--step", type=float, metavar="S", help="communication step in s (system files and packages)")
+    run.add_argument(
+        "--loop",
+        choices=("auto", "compiled", "python"),
+        help="how the master runs; the numbers are the same (default: what the system file says)",
+    )
     run.add_argument("--csv", action="store_true", help="also write signals.csv")
     run.add_argument("--checkpoint-every", type=int, metavar="STEPS", help="save each so many steps all that --resume goes on from")
     run.add_argument(

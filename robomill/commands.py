@@ -72,10 +72,13 @@ def run(options: Namespace) -> int:
     if not is_scenario:
         return _run_system(System.load(options.file, convert), options)
     if experiments.is_experiment(options.file):
+        _refuse_loop(options)
         return _run_experiment(options)
     _only_systems_take(options, "step", "stop")
     scenario = load_scenario(options.file)
     folder = options.out or RESULTS / scenario.name
+    if scenario.kind != "milling":
+        _refuse_loop(options)
     folder.mkdir(parents=True, exist_ok=True)
     return _run_milling(scenario, folder, options) if scenario.kind == "milling" else _run_static(scenario, folder, options)
 
@@ -87,6 +90,11 @@ def _only_systems_take(options: Namespace, *names: str) -> None:
         raise ValueError(
             f"{', '.join(given)} goes with system files and packages; a scenario takes its step and its end from its system and program"
         )
+
+
+def _refuse_loop(options: Namespace) -> None:
+    if options.loop is not None:
+        raise ValueError("--loop goes with system files, packages and milling scenarios")
 
 
 def _chosen(scenario: Scenario, names: Sequence[str] | None) -> Scenario:
@@ -127,7 +135,7 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     try:
         with _progress(options.json) as report:
             job = milling.prepare(scenario, folder, options.fmus, report, resume=options.resume, checkpoint_every=options.checkpoint_every)
-            job = replace(job, system=_adopted(job.system, options))  # the plan and its offline force stay nominal
+            job = replace(job, system=_adopted(_looped(job.system, options), options))  # the plan and its offline force stay nominal
             milling.check_variants(job, chosen)
             for variant in chosen:
                 recorded, factor = milling.mill(job, variant, report, csv=options.csv)
@@ -211,6 +219,11 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
     return 0
 
 
+def _looped(system: System, options: Namespace) -> System:
+    """With the loop of `--loop`."""
+    return system if options.loop is None else replace(system, loop=options.loop)
+
+
 def _adopted(system: System, options: Namespace) -> System:
     """With the parameter set of `--adopt`; its values replace those of the system."""
     if options.adopt is not None:
@@ -224,7 +237,7 @@ def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
         raise ValueError("--variant goes with scenarios; a system file or package is one run")
     if options.step is not None:
         system = replace(system, step=options.step)
-    system = _adopted(system, options)
+    system = _adopted(_looped(system, options), options)
     if options.fmus is not None:
         system = with_fmus(system, options.fmus)
     if options.csv:

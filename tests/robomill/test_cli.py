@@ -12,8 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from orchestration.assembly import run as record
 from orchestration.results import Run
 from robomill.cli import main
+from tests.orchestration.mocks import resolver, source, system
 from tests.robomill.conftest import SCENARIOS
 
 PROGRAM = "G21 G90 G17 G54\nT1 M6\nS13000 M3\nG0 X-20. Y0. Z2.\nG1 Z-5. F1500.\nX20.\nM30\n"
@@ -106,6 +108,16 @@ class TestBadInput:
         assert "--step goes with system files" in refused(capsys, "run", "part.toml", "--step", "0.001")
         (cell / "one.toml").write_text('name = "one"\nstep = 0.004\nstop = 0.1\n[components.path]\nsource = "path_interpolator"\n')
         assert "--variant goes with scenarios" in refused(capsys, "run", "one.toml", "--variant", "axis")
+
+    def test_loop(self, tmp_path, monkeypatch, capsys):
+        """A recording can only be called from Python, so that who insists on compiled code is refused."""
+        monkeypatch.chdir(tmp_path)
+        slaves = [source("s", lambda t: t)]
+        record(system(slaves), "recorded", stop=0.04, resolver=resolver(slaves))
+        (tmp_path / "played.toml").write_text('name = "p"\nstep = 0.004\nstop = 0.04\n[components.s]\nsource = "replay:recorded"\n')
+        assert "component 's' (ReplaySlave) can only be called from Python" in refused(capsys, "run", "played.toml", "--loop", "compiled")
+        assert main(["run", "played.toml", "--loop", "python"]) == 0
+        assert "--loop goes with system files" in refused(capsys, "run", str(SCENARIOS / "static_loads.toml"), "--loop", "python")
 
     def test_a_program_is_no_scenario(self, cell, capsys):
         assert "`robomill plan` looks at it" in refused(capsys, "run", "part.ngc")
