@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from benchmarks import ring, ring_model
 from benchmarks.network import Network, calls
@@ -29,7 +30,13 @@ ROOT = Path(__file__).parent.parent
 C_LOOP = "plain C loop"
 OURS = "robomill, compiled loop"
 Environment = Mapping[str, str] | None
-copyreg.pickle(MappingProxyType, lambda proxy: (dict, (dict(proxy),)))  # systems hold some
+
+
+def _as_dict(proxy: Any) -> Any:
+    return dict, (dict(proxy),)
+
+
+copyreg.pickle(MappingProxyType, _as_dict)  # systems hold some
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ class Ours:
         a, s, began = self.assembly, self.assembly.system, clocks()[0]
         with tempfile.TemporaryDirectory() as folder:
             run = Path(folder) / "run"
-            observers: list[Any] = {"none": [], "memory": [Memory()], "disk": [Recorder(run)]}[results]
+            observers: list[Any] = [Memory()] if results == "memory" else [Recorder(run)] if results == "disk" else []
             master = Master(a.slaves, a.wiring, s.step, s.algorithm, observers, check_ranges=s.check_ranges, loop=self.loop)
             marks: list[tuple[int, tuple[float, float]]] = []
             master.run(steps * s.step, progress=lambda k, n: marks.append((k, clocks())))

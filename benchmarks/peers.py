@@ -77,7 +77,8 @@ class Fmpy(Peer):
         import fmpy
         from fmpy import fmi2
 
-        self.record, self.rows, self.done = results == "memory", [], 0
+        self.record, self.done = results == "memory", 0
+        self.rows: list[list[float]] = []
         self.bus: Any = self.new_bus(len(self.network.outputs))
         self.slaves: list[tuple[Any, list[Any], list[Any]]] = []
         for m in self.network.members:

@@ -6,7 +6,7 @@ import math
 import os
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -308,12 +308,12 @@ def bars(m: Measured, file: Path) -> None:
 def lines(m: Measured, file: Path) -> None:
     """Scaling: time by number of FMUs, of signals, of steps; memory by number of steps."""
     figure, axes = _figure(2, 2, (10.0, 7.6))
-    panels = (
+    panels: list[tuple[Sequence[Point], str, str, Callable[[Point], float]]] = [
         (m.fmus, "FMUs, 12 signals each", "us of CPU per macro step", lambda p: p.cpu.median),
         (m.signals, "signals per FMU, 4 FMUs", "us of CPU per macro step", lambda p: p.cpu.median),
         (m.durations, "steps of the run (4 FMUs, 12 signals)", "us of CPU per macro step", lambda p: p.cpu.median),
         (m.durations, "steps of the run (4 FMUs, 12 signals)", "peak memory of the process, MB", lambda p: p.memory),
-    )
+    ]
     names = list(dict.fromkeys(p.name for p in m.durations))
     for (points, x, y, value), a in zip(panels, axes.flat, strict=True):
         for i, name in enumerate(names):
