@@ -38,13 +38,15 @@ LATENESS, SUDDEN = 12.0**-0.5, 0.25
 """Steps that outputs may be late, as a whole and at random."""
 SEEN, WEAK = 9.0, 1e-3
 """Whitened energy from which a change is seen at all, and part of that at its own outputs below which one further on does not count."""
-REACH = 0.2
+REACH = 0.05
 """Part of the whitened energy of an effect in an output from which a fault of the component may be looked for there."""
 TEMPERATURE = 2.0
 """Variance of whitened noise: it is not exactly what it is taken for."""
 SIGNIFICANT = 6.0
 """Deviations of noise from which something is left."""
 RESAMPLES = 400
+MORE = 1.5
+"""Variance, in that of noise, from which the effects do not explain what is there."""
 ROUNDS = 6
 """In which the size of what no effect explains is found."""
 NULLS = 3
@@ -562,6 +564,15 @@ class Replay:
 
     def evidence(self, blamed: Sequence[str]) -> float:
         """Log evidence of faults in these components: any effects of theirs, at the size of their priors, and anything else in reach."""
+        return self._explained(blamed)[0]
+
+    def unexplained(self, blamed: Sequence[str], component: str) -> bool:
+        """Whether more than the effects of the blamed components is needed in reach of this one."""
+        variance = self._explained(blamed)[1]
+        return bool(max(variance[k] for k in self.reach[component]) > MORE * TEMPERATURE)
+
+    def _explained(self, blamed: Sequence[str]) -> tuple[float, FloatArray]:
+        """Log evidence, and the variance of what is left in each output, where anything is allowed."""
         at = np.concatenate([np.arange(self.doubt.shape[1]), *(self._places[c] for c in blamed)])
         grams, on_y = self._grams[:, at[:, None], at], self._on_y[:, at]
         free = sorted(set().union(*(self.reach[c] for c in blamed)))
@@ -575,4 +586,4 @@ class Replay:
             best = max(best, -0.5 * float(size + wider))
             for k in free:
                 variance[k] = max(TEMPERATURE, energy[k] / self._counts[k])
-        return best
+        return best, variance

@@ -25,8 +25,9 @@ CLEAR = 12.0
 MINOR, INSIDE = 2e-3, 0.1
 """Part of what is explained already that one more component must add; the same where those before could have done all that it does."""
 BLAMED = 3
-ALIKE = 6.0
-"""Log of the odds up to which another component could be to blame as well."""
+ALIKE, CLOSE = 6.0, 0.6
+"""Log of the odds up to which another component could be to blame as well; part of the evidence that makes it one where no effect of
+the catalogue explains the residual: then what else the components can do says little about which of them did it."""
 WHOLE = "all channels, whitened"
 EXTRA = ("log_odds", "alternatives", "outputs", "alignment", "shares", "dependence")
 """What replay and swaps add to a component that was fitted."""
@@ -67,7 +68,11 @@ def blame(replay: Replay) -> tuple[Blame, ...]:
         order.append(best)
     found = []
     for c in order:
-        others = [o for o in replay.effects if o not in members and evidence(members - {c} | {o}) > evidence(members) - ALIKE]
+        without = evidence(members - {c})
+        least = evidence(members) - ALIKE
+        if replay.unexplained(sorted(members), c):
+            least = min(least, without + CLOSE * (evidence(members) - without))
+        others = [o for o in replay.effects if o not in members and evidence(members - {c} | {o}) > least]
         found.append(Blame(c, evidence(members) - evidence(members - {c}), tuple(others)))
     return tuple(sorted(found, key=lambda b: -b.log_odds))
 

@@ -19,6 +19,7 @@ from orchestration.results import Run
 from orchestration.system import System
 from robomill import next_runs
 from robomill.binding import convert, resolve
+from robomill.joints import PROJECTIONS
 
 CATALOGUE = "catalogue.toml"
 SIMULATIONS = "simulations"
@@ -45,7 +46,7 @@ def menu(system: System, folder: Path) -> Menu:
             made[kind] = Offer(r.system, r.parameters, r.seconds, r.minutes, r.repeats, {c: v for c, v in shown.items() if v})
         return made
 
-    return Menu(titles=TITLES, offers=offers)
+    return Menu(titles=TITLES, offers=offers, projections=PROJECTIONS)
 
 
 def add_arguments(command: Any) -> None:

@@ -73,7 +73,7 @@ class TestSegments:
 
 
 class TestTape:
-    GRID = np.arange(5) * 0.01
+    GRID = np.linspace(0.0, 0.04, 5)
     SERIES: ClassVar = {"p[1]": np.array([1.0, 4.0, 9.0, 16.0, 25.0]), "p[2]": -np.arange(5.0)}
 
     def tape(self, adds: bool) -> Tape:
@@ -138,7 +138,7 @@ class TestInside:
         assert discoveries([]) == []
 
     def inputs(self) -> tuple[dict[str, FloatArray], dict[str, str], FloatArray]:
-        t = np.arange(500) * 0.01
+        t = np.linspace(0.0, 4.99, 500)
         return {"a.q": np.sin(2.0 * t), "b.f": 50.0 * np.cos(5.0 * t) * (t > 2.0)}, {"a.q": "rad", "b.f": "N"}, t
 
     def test_noise_depends_on_nothing_but_for_the_rate_of_false_discoveries(self) -> None:
