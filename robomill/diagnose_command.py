@@ -40,7 +40,7 @@ def menu(system: System, folder: Path) -> Menu:
 
     def offers() -> dict[str, Offer]:
         made = {}
-        for kind in next_runs.kinds() if next_runs.is_cell(system) else ():
+        for kind in next_runs.kinds(system):
             r = next_runs.prepare(system, kind, folder / kind)
             shown = {c: {k: v for k, v in values.items() if k not in ("segments", "profile")} for c, values in r.parameters.items()}
             made[kind] = Offer(r.system, r.parameters, r.seconds, r.minutes, r.repeats, {c: v for c, v in shown.items() if v})

@@ -42,14 +42,12 @@ def _entries() -> dict[str, tuple[Experiment, ExperimentCondition]]:
     return {c.name: (e, c) for e in files for c in e.conditions}
 
 
-def kinds() -> tuple[str, ...]:
-    """Names of the runs on the menu."""
-    return tuple(_entries())
-
-
-def is_cell(system: System) -> bool:
-    """Whether a system is a milling cell by the names of its components, so that the menu is for it."""
-    return {*PARTS} <= {c.name for c in system.components}
+def kinds(system: System | None = None) -> tuple[str, ...]:
+    """Names of the runs on the menu, or of those that a system can make: a milling cell all, one with an applied load those without a cut."""
+    names = {*PARTS, _LOAD} if system is None else {c.name for c in system.components}
+    if not {*PARTS} - {_CUT} <= names or not names & {_CUT, _LOAD}:
+        return ()
+    return tuple(kind for kind, (_, c) in _entries().items() if c.size is None or _CUT in names)
 
 
 def prepare(system: System, kind: str, folder: Path) -> NextRun:
@@ -57,7 +55,7 @@ def prepare(system: System, kind: str, folder: Path) -> NextRun:
     if kind not in _entries():
         raise LookupError(f"no run {kind!r} on the menu; there are: {', '.join(kinds())}")
     experiment, c = _entries()[kind]
-    made = system if c.size is not None else with_load(system)
+    made = system if c.size is not None or _CUT not in {part.name for part in system.components} else with_load(system)
     planned, known = prepare_condition(experiment, c, made, folder)
     return NextRun(kind, made, in_folder(known, folder), planned.duration, c.minutes, experiment.repeats)
 

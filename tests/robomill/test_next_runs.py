@@ -13,7 +13,7 @@ from orchestration.system import System
 from robomill.binding import convert, resolve
 from robomill.diagnose_command import menu
 from robomill.milling import with_parameters
-from robomill.next_runs import is_cell, kinds, prepare, with_load
+from robomill.next_runs import kinds, prepare, with_load
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 CELL = System.load(SCENARIOS / "milling_cell.toml", convert)
@@ -48,11 +48,14 @@ def test_what_is_not_on_the_menu_is_refused_with_what_there_is(tmp_path):
         prepare(CELL, "dancing", tmp_path)
 
 
-def test_the_menu_is_for_milling_cells(tmp_path):
-    assert is_cell(CELL)
+def test_the_menu_is_for_milling_cells_and_for_those_with_a_load_what_needs_no_cut(tmp_path):
+    assert kinds(CELL) == kinds()
     other = replace(CELL, components=tuple(c for c in CELL.components if c.name != "milling"))
-    assert not is_cell(other)
+    assert kinds(other) == ()
     assert menu(other, tmp_path).offers() == {}
+    loaded = menu(with_load(CELL), tmp_path).offers()
+    assert "hanging weight" in loaded
+    assert set(kinds()) - set(loaded) == {k for k in kinds() if k.startswith("second")}
     offers = menu(CELL, tmp_path).offers()
     assert tuple(offers) == kinds()
     # people are shown what they set, not the tables
