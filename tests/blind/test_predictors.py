@@ -28,7 +28,9 @@ def truths(count, seed):
             e["detectability"] = 20.0
         if truth["kind"] == "bad_log":
             truth["bad_log"]["detectability"] = 20.0
-        found.append(truth | {"case": plan.number, "detectability": 0.0 if plan.kind == "null" else 20.0, "ceiling": CEILING})
+        found.append(
+            truth | {"case": plan.number, "machine": {}, "detectability": 0.0 if plan.kind == "null" else 20.0, "ceiling": CEILING}
+        )
     return found
 
 
