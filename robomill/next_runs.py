@@ -43,7 +43,7 @@ def _entries() -> dict[str, tuple[Experiment, ExperimentCondition]]:
 
 
 def kinds(system: System | None = None) -> tuple[str, ...]:
-    """Names of the runs on the menu, or of those that a system can make: a milling cell all, one with an applied load those without a cut."""
+    """Names of the runs on the menu; those that `system` can make: a milling cell all, one with an applied load those without a cut."""
     names = {*PARTS, _LOAD} if system is None else {c.name for c in system.components}
     if not {*PARTS} - {_CUT} <= names or not names & {_CUT, _LOAD}:
         return ()

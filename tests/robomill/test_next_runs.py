@@ -44,7 +44,7 @@ def test_every_run_can_be_made_and_what_is_wrong_with_the_machine_shows_in_it(tm
 
 
 def test_what_is_not_on_the_menu_is_refused_with_what_there_is(tmp_path):
-    with pytest.raises(LookupError, match="no run 'dancing' on the menu; there are: .*tap test"):
+    with pytest.raises(LookupError, match=r"no run 'dancing' on the menu; there are: .*tap test"):
         prepare(CELL, "dancing", tmp_path)
 
 
