@@ -18,8 +18,7 @@ import numpy.typing as npt
 from orchestration import compiled
 from orchestration.acceleration import Iteration, Work
 from orchestration.callbacks import face_of, rollback_of
-from orchestration.errors import IterationError
-from orchestration.iteration import unconverged_text
+from orchestration.iteration import unconverged, unsaved
 from orchestration.native import Block, native_of
 from orchestration.rate import MultiRate
 from orchestration.slave import FloatArray, Slave
@@ -195,13 +194,14 @@ class Loops:
     def __init__(self, slaves: Mapping[str, Slave], wiring: Wiring, settings: Iteration, components: Sequence[int]) -> None:
         from orchestration import compiled_iteration  # compiling it takes seconds where it is not kept yet
 
-        self._kernel, self._settings, self._loops = compiled_iteration, settings, wiring.loops
+        self._kernel, self._settings = compiled_iteration, settings
+        self._loop_of = {name: loop for loop in wiring.loops for name in loop.members}
         names = list(slaves)
         stages: list[list[int]] = []
         unknowns: list[tuple[int, int]] = []
         members: list[str] = []
         for name in names:
-            loop = next((x for x in wiring.loops if name in x.members), None)
+            loop = self._loop_of.get(name)
             if loop is None or name == loop.members[0]:
                 group = loop.members if loop else (name,)
                 chosen = [o for o, c in enumerate(components) if names[c] in group]
@@ -219,13 +219,12 @@ class Loops:
         self._unknowns = np.array(unknowns, np.int64).reshape(-1, 2)
         self._work = Work(settings, len(unknowns))
         self._scratch, self._found = np.zeros((5, len(unknowns))), np.zeros(2)
-        self._inner = {name: loop.inner[name] for loop in wiring.loops for name in loop.members}
 
     def holds_mean(self, name: str, gather: npt.NDArray[np.intp]) -> npt.NDArray[np.int64]:
         """By input of a component: 1 where it holds the mean over the step; not one that is overridden just now."""
         found = np.zeros(len(gather), np.int64)
-        if self._settings.hold == "mean" and name in self._inner:
-            at, sources = self._inner[name]
+        if self._settings.hold == "mean" and name in self._loop_of:
+            at, sources = self._loop_of[name].inner[name]
             found[at] = gather[at] == sources
         return found
 
@@ -239,10 +238,9 @@ class Loops:
     def failed(self, outcome: int, place: int, status: int) -> tuple[str, Exception] | None:
         """Component and its error, if the outcome is one of the iteration."""
         if outcome == compiled.UNCONVERGED:
-            loop = next(x for x in self._loops if x.members[0] == self._members[self._stages[place, self._kernel.MEMBERS]])
-            return loop.members[0], IterationError(
-                unconverged_text(loop, self._settings, float(self._found[0]), int(self._found[1])), loop.members[0]
-            )
+            loop = self._loop_of[self._members[self._stages[place, self._kernel.MEMBERS]]]
+            return loop.members[0], unconverged(loop, self._settings, float(self._found[0]), int(self._found[1]))
         if outcome in (compiled.UNSAVED, compiled.STUCK):
-            return self._members[place], self._rollbacks[place].failed("save" if outcome == compiled.UNSAVED else "back", status)
+            name, error = self._members[place], self._rollbacks[place].failed("save" if outcome == compiled.UNSAVED else "back", status)
+            return name, unsaved(name, self._loop_of[name], error) if outcome == compiled.UNSAVED else error
         return None

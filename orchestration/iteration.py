@@ -165,7 +165,7 @@ class Iterated:
                 fresh[feedback] = x
         else:
             if settings.unconverged == "error":
-                raise IterationError(unconverged_text(loop, settings, residual, worst), loop.members[0])
+                raise unconverged(loop, settings, residual, worst)
         self._rounds, self._residual = max(self._rounds, float(rounds)), max(self._residual, residual)
 
     def _round(self, loop: Loop | None, members: Sequence[Entry], t: float, h: float) -> None:
@@ -192,10 +192,7 @@ class Iterated:
         try:
             state.save()
         except Exception as error:
-            raise IterationError(
-                f"component {name!r} is in the loop {loop} and cannot save its state, which iterating needs: {describe(error)}\n{_REMEDY}",
-                name,
-            ) from error
+            raise unsaved(name, loop, error) from error
 
     def _prove(self, loop: Loop, members: Sequence[Entry], kept: Sequence[Rollback], t: float, h: float) -> None:
         """One round in which every member steps twice from its saved state; IterationError names the one that does not repeat itself."""
@@ -234,18 +231,26 @@ def _leave_initialisation(members: Sequence[Entry]) -> None:
 _REMEDY = "Mark a connection of the loop with delayed = true, or use algorithm = 'gauss-seidel' or 'jacobi'"
 
 
-def unconverged_text(loop: Loop, settings: Iteration, residual: float, worst: int) -> str:
-    """That the iteration ended with the unknown `worst` still changing by `residual`, and what to try."""
+def unsaved(name: str, loop: Loop, error: Exception) -> IterationError:
+    """The error of a component of the loop whose state cannot be kept."""
+    return IterationError(
+        f"component {name!r} is in the loop {loop} and cannot save its state, which iterating needs: {describe(error)}\n{_REMEDY}", name
+    )
+
+
+def unconverged(loop: Loop, settings: Iteration, residual: float, worst: int) -> IterationError:
+    """The error of an iteration that ended with the unknown `worst` still changing by `residual`; it says what to try."""
     others = {
         "fixed-point": "method = 'aitken' or 'anderson', or a smaller relaxation",
         "aitken": "method = 'anderson', or a smaller relaxation",
         "anderson": "a smaller relaxation, or a greater depth",
     }
-    return (
+    text = (
         f"the loop {loop} did not converge in {settings.max_iterations} iterations: {loop.names[worst]} still changes by {residual:.3g} "
         f"of the size of its array (tolerance {settings.tolerance:.3g}, method {settings.method!r}). "
         f"Try {others[settings.method]}, more max_iterations, a smaller step, or unconverged = 'accept'"
     )
+    return IterationError(text, loop.members[0])
 
 
 def same(a: Any, b: Any) -> bool:

@@ -17,6 +17,7 @@ from orchestration.errors import Interrupted, OrchestrationError, RunError, Syst
 from orchestration.master import Master
 from orchestration.memory import Memory
 from orchestration.results import Run
+from orchestration.slave import PortData
 from orchestration.system import Component, Connection, Recording, System
 from tests.orchestration import c_fmu
 from tests.orchestration.mocks import Mock, gain, resolver, source, system
@@ -247,6 +248,28 @@ class TestIterated:
             texts.append((str(caught.value), caught.value.component, caught.value.time))
         assert texts[0] == texts[1]
         assert "component 'm' failed in the step from t = 1 s: lost" in texts[0][0]
+
+    @pytest.mark.parametrize(
+        ("call", "condition"),
+        [("fmi2SetFMUstate(fmi2Component c, fmi2FMUstate s) {", "((Values *)s)->n"), ("*s = malloc(sizeof(Values));", "n")],
+    )
+    def test_fmu_that_loses_its_state(self, tmp_path, call, condition):
+        """After 70 steps keeping a state, or going back to it, becomes an error."""
+        count = "((Model *)c)->v.n" if condition == "n" else condition
+        assert call in c_fmu.SOURCE
+        source = c_fmu.SOURCE.replace(call, f"{call} if ({count} > 70) return fmi2Error;")
+        source = source.replace("m->v.gain = 1.0;", "m->v.gain = m->v.y = 1.0;")
+        file = c_fmu.build(tmp_path, source)
+        components = (Component("a", str(file), {"gain": 3.0}), Component("m", "mock"))
+        s = System("mixed", 0.02, components, (Connection("a.y", "m.u"), Connection("m.y", "a.u")), "iterated")
+        texts = []
+        for kind in ("python", "compiled"):
+            ports = [PortData("u", "input", start=0.0), PortData("y", "output")]
+            with pytest.raises(RunError) as caught:
+                run(s, stop=4.0, loop=kind, resolver=lambda s, n, ports=ports: Mock("m", ports, lambda u, t: [-u[0]]))
+            texts.append((str(caught.value), caught.value.component, caught.value.time))
+        assert texts[0] == texts[1]
+        assert f"fmi2{'Get' if condition == 'n' else 'Set'}FMUstate returned 3 (error)" in texts[0][0]
 
 
 class TestMixed:
