@@ -138,7 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return action(options)
     except (Interrupted, KeyboardInterrupt) as error:
-        print(f"robomill {options.command}: {error or 'interrupted'}", file=sys.stderr)
+        print(f"robomill {options.command}: {str(error) or 'interrupted'}", file=sys.stderr)
         return 130
     except (OrchestrationError, ValueError, LookupError, OSError, RuntimeError) as error:
         text = error.args[0] if isinstance(error, KeyError) and error.args else error

@@ -79,19 +79,22 @@ def run(options: Namespace) -> int:
             file=sys.stderr,
         )
     with _progress(options.json) as progress, TemporaryDirectory() as folder:
-        found = diagnose(
-            system,
-            runs,
-            catalogue,
-            held_out=held,
-            resolver=resolve,
-            convert=convert,
-            workers=max(1, options.jobs),
-            report=progress,
-            menu=menu(system, Path(folder)),
-            repair=options.repair,
-            store=store,
-        )
+        try:
+            found = diagnose(
+                system,
+                runs,
+                catalogue,
+                held_out=held,
+                resolver=resolve,
+                convert=convert,
+                workers=max(1, options.jobs),
+                report=progress,
+                menu=menu(system, Path(folder)),
+                repair=options.repair,
+                store=store,
+            )
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"interrupted; {len(store)} simulations are kept in {store.folder}/: the same command goes on") from None
     options.out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(found.result, indent=1)
     (options.out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
