@@ -94,7 +94,9 @@ def run(options: Namespace) -> int:
                 store=store,
             )
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"interrupted; {len(store)} simulations are kept in {store.folder}/: the same command goes on") from None
+            raise KeyboardInterrupt(
+                f"interrupted; {len(store)} simulations are kept in {store.folder}/: the same command goes on"
+            ) from None
     options.out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(found.result, indent=1)
     (options.out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
