@@ -200,12 +200,14 @@ def _element_names(v: Any) -> list[str]:
 
 def _starts(file: Path, v: Any, kind: str, count: int) -> list[Scalar | None]:
     """One start value per element: an array may have one for all."""
-    if not v.dimensions or v.start is None:
-        return [_start(kind, v.start)] * count
-    texts = v.start.split()
+    texts = [v.start] if v.start is None or not v.dimensions else v.start.split()
     if len(texts) not in (1, count):
         raise SlaveError(f"{file}: array {v.name[:200]!r} has {count} elements and {len(texts)} start values; expected 1 or {count}")
-    return [_start(kind, text) for text in (texts * count if len(texts) == 1 else texts)]
+    try:
+        starts = [_start(kind, text) for text in texts]
+    except ValueError:
+        raise SlaveError(f"{file}: variable {v.name[:200]!r}: start value {v.start[:200]!r} is not of type {v.type}") from None
+    return starts * count if len(starts) == 1 else starts
 
 
 def _ports(

@@ -18,7 +18,8 @@ from pathlib import Path
 
 import fmpy
 
-KINDS = ("fmu", "ssp", "system")
+KINDS = {"fmu": "euler.fmu", "fmu3": "types.fmu", "ssp": "ring.ssp", "nested": "theirs.ssp", "system": "ring.toml"}
+"""Undamaged file by kind: FMI 2.0, FMI 3.0, a package of ours, one with nested systems and a mapping, a system file."""
 NASTY = (
     "",
     "0",
@@ -152,7 +153,7 @@ def repacked(source: Path, target: Path, r: random.Random) -> bool:
     """The archive with one damaged, missing or added entry, its checksums all right; whether only a process of its own may open it."""
     with zipfile.ZipFile(source) as z:
         files: dict[str, bytes] = {n: z.read(n) for n in z.namelist()}
-    texts = [n for n in files if n.endswith((".xml", ".ssd", ".ssv"))]
+    texts = [n for n in files if n.endswith((".xml", ".ssd", ".ssv", ".ssm"))]
     binaries = [n for n in files if n.startswith("binaries/")]
     how = r.randrange(12)
     extra: list[tuple[zipfile.ZipInfo | str, bytes]] = []
@@ -183,7 +184,8 @@ def repacked(source: Path, target: Path, r: random.Random) -> bool:
         if wanted in other:
             files[name] = other[wanted]
         elif wanted == "moved":
-            files[name.replace(str(fmpy.platform), r.choice(("win64", "darwin64", "linux32")))] = data
+            place = r.choice(("win64", "darwin64", "linux32"))
+            files[re.sub(f"{fmpy.platform}|{fmpy.platform_tuple}", place, name)] = data
         else:
             changed = bytearray(data)
             for _ in range(r.choice((10, 1000))):
@@ -199,7 +201,7 @@ def repacked(source: Path, target: Path, r: random.Random) -> bool:
 def damaged(kind: str, number: int, originals: Path, folder: Path) -> tuple[Path, bool]:
     """Damage number `number` of a kind: the file, and whether it may only be opened in a process of its own."""
     r = random.Random(f"{kind} {number}")
-    source = originals / {"fmu": "euler.fmu", "ssp": "ring.ssp", "system": "ring.toml"}[kind]
+    source = originals / KINDS[kind]
     target = folder / source.name
     if kind == "system":
         text = source.read_text()
@@ -224,9 +226,10 @@ def attempt(kind: str, number: int, originals: Path, folder: Path) -> None:
     from orchestration.system import Component, System
 
     file, isolated = damaged(kind, number, originals, folder)
-    if kind == "fmu":
-        run(System("s", 0.1, (Component("x", str(file), {"gain": 2.0}, isolate=isolated, time_limit=5.0),)), folder / "run", stop=1.0)
-    elif kind == "ssp":
+    if kind in ("fmu", "fmu3"):
+        parameters = {"gain": 2.0} if kind == "fmu" else {"gain[1,2]": 2.0, "label": "x"}
+        run(System("s", 0.1, (Component("x", str(file), parameters, isolate=isolated, time_limit=5.0),)), folder / "run", stop=1.0)
+    elif kind in ("ssp", "nested"):
         with open_ssp(file) as package:
             run(package.system, folder / "run", start=package.start, stop=package.start + 1.0)
     else:

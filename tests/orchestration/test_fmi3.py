@@ -230,6 +230,7 @@ class TestRefused:
                 '<Int64 name="in_Int64" clocks="30" valueReference="11"',
                 "variable 'in_Int64' belongs to a clock, which only event mode can tick; event mode is not supported",
             ),
+            ('causality="input" start="0"', 'causality="input" start="1 2"', "variable 'in_Int64': start value '1 2' is not of type Int64"),
             ('start="1 1 1 1 1 1"', 'start="1 1 1"', "array 'gain' has 6 elements and 3 start values; expected 1 or 6"),
             (
                 '<Dimension start="2"/><Dimension start="3"/>',

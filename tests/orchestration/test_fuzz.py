@@ -17,8 +17,9 @@ import pytest
 
 from orchestration.ssp_export import export
 from orchestration.system import Component, Connection, System
-from tests.orchestration import c_fmu
+from tests.orchestration import c_fmu, c_fmu3
 from tests.orchestration.damage import KINDS, session
+from tests.orchestration.test_ssp_foreign import MAPPING, NESTED, VALUES, package
 
 LIMIT = 30.0  # s for one case
 SYSTEM = """\
@@ -69,6 +70,9 @@ def originals(tmp_path_factory) -> Path:
     components = (Component("a", str(euler), {"gain": 2.0}, inputs={"u": 0.5}), Component("b", str(euler), {"gain": 3.0}))
     connections = (Connection("a.twice", "b.u"), Connection("b.n", "a.offset", delayed=True))
     export(System("ring", 0.1, components, connections, stop=1.0), folder / "ring.ssp")
+    c_fmu3.build(folder, c_fmu3.PLAIN)
+    resources = {"resources/cell.ssv": VALUES, "resources/cell.ssm": MAPPING, "resources/euler.fmu": euler.read_bytes()}
+    package(folder, {"SystemStructure.ssd": NESTED, **resources})
     return folder
 
 
@@ -116,9 +120,9 @@ def test_some(kind, originals, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_many(kind, originals, tmp_path):
-    """Of the three kinds together, 510."""
-    found = check([(kind, n) for n in range(20, 190)], originals, tmp_path)
-    assert found["refused"] >= 100
+    """Of the five kinds together, 600."""
+    found = check([(kind, n) for n in range(20, 140)], originals, tmp_path)
+    assert found["refused"] >= 60
 
 
 def test_undamaged(originals, tmp_path, monkeypatch):
@@ -128,7 +132,7 @@ def test_undamaged(originals, tmp_path, monkeypatch):
     monkeypatch.setattr(
         module,
         "damaged",
-        lambda kind, number, source, folder: (originals / {"fmu": "euler.fmu", "ssp": "ring.ssp", "system": "ring.toml"}[kind], False),
+        lambda kind, number, source, folder: (originals / KINDS[kind], False),
     )
     monkeypatch.chdir(tmp_path)
     for kind in KINDS:
