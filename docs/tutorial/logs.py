@@ -1,4 +1,4 @@
-"""Writes the runs of machine.toml as the CSV files that a logger might write: mm, degrees, decimal commas, a tracker with 10 um of noise."""
+"""Writes the runs of machine.toml as the CSV files that a logger might write: mm, degrees, decimal commas, tracker noise of 10 um."""
 
 from __future__ import annotations
 

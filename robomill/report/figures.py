@@ -183,9 +183,9 @@ def overlay(s: Subject) -> Figure | None:
     """Before and after in each condition, where the gap is largest."""
     if not s.found.adopted or s.verdict == "bad_log":
         return None
-    held = [c for c in s.conditions if c.endswith(HELD_OUT)]
-    columns = [s.conditions[0], *[c for c in held if c.removesuffix(HELD_OUT) not in s.conditions], *held][:3]
-    columns = list(dict.fromkeys(columns))
+    first, *others = s.conditions
+    new = [c for c in others if c.endswith(HELD_OUT) and c.removesuffix(HELD_OUT) not in s.conditions]
+    columns = list(dict.fromkeys([first, *new, *others]))[:3]
     figures = [h["channel"] for h in s.result["how_far"] if h["on"] == KINDS[-1] and h["unit"] != "1"]
     loud = s.loudest(s.conditions[0])
     rows = sorted((c for c in loud if base_name(c) in figures), key=lambda c: list(s.titles or figures).index(base_name(c)))[:3] or loud[:3]

@@ -237,7 +237,7 @@ def _replay(s: Subject) -> str:
         )
     text = (
         "Each component was driven alone with measured inputs, so that nothing that happens before it can show in its outputs. "
-        f"{len(loud)} of {_count(len(readings), 'output')} differ from the measurement by more than noise and the tolerances of calibrated numbers"
+        f"Outputs that differ from the measurement by more than noise and the tolerances of calibrated numbers: {len(loud)} of {len(readings)}"
         + (":" if loud else ".")
     )
     table = _table(("Output", "To blame", "Left, rms", "In noise", "Beyond tolerances"), rows, (2, 3, 4)) if rows else ""
@@ -321,7 +321,7 @@ def _isolability(s: Subject) -> str:
     rows = [
         (
             " against ".join(escape(_spoken(n)) for n in p["pair"]),
-            number(p["distance"], 0.1),
+            number(p["distance"], 1.0),
             "cannot be told apart" if p["confusable"] else "told apart",
         )
         for p in pairs[:PAIRS]
@@ -415,11 +415,11 @@ def _next(s: Subject) -> str:
         text = f"{r['kind'][0].upper()}{r['kind'][1:]}: it separates {pair}."
     parts = [f"<p><strong>{escape(text)}</strong></p>"]
     if "distance" in r:
-        effort = f"{_count(r['repeats'], 'repeat')}, about {number(r['minutes'])} minutes with setting up. " if "minutes" in r else ""
-        now = f" instead of {number(r['now'], 0.1)} now" if "now" in r else ""
+        effort = f"{_count(r['repeats'], 'repeat')}, about {r['minutes']:g} minutes with setting up. " if "minutes" in r else ""
+        now = f" instead of {number(r['now'], 1.0)} now" if "now" in r else ""
         parts.append(
             _paragraph(
-                f"{effort}They would then be {number(r['distance'], 0.1)} deviations of noise apart{now}; {CONFUSABLE:g} are needed."
+                f"{effort}They would then be {number(r['distance'], 1.0)} deviations of noise apart{now}; {CONFUSABLE:g} are needed."
             )
         )
     settings = [f"{c}.{k} = {_setting(v)}" for c, values in (r.get("parameters") or {}).items() for k, v in values.items()]
@@ -428,7 +428,7 @@ def _next(s: Subject) -> str:
     others = r.get("alternatives") or []
     if others:
         rows = [
-            (escape(a["kind"]), number(a["distance"], 0.1), number(a["minutes"]), number(a["per_minute"]))
+            (escape(a["kind"]), number(a["distance"], 1.0), f"{a['minutes']:g}", number(a["per_minute"]))
             for a in [{k: r[k] for k in ("kind", "distance", "minutes", "per_minute")}, *others]
         ]
         parts.append(_table(("Run", "Deviations apart", "Minutes", "Deviations per minute"), rows, (1, 2, 3)))
