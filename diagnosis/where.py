@@ -66,6 +66,12 @@ def blame(replay: Replay) -> tuple[Blame, ...]:
             break
         members |= {best}
         order.append(best)
+    while len(order) > 1:  # one that others have made needless
+        weakest = min(order, key=lambda c: -evidence(members - {c}))
+        if evidence(members) - evidence(members - {weakest}) >= CLEAR:
+            break
+        members -= {weakest}
+        order.remove(weakest)
     found = []
     for c in order:
         without = evidence(members - {c})
