@@ -10,6 +10,7 @@ import fmpy
 import numpy as np
 import pytest
 
+from orchestration.acceleration import DEFAULT
 from orchestration.assembly import run
 from orchestration.errors import OrchestrationError, RunError, SlaveError, SystemFileError
 from orchestration.fmu import FmuSlave
@@ -129,6 +130,21 @@ def test_compiled_and_python_loop_give_the_same_bits(plain, tmp_path):
     assert results[0]["b.out_Boolean"].tolist()[1] == [1.0, 0.0, 1.0]  # not not: what went in
     assert np.ptp(results[0]["b.y"]) > 0.0
     assert results[0]["b.out_Int32"][-1].tolist() == [3.0, 4.0]
+
+
+def test_rates_and_iteration(tmp_path):
+    """A ring of two that drive each other, y' = u + 1: at two rates in both loops, and iterated, where it is implicit Euler."""
+    file = str(c_fmu3.build(tmp_path, c_fmu3.PLAIN, c_fmu3.SOURCE.replace("m->v.gain[i] * m->v.u[i]", "(m->v.gain[i] * m->v.u[i] + 1)")))
+    ring = (Connection("a.y", "b.u"), Connection("b.y", "a.u", delayed=True))
+    made = System("ring", 0.004, (Component("a", file, rate=2), Component("b", file, every=3)), ring, stop=0.4)
+    results = [run(made, loop=loop) for loop in ("compiled", "python")]
+    assert np.array_equal(results[0]["b.y"], results[1]["b.y"])
+    assert np.ptp(results[0]["b.y[2,3]"]) > 0.1
+    iterated = System("ring", 0.004, (Component("a", file), Component("b", file)), (ring[0], replace(ring[1], delayed=False)), stop=0.4)
+    r = run(replace(iterated, algorithm="iterated"))
+    assert np.all(r["master.iterations"][1:] >= 2.0)
+    y = r["a.y[1,1]"]
+    assert np.allclose(y[1:], y[:-1] + 0.004 * (y[1:] + 1.0), rtol=0.0, atol=DEFAULT.tolerance)
 
 
 def test_types_that_the_compiled_loop_does_not_carry(types):
