@@ -116,7 +116,7 @@ def shares(s: Subject) -> Figure | None:
     if not entries:
         return None
     rows = [(component_name(s, w), w["share"], w["interval"], True) for w in entries]
-    if not any("nearest" in w for w in entries):  # shares of a replay are no parts of the model that leaves this
+    if not s.blamed:  # shares of a replay are no parts of the model that leaves this
         rows.append(("not explained", max(s.result["gap"]["unexplained"], 0.0), None, False))
     figure = Figure(figsize=(WIDTH, 0.62 + 0.36 * len(rows)), layout="constrained")
     ax = figure.subplots()

@@ -23,7 +23,7 @@ BADGES = {
 WHITENED = "all channels, whitened"
 _SHARES = {
     False: "Share of the whitened gap that goes when the effects found in a component are switched on in the closed loop, with its 90 % interval.",
-    True: "Share of the whitened gap that goes when the outputs of a component are replaced by their measurements, with its 90 % interval.",
+    True: "Share of the whitened gap that goes when the error of a component is put into the closed loop (what is left of its replay, added to its outputs), with its 90 % interval.",
 }
 """Whether the shares come from replay and swaps -> what they are."""
 PAIRS = 12
@@ -181,7 +181,7 @@ def _where(s: Subject, figures: Mapping[str, str]) -> str:
             _figure(
                 figures,
                 "shares",
-                _SHARES["nearest" in s.result["where"][0]],
+                _SHARES[bool(s.blamed)],
             )
         )
     parts.append(
@@ -245,7 +245,7 @@ def _replay(s: Subject) -> str:
 
 
 def _swap(s: Subject) -> str:
-    """How much of each figure's gap goes when a component's outputs are replaced by their measurements."""
+    """How much of each figure's gap goes when a component's outputs have the error that its replay found."""
     swapped = s.result.get("swap") or []
     if not swapped:
         return ""
@@ -253,8 +253,8 @@ def _swap(s: Subject) -> str:
         (escape(s.titles.get(w["figure"], w["figure"])), escape(w["component"]), _bar(w["share"]), percent_interval(w["interval"]))
         for w in swapped
     ]
-    text = "The closed loop was run again with the outputs of a component replaced by their measurement; the share of the gap that this takes away (Shapley value):"
-    return f"<details><summary>Shares by replacing outputs</summary>\n{_paragraph(text)}{_table(('Gap in', 'Component', 'Share', '90 %'), rows)}</details>"
+    text = "The closed loop was run again with what is left of a component's replay added to its outputs; the share of the gap that this takes away (Shapley value):"
+    return f"<details><summary>Shares by swapping outputs</summary>\n{_paragraph(text)}{_table(('Gap in', 'Component', 'Share', '90 %'), rows)}</details>"
 
 
 def _direction(direction: str, s: Subject) -> str:
@@ -270,7 +270,11 @@ def _unknown(s: Subject) -> str:
         f"The catalogue's nearest answer is {_spoken(known['nearest'])}, and it is not good enough. What it leaves is strongest in "
         f"the outputs of {known['component']} ({_direction(str(known['direction']), s)})"
         + (f", at {_times(known['regime'])}." if known.get("regime") else ".")
-        + " The cause is there or upstream of it."
+        + (
+            " The cause is there or upstream of it."
+            if not s.blamed
+            else " Driven with measured inputs, component by component, the blame falls as below."
+        )
     ]
     return _paragraph(lines[0]) + _table(("Share of what is left", "Signal", "Channel"), rows)
 

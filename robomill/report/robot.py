@@ -104,8 +104,7 @@ def marks(s: Subject) -> dict[str, str]:
             for part in parts(w["component"], w["location"], w["effect"]):
                 found.setdefault(part, []).append(text)
     elif s.verdict == "unknown":
-        replayed = [w for w in s.result["where"] if "nearest" in w]
-        for w in replayed or [{**s.result["unknown"], "location": s.label(s.result["unknown"]["direction"])}]:
+        for w in s.blamed or [{**s.result["unknown"], "location": s.label(s.result["unknown"]["direction"])}]:
             for part in parts(w["component"], w["location"], str(w["nearest"]).partition(" @ ")[0]):
                 found.setdefault(part, []).append("not in the catalogue")
     return {part: ", ".join(dict.fromkeys(texts)) for part, texts in found.items()}

@@ -102,6 +102,11 @@ class Subject:
         """Entries of `which` that are believed."""
         return [w for w in self.result["which"] if w["probability"] >= IDENTIFIED]
 
+    @property
+    def blamed(self) -> list[dict[str, Any]]:
+        """Entries of `where` that come from replay and swaps, because no effect of the catalogue explains the gap."""
+        return [w for w in self.result["where"] if "nearest" in w]
+
     def far(self, kind: str, channel: str) -> dict[str, Any] | None:
         """Entry of `how_far` for an array on one kind of runs."""
         return next((h for h in self.result["how_far"] if h["on"] == kind and h["channel"] == channel), None)
@@ -136,8 +141,9 @@ def verdict_sentence(s: Subject) -> str:
     left = result["gap"]["unexplained"]
     if s.verdict == "unknown":
         known = result["unknown"]
-        where = f"it shows most in {s.label(known['channels'][0]['channel'])} ({known['component']})" if known["channels"] else ""
-        return f"Something real that is not in the catalogue: the best model leaves {percent(left)} of the gap; {where}."
+        place = listed([listed([w["component"], *w["alternatives"]], "or") for w in s.blamed]) or known["component"]
+        where = f"; it shows most in {s.label(known['channels'][0]['channel'])}" if known["channels"] else ""
+        return f"Something real that is not in the catalogue, in {place}: the best model leaves {percent(left)} of the gap{where}."
     if s.verdict == "ambiguous":
         sure, open_ = s.sure, [w for w in result["which"] if w["probability"] < IDENTIFIED]
         first = f"The gap is caused by {listed([sized(w) for w in sure])}, together with one of" if sure else "The gap has one of"
