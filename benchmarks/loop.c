@@ -1,15 +1,19 @@
 /* The plain C loop that masters are compared with: a ring of FMUs, Jacobi, one set, one step, one get per FMU.
-   loop STEPS RECORD LIBRARY...   RECORD 1 keeps every row in memory. Prints ns per step, wall clock and CPU, then all outputs as hexadecimal numbers. */
+   loop STEPS RECORD LIBRARY...   RECORD 1 keeps every row in memory, RECORD 2 writes them to rows.bin in the working folder, in
+   pieces of 4096. Prints ns per step, wall clock and CPU, then all outputs as hexadecimal numbers. */
 #include <dlfcn.h>
+#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
+#include <unistd.h>
 #include "fmi2Functions.h"
 
 #ifndef N
 #define N 12
 #endif
 #define MAX 256
+#define PIECE 4096
 
 static void logger(void *e, fmi2String i, fmi2Status s, fmi2String c, fmi2String m, ...) {}
 
@@ -22,9 +26,12 @@ int main(int argc, char **argv) {
     fmi2Component c[MAX];
     fmi2ValueReference in[N], out[N];
     fmi2CallbackFunctions callbacks = {logger, calloc, free, NULL, NULL};
-    double *y = calloc(n * N, sizeof *y), *rows = record ? malloc(sizeof *rows * steps * (n * N + 1)) : NULL, h = 0.004;
+    long held = record == 2 ? PIECE : steps;
+    size_t width = n * N + 1;
+    double *y = calloc(n * N, sizeof *y), *rows = record ? malloc(sizeof *rows * held * width) : NULL, h = 0.004;
+    int file = record == 2 ? open("rows.bin", O_CREAT | O_TRUNC | O_WRONLY, 0600) : -1;
     struct timespec a, b, p, q;
-    if (record) for (long i = 0; i < steps * (n * N + 1); i += 512) rows[i] = 0; /* pages are there before the clock starts */
+    if (record) for (long i = 0; i < held * (long)width; i += 512) rows[i] = 0; /* pages are there before the clock starts */
     for (int i = 0; i < N; i++) in[i] = i, out[i] = N + i;
     for (int k = 0; k < n; k++) {
         void *library = dlopen(argv[3 + k], RTLD_NOW | RTLD_LOCAL);
@@ -42,9 +49,13 @@ int main(int argc, char **argv) {
         for (int k = 0; k < n; k++) if (step[k](c[k], s * h, h, 0) > fmi2Warning) return 2;
         for (int k = 0; k < n; k++) if (get[k](c[k], out, N, y + k * N) > fmi2Warning) return 2;
         if (record) {
-            double *row = rows + s * (n * N + 1);
+            double *row = rows + s % held * width;
             row[0] = (s + 1) * h;
             for (int i = 0; i < n * N; i++) row[1 + i] = y[i];
+            if (record == 2 && (s % PIECE == PIECE - 1 || s == steps - 1)) {
+                size_t bytes = (s % PIECE + 1) * width * sizeof *rows;
+                if (write(file, rows, bytes) != (ssize_t)bytes) return 3;
+            }
         }
     }
     clock_gettime(CLOCK_MONOTONIC, &b);
