@@ -91,6 +91,10 @@ def locate(replay: Replay, figures: Mapping[str, FloatArray], projections: Mappi
     readings = replay.readings()
     blamed = blame(replay)
     left = [r for r in sorted(readings, key=lambda r: -r.unexplained) if r.significant]
+    for b in blamed:  # seen only in all its outputs together
+        mine = [r for r in readings if b.component in r.components]
+        if mine and not any(r in left for r in mine):
+            left.append(max(mine, key=lambda r: r.unexplained))
     players = list(dict.fromkeys(r.output.partition(".")[0] for r in left))[:PLAYERS] if blamed else []
     all_figures = {WHOLE: replay.weights, **figures}
     swapped = shares(replay.benches, players, all_figures) if players else []
