@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -248,6 +249,17 @@ class TestResume:
         assert "holds a run of another system: files: path.segments was" in refused(capsys, "run", "part.toml", "--resume")
 
 
+def with_more_values(package: Path) -> None:
+    """A value for a variable that the FMU does not have goes into a package."""
+    with zipfile.ZipFile(package) as z:
+        files = {name: z.read(name) for name in z.namelist()}
+    value = b'<ssv:Parameters><ssv:Parameter name="temperature_of_moon"><ssv:Real value="1"/></ssv:Parameter>'
+    files["resources/sensor.ssv"] = files["resources/sensor.ssv"].replace(b"<ssv:Parameters>", value)
+    with zipfile.ZipFile(package, "w") as z:
+        for name, content in files.items():
+            z.writestr(name, content)
+
+
 class TestPackages:
     """`robomill build --ssp` and `robomill run X.ssp`."""
 
@@ -260,7 +272,9 @@ class TestPackages:
         told = json.loads(capsys.readouterr().out)
         assert told["packages"] == ["dist/part_cartesian.ssp"]
         assert len(told["fmus"]) == 6
+        with_more_values(cell / "dist/part_cartesian.ssp")
         assert main(["run", "dist/part_cartesian.ssp", "--out", "there"]) == 0
+        assert "part_cartesian.ssp: ignored: component 'sensor': unknown variable 'temperature_of_moon'" in capsys.readouterr().err
         here, there = Run.load(cell / "here/cartesian"), Run.load(cell / "there")
         assert set(here.columns) == set(there.columns)
         assert here.t.tobytes() == there.t.tobytes()
