@@ -274,7 +274,8 @@ class _Conclusion:
             result["next_run"] = self.next_run(verdict) if verdict in ("identified", "ambiguous", "unknown") else None
             result["predictive"] = {f.name: f.predictive for f in self.fits if f.predictive}
         if verdict == "unknown":
-            result["unknown"] = self.describe()
+            named = {k: result["where"][0][k] for k in ("component", "direction", "regime")} if found["where"] else {}
+            result["unknown"] = self.describe() | named
         result["effort"] = {
             "seconds": round(time.monotonic() - self.began, 1),
             "simulations": self.simulator.count,
