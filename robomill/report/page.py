@@ -14,7 +14,7 @@ from robomill.report.subject import HELD_OUT, KINDS, Subject, effect_name, liste
 from robomill.report.units import join, number, percent, percent_interval, quantity, relative, scale, with_interval
 
 BADGES = {
-    "none": "No gap found",
+    "none": "No effect found",
     "identified": "Identified",
     "ambiguous": "Ambiguous",
     "unknown": "Not in the catalogue",
@@ -119,7 +119,7 @@ def _tiles(s: Subject) -> str:
     tiles: list[tuple[str, str, str]] = []
     result = s.result
     if "probability_none" in result and s.verdict == "none":
-        tiles.append(("Probability that nothing is wrong", percent(result["probability_none"]), "of all answers considered"))
+        tiles.append(("Probability of no effect", percent(result["probability_none"]), "of all answers considered"))
     elif s.verdict != "bad_log":
         tiles.append(("Gap explained", percent(1.0 - max(result["gap"]["unexplained"], 0.0)), "on the diagnosed runs"))
         if s.verdict != "unknown" and result["which"]:

@@ -137,7 +137,7 @@ def verdict_sentence(s: Subject) -> str:
         more = f" ({len(fatal) - 1} more findings below)" if len(fatal) > 1 else ""
         return f"This log cannot be diagnosed: {reason(fatal[0])}{more}." if fatal else "This log cannot be diagnosed."
     if s.verdict == "none":
-        return "The machine does what the simulation says: within noise and calibration tolerances, there is no gap to explain."
+        return "No effect is needed to explain these runs: machine and simulation differ by no more than noise and the tolerances of calibrated numbers."
     left = result["gap"]["unexplained"]
     if s.verdict == "unknown":
         known = result["unknown"]

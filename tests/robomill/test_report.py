@@ -122,7 +122,7 @@ class TestContent:
 
     def test_none_says_what_would_have_been_seen(self, page: Callable[[str], Path], subject: Callable[[str], Subject]) -> None:
         text = _text(page("none"))
-        assert "there is no gap to explain" in text
+        assert "No effect is needed to explain these runs" in text
         gain = min(v["value"] for v in subject("none").result["smallest_visible"] if v["effect"] == "gain")
         assert units.quantity(gain, "%").replace("\u00a0", " ") in text
         assert "--adopt" not in text
