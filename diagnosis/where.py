@@ -162,6 +162,7 @@ class Inside:
 
     def __init__(self, replay: Replay, component: str, others: Sequence[str]) -> None:
         self.replay, self.component = replay, component
+        self.unexplained = replay.unexplained(sorted({component, *others}), component)
         known = np.concatenate([replay.doubt, *(replay.effects[o] for o in others)], axis=1)
         self._inner = np.linalg.inv(np.eye(known.shape[1]) + known.T @ known)
         self._known = known
@@ -194,7 +195,7 @@ class Inside:
         for array in outputs:
             if array in projections:
                 aligned = self.aligned(array, projections[array], condition)
-                if aligned and max(aligned.values()) >= ALIGNED:
+                if aligned and max(aligned.values()) >= ALIGNED and self.unexplained:
                     location = max(aligned, key=lambda k: aligned[k])
                 break
         return {
