@@ -80,7 +80,7 @@ class CompiledLoop:
         # One column per signal, as they are written. Two sets: a recorder may still write one while the other is filled.
         # An odd number of cache lines each keeps the columns from falling on the same places of the cache.
         length = 8 * (-(-capacity // 8) | 1)
-        self._columns = [np.zeros((1 + wiring.n_outputs if observed else 0, length))[:, :capacity] for _ in range(2)]
+        self._columns = [np.zeros((1 + wiring.n_outputs if observed else 0, length)) for _ in range(2)]
         self._report, self._ticks = np.zeros(3, np.int64), np.zeros(3, np.int64)
         phases: list[list[_Call]] = [[], [], []]
         for c, native in enumerate(self._natives):
