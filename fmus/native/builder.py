@@ -22,7 +22,7 @@ from fmus.interface import Interface
 from fmus.model_description import Options, model_description
 from fmus.native.data import data_c
 from fmus.native.fmi3 import model_description_3, terminals_and_icons
-from fmus.native.lower import Lowered, NativeBuildError, lower
+from fmus.native.lower import Lowered, Lowering, NativeBuildError
 from fmus.native.targets import PLATFORMS, compiler, fat, libraries, uses_zig
 from fmus.python.builder import ICON, _npy, _version
 from models.declaration import Model
@@ -53,6 +53,19 @@ def build(
     tools give equal bytes. NativeBuildError names a platform that there is not, a missing tool, or what of the
     model cannot be lowered.
     """
+    with Lowering() as lowering:
+        return _build(model, Path(destination), fmi, platforms, page, reference or {}, lowering)
+
+
+def _build(
+    model: Model,
+    target: Path,
+    fmi: Literal[2, 3],
+    platforms: Sequence[str],
+    page: str | None,
+    reference: Mapping[str, bytes],
+    lowering: Lowering,
+) -> Path:
     if fmi not in (2, 3):
         raise NativeBuildError(f"FMI version {fmi!r}: expected 2 or 3")
     unknown = sorted(set(platforms) - set(PLATFORMS))
@@ -60,11 +73,10 @@ def build(
         raise NativeBuildError(f"unknown platform {', '.join(unknown) or '(none)'}; available: {', '.join(PLATFORMS)}")
     platforms = tuple(p for p in PLATFORMS if p in platforms)
     linker = compiler(uses_zig(platforms))
-    target = Path(destination)
     if target.suffix != ".fmu":
         target /= f"{model.name}.fmu"
     interface = Interface(model)
-    lowered = lower(model)
+    lowered = lowering.lower(model)
     token, sources = c_sources(interface, lowered)
     with tempfile.TemporaryDirectory(prefix="robomill_native_") as folder:
         linked = libraries(lowered.code, sources, model.name, platforms, Path(folder))
@@ -72,7 +84,7 @@ def build(
     options = _options(model, lowered, token, f"robomill {_version()} (native, {linker})")
     content: dict[str, bytes] = {**licences()}
     content["documentation/index.html"] = index_html(interface, "native backend", NOTES, page, f"{fmi}.0").encode()
-    content |= {f"documentation/reference/{name}": data for name, data in (reference or {}).items()}
+    content |= {f"documentation/reference/{name}": data for name, data in reference.items()}
     content |= {f"resources/tables/{name}.npy": _npy(rows) for name, rows in model.default_tables.items()}
     if fmi == 2:
         content["modelDescription.xml"] = model_description(interface, options)
@@ -107,11 +119,11 @@ def build_all(
     """
 
     def one(model: Model) -> Path:
-        path = build(model, Path(destination) / f"{model.name}.fmu", fmi=fmi, platforms=platforms, reference=reference(model))
+        path = _build(model, Path(destination) / f"{model.name}.fmu", fmi, platforms, None, reference(model), lowering)
         done(path)
         return path
 
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with Lowering() as lowering, ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         running = [pool.submit(one, model) for model in models]
         try:
             return [future.result() for future in running]

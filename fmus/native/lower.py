@@ -8,6 +8,7 @@ It also tries the model (`fmus.probe`), as it has it compiled anyway.
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import json
 import os
@@ -33,6 +34,8 @@ INEXACT = re.compile(r"\b(?:fast|contract|reassoc|arcp|afn|nnan|ninf|nsz) |llvm\
 """Marks of arithmetic that may come out differently on another processor."""
 KEPT = 40
 """Lowered models that stay in the cache folder."""
+_GARBAGE = 200_000
+"""Objects made between two collections: Numba makes millions that live, and looking at them again and again takes a tenth of the time."""
 
 
 class NativeBuildError(RuntimeError):
@@ -50,16 +53,53 @@ class Lowered:
     initial_dependencies: dict[str, tuple[str, ...]]
 
 
-def lower(model: Model) -> Lowered:
-    """Lower a model, or take what was kept of an earlier time with the same sources. NativeBuildError says what is in the way."""
-    with tempfile.TemporaryDirectory(prefix="robomill_lower_") as temporary:
-        folder = Path(temporary)
-        arguments = _reference(model, folder)
-        kept = _cache_file(model, folder)
-        if kept is not None and kept.is_file():
-            with suppress(OSError, ValueError, KeyError):
-                os.utime(kept.parent)
-                return _read(kept)
+class Lowering:
+    """Processes that lower models, as many as ask at a time, in a `with` block.
+
+    Each lowers one model after the other: what models have in common is imported and compiled once. The code of a model does
+    not depend on those before it, as names that count are replaced.
+    """
+
+    def __init__(self) -> None:
+        self._idle: list[_Process] = []
+
+    def __enter__(self) -> Lowering:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        while self._idle:
+            self._idle.pop().end()
+
+    def lower(self, model: Model) -> Lowered:
+        """Lower a model, or take what was kept of an earlier time with the same sources. NativeBuildError says what is in the way."""
+        with tempfile.TemporaryDirectory(prefix="robomill_lower_") as temporary:
+            folder = Path(temporary)
+            arguments = _reference(model, folder)
+            kept = _cache_file(model, folder)
+            if kept is not None and kept.is_file():
+                with suppress(OSError, ValueError, KeyError):
+                    os.utime(kept.parent)
+                    return _read(kept)
+            result = folder / "lowered.json"
+            try:
+                process = self._idle.pop()
+            except IndexError:
+                process = _Process()
+            if not process.ask([str(result), *arguments]):
+                lines = [line for line in process.end().splitlines() if line.strip()]
+                refusal = [line.partition("NativeBuildError: ")[2] for line in lines if "NativeBuildError: " in line]
+                raise NativeBuildError(f"model {model.name!r}: cannot be lowered: " + (refusal[-1] if refusal else "\n".join(lines[-15:])))
+            self._idle.append(process)
+            lowered = _read(result)
+            if kept is not None:
+                _keep(result, kept)
+            return lowered
+
+
+class _Process:
+    """One of the other processes: a line of JSON is a model to lower, a line comes back when it is done."""
+
+    def __init__(self) -> None:
         environment = {
             **os.environ,
             "NUMBA_CPU_NAME": "generic",
@@ -69,22 +109,35 @@ def lower(model: Model) -> Lowered:
             "NUMBA_SLP_VECTORIZE": "0",
             "NUMBA_DEBUGINFO": "0",
             "NUMBA_FULL_TRACEBACKS": "0",
+            "NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1",  # colours that nobody sees, of errors that Numba itself catches
             "PYTHONHASHSEED": "0",
             "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
         }
         for name in ("NUMBA_ENABLE_AVX", "NUMBA_BOUNDSCHECK", "NUMBA_DISABLE_JIT", "NUMBA_DEVELOPER_MODE", "NUMBA_COVERAGE"):
             environment.pop(name, None)
-        result = folder / "lowered.json"
-        command = [sys.executable, "-m", "fmus.native.lower", str(result), *arguments]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, encoding="utf-8", errors="replace", check=False)
-        if done.returncode != 0 or not result.is_file():
-            lines = [line for line in done.stderr.strip().splitlines() if line.strip()]
-            refusal = [line.partition("NativeBuildError: ")[2] for line in lines if "NativeBuildError: " in line]
-            raise NativeBuildError(f"model {model.name!r}: cannot be lowered: " + (refusal[-1] if refusal else "\n".join(lines[-15:])))
-        lowered = _read(result)
-        if kept is not None:
-            _keep(result, kept)
-        return lowered
+        # a file, as a pipe that nobody reads would fill up; `end` closes it
+        self._errors = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115
+        command = [sys.executable, "-m", "fmus.native.lower"]
+        self._process = subprocess.Popen(
+            command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, encoding="utf-8"
+        )
+
+    def ask(self, arguments: list[str]) -> bool:
+        """Whether the process did it; if not, it has ended and `end` says why."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        with suppress(OSError):  # ended before it was asked
+            self._process.stdin.write(json.dumps(arguments) + "\n")
+            self._process.stdin.flush()
+        return bool(self._process.stdout.readline())
+
+    def end(self) -> str:
+        """What the process wrote as errors, when it has ended."""
+        with suppress(OSError):
+            self._process.communicate()
+        self._errors.seek(0)
+        with self._errors:
+            return self._errors.read()
 
 
 def _reference(model: Model, folder: Path) -> list[str]:
@@ -133,17 +186,22 @@ def _read(file: Path) -> Lowered:
 # In the other process
 
 
-def main(arguments: list[str]) -> None:
-    """``python -m fmus.native.lower RESULT module NAME`` or ``RESULT replay FOLDER``."""
-    result, kind, where = arguments
-    if kind == "replay":
-        model: Model = from_specification(json.loads(Path(where, "replay.json").read_text()), np.load(Path(where, "recording.npy")))
-    else:
-        model = import_module(where).MODEL
-    code, functions = _lower(model)
-    variable_step, dependencies = _probe(model, functions)
-    content = {"code": code, "variable_step": variable_step, "initial_dependencies": dependencies}
-    Path(result).write_text(json.dumps(content, sort_keys=True), encoding="utf-8")
+def main() -> None:
+    """Lower the models named on standard input, a line each: ``["RESULT", "module", NAME]`` or ``["RESULT", "replay", FOLDER]``."""
+    gc.set_threshold(_GARBAGE)
+    replies, sys.stdout = sys.stdout, sys.stderr
+    for line in sys.stdin:
+        result, kind, where = json.loads(line)
+        if kind == "replay":
+            model: Model = from_specification(json.loads(Path(where, "replay.json").read_text()), np.load(Path(where, "recording.npy")))
+        else:
+            model = import_module(where).MODEL
+        code, functions = _lower(model)
+        variable_step, dependencies = _probe(model, functions)
+        content = {"code": code, "variable_step": variable_step, "initial_dependencies": dependencies}
+        Path(result).write_text(json.dumps(content, sort_keys=True), encoding="utf-8")
+        print("done", file=replies, flush=True)
+    os._exit(0)  # nothing is open, and to take Numba's objects apart takes 0.6 s
 
 
 def _lower(model: Model) -> tuple[str, tuple[Any, Any]]:
@@ -237,4 +295,4 @@ def _probe(model: Model, functions: tuple[Any, Any]) -> tuple[bool, dict[str, li
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

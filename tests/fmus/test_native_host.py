@@ -20,7 +20,7 @@ from fmus.components import NAMES
 from fmus.in_process import InProcessSlave
 from fmus.interface import Interface
 from fmus.native.builder import c_sources
-from fmus.native.lower import lower
+from fmus.native.lower import Lowering
 from fmus.native.targets import PLATFORMS, Slice, link
 from models.declaration import FloatArray
 from tests.fmus import native_runs as runs
@@ -177,7 +177,8 @@ def on_arm(tmp_path_factory: pytest.TempPathFactory) -> Host:
 @pytest.mark.parametrize("name", ["demo", *NAMES])
 def test_arm_gives_the_same_bits_under_qemu(name: str, on_arm: Host, tmp_path: Path) -> None:
     interface = Interface(runs.model(name))
-    lowered = lower(interface.model)
+    with Lowering() as lowering:
+        lowered = lowering.lower(interface.model)
     token, sources = c_sources(interface, lowered)
     target = Slice("aarch64-unknown-linux-gnu", "apple-m1", "aarch64-linux-gnu.2.31")
     library = link(lowered.code, sources, name, PLATFORMS["linux64"], target, tmp_path / "work", True)

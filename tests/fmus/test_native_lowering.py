@@ -11,7 +11,7 @@ import pytest
 from fmus.components import NAMES
 from fmus.interface import Interface
 from fmus.native.data import data_c
-from fmus.native.lower import Lowered, NativeBuildError, lower, portable
+from fmus.native.lower import Lowered, Lowering, NativeBuildError, portable
 from fmus.native.targets import PLATFORMS, Slice, fat, machine_code, object_code
 from models.declaration import Model, Record, Variable
 from models.replay import replay_model
@@ -37,9 +37,15 @@ def _step(s: Record, t: float, h: float) -> int:
     return 0
 
 
+def _lower(model: Model) -> Lowered:
+    with Lowering() as lowering:
+        return lowering.lower(model)
+
+
 @pytest.fixture(scope="module")
 def lowered() -> dict[str, Lowered]:
-    return {name: lower(native_runs.model(name)) for name in ("demo", *NAMES)}
+    with Lowering() as lowering:
+        return {name: lowering.lower(native_runs.model(name)) for name in ("demo", *NAMES)}
 
 
 def test_nothing_but_two_functions_is_seen_and_nothing_outside_is_called(lowered: dict[str, Lowered]) -> None:
@@ -71,13 +77,24 @@ def test_a_kept_result_is_the_one_that_a_new_process_gives(
 ) -> None:
     monkeypatch.setenv("ROBOMILL_CACHE_DIR", str(tmp_path))
     model = native_runs.model("demo")
-    assert lower(model) == lowered["demo"]
-    (kept,) = (tmp_path / "native").glob("*/demo.json")
-    written = kept.stat().st_mtime_ns
-    assert lower(model) == lowered["demo"]
-    assert kept.stat().st_mtime_ns == written
-    kept.write_text("damaged", encoding="utf-8")
-    assert lower(model) == lowered["demo"]
+    with Lowering() as lowering:
+        assert lowering.lower(model) == lowered["demo"]
+        (kept,) = (tmp_path / "native").glob("*/demo.json")
+        written = kept.stat().st_mtime_ns
+        assert lowering.lower(model) == lowered["demo"]
+        assert kept.stat().st_mtime_ns == written
+        kept.write_text("damaged", encoding="utf-8")
+        assert lowering.lower(model) == lowered["demo"]
+
+
+def test_the_code_does_not_depend_on_the_models_lowered_before(
+    lowered: dict[str, Lowered], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A process takes one model after another; here the last is the first."""
+    monkeypatch.setenv("ROBOMILL_CACHE_DIR", str(tmp_path))
+    with Lowering() as lowering:
+        for name in ("inverse_dynamics", "demo"):
+            assert lowering.lower(native_runs.model(name)) == lowered[name]
 
 
 def test_what_was_found_by_trying_is_what_python_finds(lowered: dict[str, Lowered]) -> None:
@@ -117,12 +134,12 @@ def test_what_needs_python_is_refused(init: str, step: str, expected: str, tmp_p
     (tmp_path / f"{name}.py").write_text(MODULE.format(init=init, step=step), encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(NativeBuildError, match=rf"(?s)model 'odd': cannot be lowered: .*{expected}"):
-        lower(import_module(name).MODEL)
+        _lower(import_module(name).MODEL)
 
 
 def test_a_model_that_no_module_holds_is_refused() -> None:
     with pytest.raises(NativeBuildError, match=r"its step stands in module '[\w.]+', which does not hold it as MODEL"):
-        lower(_model())
+        _lower(_model())
 
 
 @pytest.mark.parametrize("mark", ["fast", "contract", "reassoc"])
@@ -168,7 +185,7 @@ def test_a_recording_is_lowered_too() -> None:
     times = np.arange(50) * 0.004
     outputs = [v for v in model.variables if v.causality == "output"]
     recorded = replay_model(model, times, {v.name: np.outer(np.sin(times), np.ones(v.shape or 1)).reshape(50, *v.shape) for v in outputs})
-    assert "@model_step" in lower(recorded).code
+    assert "@model_step" in _lower(recorded).code
     assert "static const double ROWS_0[]" in data_c(Interface(recorded), "{}")
 
 
