@@ -8,8 +8,8 @@ A TOML file::
     description = "..."
     source = "..."
     unit = "rad"
-    minimum = 2e-6                      # bounds of the fit [unit]
-    maximum = 1e-3
+    minimum = 2e-6                      # smaller is no finding [unit]
+    maximum = 1e-3                      # bound of the fit [unit]
     sign = "positive"                   # or "both"
     prior = {kind = "log-normal", scale = 6e-5, spread = 0.8}    # or {kind = "normal", scale = ...}
     locations = [{name = "joint 1", parameters = ["backlash[1]"]}, ...]
@@ -32,8 +32,8 @@ A TOML file::
     divide = 2
     sampled = ["sensor", "controller"]  # components that keep their cycle
 
-Parameters of "logging" are `lag PATTERN` [s], `gain PATTERN` [1], `offset PATTERN` [unit of the channel], with a pattern on
-`component.port[element]` as in the recording section of a system file.
+Parameters of "logging" are `lag PATTERN` [s], `smooth PATTERN` (time constant of a first-order filter [s]), `gain PATTERN` [1],
+`offset PATTERN` [unit of the channel], with a pattern on `component.port[element]` as in the recording section of a system file.
 """
 
 from __future__ import annotations
@@ -48,13 +48,11 @@ from typing import Any
 
 LOGGING = "logging"
 """Component that stands for the log itself."""
-OBSERVATIONS = ("lag", "gain", "offset")
+OBSERVATIONS = ("lag", "smooth", "gain", "offset")
 """What can be wrong with a logged channel."""
 
 Address = tuple[str, str]
 """(component, parameter element)."""
-REFINED: Address = ("system", "step / n")
-"""Stands for the communication step among the addresses; its value is the number that the step is divided by."""
 
 _EFFECT = {"name", "component", "description", "source", "locations", "minimum", "maximum", "prior", "unit", "sign"}
 _LOCATION = {"name", "parameters"}

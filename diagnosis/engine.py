@@ -17,7 +17,7 @@ from diagnosis.estimation import Fit, probabilities
 from diagnosis.localise import Projection
 from diagnosis.measured import Condition, DataError, in_units, sort_by_condition
 from diagnosis.replay import intervals
-from diagnosis.search import NOMINAL, Search, expected
+from diagnosis.search import NOMINAL, TRUST, Search, expected
 from diagnosis.simulation import Laboratory, Report, Simulator, decimate, setting
 from diagnosis.store import Store
 from diagnosis.where import combined, direction_of, located
@@ -34,16 +34,22 @@ CLOSING = 4
 """Simulations with different noise that the closure is measured with."""
 IDENTIFIED = 0.8
 """Probability from which one answer is given."""
-UNEXPLAINED = 0.25
-"""Share of the gap that an adequate model may leave."""
-CLEAR = 6.0
+UNEXPLAINED = 0.35
+"""Share of the energy beyond noise (calibration fitted) that an adequate model may leave."""
+LIKE_NOISE = 1.15
+"""Energy, over that of noise, that two systems which are the same but for calibration leave: machines without effects have 1.05 to 1.23."""
+UNKNOWN = 1.4
+"""Energy, over that of noise, from which there is a gap even if no candidate explains any of it."""
+TRANSFER = 0.4
+"""Part of its gain in evidence that a model must keep in spells that it is not fitted to."""
+FAULTS = {"smooth": "filter", "gain": "unit"}
+"""Kinds of findings, where they are called otherwise than what is wrong with the log."""
+CLEAR = 8.0
 """Log of the (tempered) odds from which an effect is believed to be there at all."""
 LISTED = 0.01
 """Probability from which a candidate is listed."""
 TEMPERATURE = 1.0
 """By which evidence is divided; what two systems that are not quite the same leave is in the noise already (`search.DEPENDENCE`)."""
-SIGNIFICANT = 6.0
-"""Deviations of noise above which a gap is there."""
 
 
 @dataclass(frozen=True)
@@ -231,12 +237,15 @@ class _Conclusion:
         before, noise = self.search.gap(self.fits[0], calibrated=False)
         calibrated, _ = self.search.gap(self.fits[0])
         after, _ = self.search.gap(self.best)
-        share = after / before if before > 0.0 else 0.0
+        search = self.search
+        expected = float(search.evidence.expected.sum())
+        usual = LIKE_NOISE * expected
+        share = max(self.best.energy - usual, 0.0) / max(self.fits[0].energy - usual, 1e-9 * usual)
         marginal = self.marginal()
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] > 0.5]
         if not self.best.model or self.best.log_evidence < CLEAR * TEMPERATURE:
-            verdict = "none"
-        elif after > SIGNIFICANT * noise and share > UNEXPLAINED:
+            verdict = "unknown" if self.fits[0].energy > UNKNOWN * expected else "none"
+        elif self.best.energy > usual and (share > UNEXPLAINED or search.kept(self.best) < TRANSFER):
             verdict = "unknown"
         elif clocks and not self.repair:
             verdict = "bad_log"
@@ -245,9 +254,9 @@ class _Conclusion:
         else:
             verdict = "ambiguous"
         for c in clocks:
-            value = self.best.values[c.addresses[0]]
-            text = f"the clock of the {c.location} is late by {1e3 * value:.1f} ms"
-            self.findings.append(gate.Finding(c.parameters[0].partition(" ")[2], "lag", value, "s", text, not self.repair, self.repair))
+            value, (kind, _, pattern) = self.best.values[c.addresses[0]], c.parameters[0].partition(" ")
+            text = f"{c.effect.replace('_', ' ')} of the {c.location}: {1e3 * value:.1f} ms" if c.unit == "s" else f"{value:.4g} {c.unit}"
+            self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, not self.repair, self.repair))
         result = _result(verdict, self.findings, self.began, 0)
         self.pairs = isolability.pairs(self.fits, [c for c, p in marginal.items() if p >= LISTED], self.search.evidence.space, TEMPERATURE)
         result["isolability"] = [
@@ -297,8 +306,8 @@ class _Conclusion:
             fit = max((f for f in self.fits if c in f.model), key=lambda f: float(self.weights[self.fits.index(f)]))
             parameters = {}
             for a, name in zip(c.addresses, c.parameters, strict=True):
-                # the evidence is tempered, and so are the intervals; a calibrated number's own tolerance comes on top
-                half = 1.645 * math.hypot(fit.deviations[a] * math.sqrt(TEMPERATURE), self.tolerance(a))
+                # a calibrated number's own tolerance, and what the models are not trusted to, come on top of noise
+                half = 1.645 * math.hypot(fit.deviations[a], self.tolerance(a), TRUST * fit.values[a])
                 parameters[name] = {"value": fit.values[a], "interval": [fit.values[a] - half, fit.values[a] + half], "unit": c.unit}
             listed.append(
                 {

@@ -15,7 +15,7 @@ u'v - u'B (I + B'B)^-1 B'v.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -62,6 +62,10 @@ class Fit:
         """What is on."""
         return " + ".join(c.name for c in self.model) or "nominal"
 
+    def large_enough(self) -> bool:
+        """Whether each effect has a number that counts as a finding."""
+        return all(any(abs(self.values[a]) >= c.minimum for a in c.addresses) for c in self.model)
+
 
 class Space:
     """Whitened residual, columns of the candidates, and the inner product with the nuisances marginalised."""
@@ -73,15 +77,19 @@ class Space:
         nuisances: FloatArray,
         names: Sequence[Address] = (),
         products: FloatArray | None = None,
+        gone: Collection[Address] = (),
     ) -> None:
         """`y` [n]; `blocks` condition -> its part of y; `nuisances` [n, m] whitened, per standard deviation, called `names`.
 
-        `products`: nuisances' nuisances, if known.
+        `products`: nuisances' nuisances, if known; `gone`: names that do not count.
         """
-        self.y, self.blocks, self.nuisances, self.names = y, blocks, nuisances, tuple(names)
+        self.y, self.blocks, self.nuisances, self.names, self.gone = y, blocks, nuisances, tuple(names), frozenset(gone)
         self._products: FloatArray = nuisances.T @ nuisances if products is None else products
-        precision = np.eye(nuisances.shape[1]) + self._products
-        self._inner = np.linalg.inv(precision)
+        m = nuisances.shape[1]
+        here = np.ix_(*2 * [[i for i in range(m) if i >= len(self.names) or self.names[i] not in self.gone]])
+        precision = (np.eye(m) + self._products)[here]
+        self._inner = np.zeros((m, m))
+        self._inner[here] = np.linalg.inv(precision)
         self.energy = float(self.dot(y, y))
         self.log_determinant = float(np.linalg.slogdet(precision)[1])
         self._without: dict[frozenset[Address], Space] = {}
@@ -94,19 +102,25 @@ class Space:
         if not gone:
             return self
         if gone not in self._without:
-            keep = [i for i, a in enumerate(self.names) if a not in gone]
-            names, products = [self.names[i] for i in keep], self._products[np.ix_(keep, keep)]
-            self._without[gone] = Space(self.y, self.blocks, self.nuisances[:, keep], names, products)
+            self._without[gone] = Space(self.y, self.blocks, self.nuisances, self.names, self._products, gone)
         return self._without[gone]
+
+    def divided(self, blocks: Mapping[str, slice]) -> Space:
+        """The same with other blocks."""
+        space = Space(self.y, blocks, self.nuisances, self.names, self._products, self.gone)
+        space.alike = self.alike
+        return space
 
     def find_alike(self, columns: Mapping[Address, FloatArray], scales: Mapping[Address, float]) -> None:
         """Note which nuisances have (nearly) the same column as a parameter; `columns` are per prior scale [unit of the parameter]."""
-        sizes = np.sqrt((self.nuisances**2).sum(axis=0)) + 1e-300
+        sizes = np.sqrt(np.diag(self._products)) + 1e-300
+        places = {name: i for i, name in enumerate(self.names)}
         for a, c in columns.items():
             products = self.nuisances.T @ c
             energy = float(c @ c) + 1e-300
             same = np.abs(products) / (sizes * math.sqrt(energy)) > ALIKE
-            same |= np.array([name == a for name in self.names], dtype=bool)
+            if a in places:
+                same[places[a]] = True
             self.alike[a] = {self.names[i]: float(abs(products[i]) / energy * scales[a]) for i in np.flatnonzero(same)}
 
     def explained(self, left: FloatArray) -> FloatArray:
@@ -115,13 +129,19 @@ class Space:
 
     def dot(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Inner product of vectors or of the columns of matrices."""
-        left, right = self.nuisances.T @ a, self.nuisances.T @ b
+        left = self.nuisances.T @ a
+        right = left if b is a else self.nuisances.T @ b
         return np.asarray(a.T @ b - left.T @ (self._inner @ right))
+
+    def energies(self, vectors: FloatArray) -> FloatArray:
+        """Inner product of each column of [n, k] with itself, [k]."""
+        left = self.nuisances.T @ vectors
+        return np.asarray((vectors * vectors).sum(axis=0) - (left * (self._inner @ left)).sum(axis=0))
 
     def only(self, blocks: Sequence[str]) -> Space:
         """The same restricted to some conditions."""
         rows = np.concatenate([np.arange(self.y.size)[self.blocks[b]] for b in blocks])
-        return Space(self.y[rows], {}, self.nuisances[rows], self.names)
+        return Space(self.y[rows], {}, self.nuisances[rows], self.names, None, self.gone)
 
     def rows(self, blocks: Sequence[str]) -> FloatArray:
         """Indices of the rows of some conditions."""
@@ -133,7 +153,9 @@ def quadratic_fit(model: Model, y: FloatArray, base: FloatArray, columns: FloatA
     scales, low, high = scaled_bounds(model)
     own = space.without([a for c in model for a in c.addresses])
     target = y - base + columns @ start
-    hessian, gradient, constant = own.dot(columns, columns), own.dot(columns, target), float(own.dot(target, target))
+    together = np.concatenate([columns, target[:, None]], axis=1)
+    products = own.dot(together, together)
+    hessian, gradient, constant = products[:-1, :-1], products[:-1, -1], float(products[-1, -1])
     fit = solve(model, hessian, gradient, constant, space.energy, scales, low, high)
     fit.log_evidence += 0.5 * (space.log_determinant - own.log_determinant)
     return fit

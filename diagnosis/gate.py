@@ -94,7 +94,9 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
             found.append(Finding(name, "constant", float(x[0, i]), run.ports[name].unit or "", "does not change, but it should"))
             suspects.add(name)
             continue
-        still, longest = _still(x[:, i]), _still(s[:, i])
+        # at rest at zero or at its extremes is what a dead band or a limit makes of an output, too
+        moving = (x[:, i] != 0.0) & (x[:, i] < x[:, i].max()) & (x[:, i] > x[:, i].min())
+        still, longest = _still(x[moving, i]), _still(s[:, i])
         if still * step > 0.5 and still > 3 * longest + 10 and still > 0.1 * len(x):
             found.append(Finding(name, "constant", still * step, "s", f"stands still for {still * step:.2f} s"))
             suspects.add(name)
@@ -126,6 +128,8 @@ def _visible(energy: float, noise: float, n: int) -> bool:
 
 def _still(x: FloatArray) -> int:
     """Longest stretch of equal samples."""
+    if not len(x):
+        return 0
     changes = np.flatnonzero(np.diff(x) != 0.0)
     edges = np.concatenate([[-1], changes, [len(x) - 1]])
     return int(np.diff(edges).max())
@@ -142,7 +146,7 @@ def _spikes(run: Run, name: str) -> list[Finding]:
     count = int((jump > 30.0 * typical).sum())
     if not count:
         return []
-    text = f"{count} samples jump away by more than 30 times what is usual"
+    text = f"{count} sample{'s' if count > 1 else ''} {'jump' if count > 1 else 'jumps'} away by more than 30 times what is usual"
     return [Finding(name, "spikes", count, "1", text, count > 3)]
 
 

@@ -97,7 +97,7 @@ def whitening(groups: Sequence[Sequence[FloatArray]], floor: FloatArray) -> Whit
 
 
 def own_noise(groups: Sequence[Sequence[FloatArray]], channels: int, rows_of_a_spell: int) -> FloatArray:
-    """What single runs of a condition have of their own beyond whitened noise: columns [n, m], of standard deviation 1 in a mean of repeats.
+    """What single runs of a condition have of their own beyond whitened noise: columns [n, m], of deviation 1 in a mean of repeats.
 
     `groups`: whitened repeats, flat [samples * channels], measured ones and simulated ones with different noise. Offsets and drifts
     (cosines, in the bands of SLOW) and spells (boxes) of each channel should scatter from repeat to repeat by 1. Where they do by
@@ -115,10 +115,7 @@ def own_noise(groups: Sequence[Sequence[FloatArray]], channels: int, rows_of_a_s
     columns: list[FloatArray] = []
     for shapes, bands, least in ((cosines, SLOW, 1.0), (boxes, tuple(range(len(edges))), RARE)):
         scatter = [np.einsum("kr,irc->ikc", shapes, r - r.mean(axis=0)) for r in runs]
-        for low, high in itertools.pairwise(bands):
-            high = min(high, len(shapes))
-            if low >= high:
-                break
+        for low, high in itertools.pairwise(b for b in bands if b <= len(shapes)):
             variance = np.max([(x[:, low:high] ** 2).sum(axis=(0, 1)) / ((len(x) - 1) * (high - low)) for x in scatter], axis=0)
             for c in np.flatnonzero(variance > least):
                 for k in range(low, high):

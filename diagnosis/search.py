@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from diagnosis.catalogue import LOGGING, REFINED, Address, Candidate, Catalogue, Nuisance
+from diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
 from diagnosis.estimation import Fit, Model, Space, leave_one_out, quadratic_fit, scaled_bounds, solve
 from diagnosis.measured import DataError
 from diagnosis.noise import SPELL, Whitening, own_noise, whitening
@@ -18,15 +21,25 @@ from orchestration.slave import FloatArray
 TRUST = 0.02
 """Part of an effect of typical size that the models are not trusted to: the noise floor of each channel."""
 DEPENDENCE = 10.0
-"""Samples that are worth one: what is left of two systems that are not quite the same is no noise, and comes in one direction for a while."""
-LATENESS = 12.0**-0.5
-"""Communication steps that the channels of a component may be late: outputs hold for a step, so a uniform part of one."""
+"""Samples that are worth one: what two systems that are not quite the same leave is no noise, it goes in one direction for a while."""
+LATENESS = 0.2
+"""Communication steps that the channels of a component may be late: outputs hold for a step, and a step later others see them."""
 SUDDEN = 0.25
 """Communication steps, at random, that a change may come early or late: what happens within a step is not modelled."""
+BENT = 0.9
+"""Cosine of the columns at two sizes below which an effect is not taken as proportional to its size."""
+TURNED = 0.5
+"""Cosine below which many sizes are tried."""
 NOMINAL = 8
 """Simulations of the nominal system with different noise, of each condition."""
 POLISH, POLISHED = 6, 8
 """Simulations with different noise at the best values of a model, and how many models of each size get them."""
+SUBSTANTIAL = 0.25
+"""Part of what is left beyond noise that another effect must explain."""
+PARTS = 6
+"""Parts of each condition for the test whether an effect is the same all along."""
+WORTH = 0.2
+"""Part of the best candidate's gain (as columns have it) from which a candidate is looked at on real simulations."""
 SINGLES, BASES, EXTENSIONS = 10, 3, 4
 """How many single candidates are refined, how many of them grow, and by how many partners each."""
 
@@ -43,6 +56,8 @@ class Evidence:
     """Whitened change per prior scale, for each parameter that changes anything."""
     repeats: list[float]
     """Per condition: repeats that the mean residual is worth, the scatter of the simulated mean and DEPENDENCE included."""
+    expected: FloatArray
+    """Energy that noise alone leaves in each sample of y, [n]: by channel and condition, from repeats and from simulations."""
     halves: list[tuple[FloatArray, FloatArray]]
     """Per condition: what two independent means of nominal simulations are away from the mean of all, whitened."""
 
@@ -58,6 +73,7 @@ class Search:
         nominal = simulator.repeated(range(len(groups)), (), NOMINAL, "nominal")
         self.nominals = [b for b in nominal if b is not None]
         self.base = [b[0] for b in self.nominals]
+        self.starts: dict[Address, _Start] = {}
         self.candidates = self._screened()
 
     def _screened(self) -> list[Candidate]:
@@ -65,8 +81,6 @@ class Search:
         scales = {a: c.prior.scale for c in self.catalogue.candidates for a in c.addresses}
         unknown = {n.address: n.scale for n in self.nuisances}
         sizes = {**{a: 3.0 * s for a, s in unknown.items()}, **scales}
-        if self.catalogue.refinement is not None:
-            sizes[REFINED] = float(self.catalogue.refinement.divide)
         tasks = [(i, self.simulator.seeded(setting({a: s}))) for a, s in sizes.items() for i in range(len(self.groups))]
         results = iter(self.simulator.many(tasks, "effects"))
         changes: dict[Address, list[FloatArray]] = {}
@@ -75,7 +89,47 @@ class Search:
             if all(c is not None for c in change) and any(np.any(c) for c in change):
                 changes[a] = [c for c in change if c is not None]
         self.evidence = self._whitened(changes, sizes, scales, unknown)
+        self._start_elsewhere()
         return [c for c in self.catalogue.candidates if all(a in self.evidence.columns for a in c.addresses)]
+
+    def _start_elsewhere(self) -> None:
+        """Columns from another size, where one fits better, and starts from the best of many sizes for effects that turn with theirs.
+
+        A delay of 50 ms does not look like one of 25 ms, twice.
+        """
+        columns, space = self.evidence.columns, self.evidence.space
+        single = {c.addresses[0]: c for c in self.catalogue.candidates if len(c.parameters) == 1 and c.addresses[0] in columns}
+        smaller = {a: math.exp(-c.prior.spread) if c.prior.kind == "log-normal" else -0.5 for a, c in single.items()}
+        other = {a: signature / smaller[a] for a, signature in self._signatures({a: [x] for a, x in smaller.items()}, first=True).items()}
+        alike = {a: _cosine(column, columns[a]) for a, column in other.items()}
+        for a, cosine in alike.items():
+            if cosine < BENT:
+                own = space.without([a])
+                columns[a] = max((columns[a], other[a]), key=lambda c, own=own, a=a: _gain(own, c, single[a]))  # type: ignore[misc]
+        sizes = {a: _sizes(single[a]) for a, cosine in alike.items() if cosine < TURNED}
+        tried = self._signatures(sizes)
+        for a, xs in sizes.items():
+            found = [(x, tried[a, x]) for x in xs if (a, x) in tried]
+            if len(found) < 2:
+                continue
+            own = space.without([a])
+            energies = own.energies(space.y[:, None] - np.stack([f for _, f in found], axis=1))
+            i = int(np.argmin(energies))
+            j = min((k for k in (i - 1, i + 1) if 0 <= k < len(found)), key=lambda k, e=energies: e[k])  # type: ignore[misc]
+            (x, signature), (near, neighbour) = found[i], found[j]
+            if energies[i] < space.energy:
+                self.starts[a] = _Start(x, signature, (signature - neighbour) / (x - near))
+        space.find_alike({a: columns[a] for a in alike}, {a: single[a].prior.scale for a in alike})
+
+    def _signatures(self, sizes: Mapping[Address, Sequence[float]], *, first: bool = False) -> dict[Any, FloatArray]:
+        """Signatures at sizes [prior scales]: (address, size) -> whitened change, or by address alone; without those that cannot run."""
+        n = len(self.groups)
+        scales = {a: c.prior.scale for c in self.catalogue.candidates for a in c.addresses}
+        keys = [(a, x) for a, xs in sizes.items() for x in xs]
+        tasks = [(i, self.simulator.seeded(setting({a: x * scales[a]}))) for a, x in keys for i in range(n)]
+        results = self.simulator.many(tasks, "effects at other sizes")
+        found = {key: self.signature(results[k * n : (k + 1) * n]) for k, key in enumerate(keys)}
+        return {key[0] if first else key: signature for key, signature in found.items() if signature is not None}
 
     def _whitened(
         self,
@@ -84,7 +138,7 @@ class Search:
         scales: dict[Address, float],
         unknown: dict[Address, float],
     ) -> Evidence:
-        moved = np.array([np.any([np.any(c, axis=0) for c in change], axis=0) for a, change in changes.items() if a != REFINED])
+        moved = np.array([np.any([np.any(c, axis=0) for c in change], axis=0) for change in changes.values()])
         if not moved.any():
             raise DataError("no parameter of the catalogue changes any of the measured channels: there is nothing to diagnose with")
         self.active: npt.NDArray[np.bool_] = np.asarray(
@@ -130,9 +184,6 @@ class Search:
         columns = {a: raw[a] * (scales[a] / sizes[a]) for a in scales if a in raw}
         doubtful = [a for a in unknown if a in raw]
         nuisances = [raw[a] * (unknown[a] / sizes[a]) for a in doubtful]
-        if REFINED in raw:
-            doubtful.append(REFINED)
-            nuisances.append(raw[REFINED])
         names = [c for c, on in zip(laboratory.channels, self.active, strict=True) if on]
         for component in dict.fromkeys(name.partition(".")[0] for name in names):
             here = np.array([name.partition(".")[0] == component for name in names])
@@ -141,8 +192,11 @@ class Search:
             nuisances.append(np.concatenate(late))
         spell = max(1, round(SPELL / (laboratory.system.step * laboratory.decimation)))
         own = []
+        expected = np.zeros(y.size)
         for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
             simulated = [w.apply(x - means[i], 1.0, self.sudden[i]) for x in self.nominals[i]]
+            level = counts[i] * (_scatter(group, channels) + (_scatter(simulated, channels) if len(simulated) > 1 else 0.0))
+            expected[block].reshape(-1, channels)[:] = level
             column = own_noise([group, simulated], channels, spell)
             own.append(np.zeros((y.size, column.shape[1])))
             own[-1][block] = column / np.sqrt(DEPENDENCE)
@@ -150,7 +204,7 @@ class Search:
         unknowns = np.concatenate([np.stack(nuisances, axis=1), *own], axis=1)
         space = Space(y, blocks, unknowns, doubtful)
         space.find_alike(columns, scales)
-        return Evidence(space, w, residuals, columns, counts, halves)
+        return Evidence(space, w, residuals, columns, counts, expected, halves)
 
     def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
         """Whitened change of simulations of all conditions against the nominal ones; None if one of them failed."""
@@ -187,6 +241,11 @@ class Search:
                 if c in base.model or key in found or any(set(c.addresses) & set(m.addresses) for m in base.model):
                     continue
                 at = [place[a] for a in c.addresses]
+                there = self.starts.get(c.addresses[0])
+                if there is not None:
+                    columns = np.concatenate([base.columns, there.column[:, None]], axis=1)
+                    found[key] = quadratic_fit(model, space.y, base.signature + there.signature, columns, np.append(best, there.x), space)
+                    continue
                 if space.without([a for m in model for a in m.addresses]) is not space:
                     columns = np.concatenate([base.columns, stacked[:, at]], axis=1)
                     start = np.concatenate([best, np.zeros(len(at))])
@@ -205,13 +264,16 @@ class Search:
             self._kept = self.evidence.space.dot(stacked, stacked)
         return self._kept
 
-    def refine(self, fits: Sequence[Fit], bases: dict[Model, Fit] | None = None, rounds: int = 3) -> list[Fit]:
+    def refine(self, fits: Sequence[Fit], bases: dict[Model, Fit] | None = None, rounds: int = 5) -> list[Fit]:
         """Gauss-Newton on real simulations, all models together (one simulation of each per round)."""
         space = self.evidence.space
         states = []
         for f in fits:
-            columns = np.stack([self.evidence.columns[a] for c in f.model for a in c.addresses], axis=1)
-            states.append(_State(f, columns, np.zeros(columns.shape[1]), np.zeros_like(space.y)))
+            addresses = [a for c in f.model for a in c.addresses]
+            there = [self.starts.get(a) for a in addresses]
+            columns = np.stack([self.evidence.columns[a] if t is None else t.column for a, t in zip(addresses, there, strict=True)], axis=1)
+            beginning: FloatArray = sum((t.signature for t in there if t is not None), np.zeros_like(space.y))
+            states.append(_State(f, columns, np.array([0.0 if t is None else t.x for t in there]), beginning))
         for _ in range(rounds):
             active = [s for s in states if not s.settled]
             if not active:
@@ -261,7 +323,7 @@ class Search:
         screened = sorted(self.screen(fits), key=lambda f: -f.log_evidence)
         self.screened = screened
         gain = space.energy - min((f.energy for f in screened), default=space.energy)
-        chosen = [f for f in screened if space.energy - f.energy > 0.5 * gain][:SINGLES] or screened[:SINGLES]
+        chosen = [f for f in screened if space.energy - f.energy > WORTH * gain][:SINGLES] or screened[:SINGLES]
         level = self.polish(self.refine(chosen))
         fits += level
         for size in (2, 3):
@@ -271,17 +333,37 @@ class Search:
                 break
             grown = sorted(self.screen(bases), key=lambda f: -f.log_evidence)
             promising = [f for f in grown if f.log_evidence > best + 3.0][: EXTENSIONS * (BASES if size == 2 else 1)]
-            level = self.polish(self.refine(promising))
+            level = [f for f in self.polish(self.refine(promising)) if self._worth(f, fits)]
             fits += level
+        fits = [f for f in fits if f.large_enough()]
         for f in sorted(fits[1:], key=lambda f: -f.log_evidence)[:3]:
             f.predictive = leave_one_out(f, space)
         return fits
+
+    def _worth(self, fit: Fit, fits: Sequence[Fit]) -> bool:
+        """Whether the effects of a model explain enough of what is left without one of them.
+
+        What is left of a strong effect that is modelled a little otherwise would else be given to one small effect after the other.
+        """
+        noise = float(self.evidence.expected.sum())
+        fewer = [f for f in fits if set(f.model) < set(fit.model)]
+        return fit.energy - noise < (1.0 - SUBSTANTIAL) * (min(f.energy for f in fewer) - noise)
 
     def adequate(self, fit: Fit) -> bool:
         """Whether what remains is small or noise."""
         after, deviation = self.gap(fit)
         before, _ = self.gap(self.nominal(), calibrated=False)
         return after < 4.0 * deviation or after < 0.02 * before
+
+    def kept(self, fit: Fit) -> float:
+        """Part of the gain in evidence that stays when parts of the time are predicted from the others: an effect is the same all along."""
+        space, channels = self.evidence.space, int(self.active.sum())
+        parts: dict[str, slice] = {}
+        for name, block in space.blocks.items():
+            rows = (block.stop - block.start) // channels
+            edges = block.start + channels * np.linspace(0, rows, PARTS + 1).astype(int)
+            parts |= {f"{name}, part {i + 1}": slice(int(a), int(b)) for i, (a, b) in enumerate(itertools.pairwise(edges))}
+        return sum(leave_one_out(fit, space.divided(parts)).values()) / max(fit.log_evidence, 1e-9)
 
     def gap(self, fit: Fit, *, calibrated: bool = True) -> tuple[float, float]:
         """G: mean over pairs of repeats of r_a' W r_b with the model taken out, and its deviation by noise.
@@ -310,6 +392,41 @@ def expected(catalogue: Catalogue, nuisances: Sequence[Nuisance], conditions: in
     """About how many simulations a search takes that ends with single effects; more where effects are combined."""
     addresses = {a for c in catalogue.candidates for a in c.addresses} | {n.address for n in nuisances}
     return conditions * (NOMINAL + len(addresses) + 2 * SINGLES + POLISH * POLISHED)
+
+
+def _sizes(candidate: Candidate) -> list[float]:
+    """Sizes to start from [prior scales], in order: a quarter apart from each other."""
+    prior = candidate.prior
+    sizes = [prior.scale * math.exp(0.25 * k) for k in range(-10, 7)]
+    found = [x / prior.scale for x in sizes if candidate.minimum <= x <= candidate.maximum]
+    return [-x for x in reversed(found)] + found if candidate.both_signs else found
+
+
+def _scatter(group: Sequence[FloatArray], channels: int) -> FloatArray:
+    """Variance of the mean of these whitened repeats, by channel; that of a single one is taken as 1."""
+    runs = np.stack(group).reshape(len(group), -1, channels)
+    if len(runs) == 1:
+        return np.ones(channels)
+    return np.asarray(runs.var(axis=0, ddof=1).mean(axis=0) / len(runs))
+
+
+def _cosine(a: FloatArray, b: FloatArray) -> float:
+    return float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-300))
+
+
+def _gain(space: Space, column: FloatArray, candidate: Candidate) -> float:
+    """Energy that the column takes away at its best size."""
+    product, energy = float(space.dot(column, space.y)), float(space.dot(column, column))
+    return product * product / (energy + 1e-300) if product > 0.0 or candidate.both_signs else 0.0
+
+
+@dataclass(frozen=True)
+class _Start:
+    """A size from which an effect is fitted [prior scales], its signature, and the change of that per prior scale."""
+
+    x: float
+    signature: FloatArray
+    column: FloatArray
 
 
 class _State:

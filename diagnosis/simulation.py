@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import re
 import signal
@@ -11,8 +12,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
-from diagnosis.catalogue import LOGGING, REFINED, Address, Refinement
+from diagnosis.catalogue import LOGGING, Address, Refinement
 from diagnosis.measured import Condition
 from diagnosis.store import Store
 from orchestration.assembly import Resolver, run
@@ -50,6 +52,8 @@ class Laboratory:
     seeds: Sequence[Address] = ()
     """Parameters that make a simulation another repeat of itself."""
     refinement: Refinement | None = None
+    _logged: dict[tuple[int, Setting], FloatArray | None] = field(default_factory=dict, repr=False)
+    """The simulation to which faults of the log were last applied."""
 
     def signature(self, index: int) -> tuple[Any, ...]:
         """All that a simulation of condition `index` depends on, except for the changes."""
@@ -66,15 +70,29 @@ class Laboratory:
 
     def simulate(self, index: int, changes: Setting) -> FloatArray | None:
         """The channels of condition `index`, block means over `decimation` steps, [n, channels]; None where the system cannot run."""
+        observed = [(parameter, value) for (component, parameter), value in changes if component == LOGGING]
+        physical = tuple(c for c in changes if c[0][0] != LOGGING)
+        if not observed:
+            full = self._simulate(index, physical)
+        else:  # many faults of the log are tried on the same simulation
+            if (index, physical) not in self._logged:
+                self._logged.clear()
+                self._logged[index, physical] = self._simulate(index, physical)
+            full = self._logged[index, physical]
+        if full is None:
+            return None
+        if observed:
+            full = full.copy()
+            for parameter, value in observed:
+                _observe(full, self.conditions[index].grid, self.channels, parameter, value)
+        return decimate(full, self.decimation)
+
+    def _simulate(self, index: int, changes: Setting) -> FloatArray | None:
+        """All samples of the channels, [n, channels]."""
         condition = self.conditions[index]
         system = self.configured(index)
-        observed = []
         for (component, parameter), value in changes:
-            if component == LOGGING:
-                observed.append((parameter, value))
-            elif (component, parameter) == REFINED:
-                system = refined(system, int(value), self.refinement.sampled if self.refinement is not None else ())
-            elif condition.system is None or any(c.name == component for c in system.components):
+            if condition.system is None or any(c.name == component for c in system.components):
                 system = with_values(system, component, {parameter: value + self.nominal.get((component, parameter), 0.0)})
         try:
             result = run(system, None, stop=float(condition.grid[-1]), resolver=self.resolver, convert=self.convert)
@@ -84,10 +102,7 @@ class Laboratory:
             return None
         # a channel that another system does not have says nothing
         columns = [result.columns.get(name, np.zeros(len(result.t))) for name in self.channels]
-        full = np.stack([np.interp(condition.grid, result.t, column) for column in columns], axis=1)
-        for parameter, value in observed:
-            _observe(full, condition.grid, self.channels, parameter, value)
-        return decimate(full, self.decimation)
+        return np.stack([np.interp(condition.grid, result.t, column) for column in columns], axis=1)
 
 
 def decimate(full: FloatArray, factor: int) -> FloatArray:
@@ -138,6 +153,9 @@ def _observe(full: FloatArray, t: FloatArray, channels: Sequence[str], parameter
     for i in select([pattern], list(channels)):
         if kind == "lag":
             full[:, i] = np.interp(t - value, t, full[:, i])
+        elif kind == "smooth":
+            decay = math.exp(-float(t[1] - t[0]) / value) if value > 0.0 else 0.0
+            full[:, i] = lfilter([1.0 - decay], [1.0, -decay], full[:, i], zi=[decay * full[0, i]])[0]
         elif kind == "gain":
             full[:, i] *= 1.0 + value
         else:

@@ -90,7 +90,7 @@ def test_priors_are_densities(prior: Prior) -> None:
         ('"log-normal"', '"uniform"', "prior kind 'uniform'; expected 'normal' or 'log-normal'"),
         ('name = "y"', 'name = "x"', "location 'x' is there twice"),
         ('["p[1]"]', "[]", "location 'x': parameters = []; expected a list of names"),
-        ('component = "a"', 'component = "logging"', "expected 'KIND PATTERN' with KIND one of lag, gain, offset"),
+        ('component = "a"', 'component = "logging"', "expected 'KIND PATTERN' with KIND one of lag, smooth, gain, offset"),
         ("[[effect]]", "[[effect", "not valid TOML"),
     ],
 )
