@@ -42,6 +42,13 @@ UNKNOWN = 1.4
 """Energy, over that of noise, from which there is a gap even if no candidate explains any of it."""
 TRANSFER = 0.4
 """Part of its gain in evidence that a model must keep in spells that it is not fitted to."""
+SAID = {
+    "lag": "the clock of the {place} is late by {value:.1f} {unit}",
+    "smooth": "the {place} was filtered before it was logged, with a time constant of {value:.1f} {unit}",
+    "gain": "the {place} is too large by {value:.4g}",
+    "offset": "the {place} is off by {value:.4g} {unit}",
+}
+"""What is wrong with the log, in words."""
 FAULTS = {"smooth": "filter", "gain": "unit"}
 """Kinds of findings, where they are called otherwise than what is wrong with the log."""
 CLEAR = 8.0
@@ -255,7 +262,9 @@ class _Conclusion:
             verdict = "ambiguous"
         for c in clocks:
             value, (kind, _, pattern) = self.best.values[c.addresses[0]], c.parameters[0].partition(" ")
-            text = f"{c.effect.replace('_', ' ')} of the {c.location}: {1e3 * value:.1f} ms" if c.unit == "s" else f"{value:.4g} {c.unit}"
+            text = SAID[kind].format(
+                place=c.location, value=1e3 * value if c.unit == "s" else value, unit="ms" if c.unit == "s" else c.unit
+            )
             self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, not self.repair, self.repair))
         result = _result(verdict, self.findings, self.began, 0)
         self.pairs = isolability.pairs(self.fits, [c for c, p in marginal.items() if p >= LISTED], self.search.evidence.space, TEMPERATURE)
