@@ -59,7 +59,7 @@ class Chunk:
 class CompiledLoop:
     """Steps the slaves of a master on its bus. They have made their first step in Python, which leaves initialisation.
 
-    `bounds` of all outputs; `observed`: whether rows are wanted; at most `capacity` steps per chunk.
+    `bounds` of all outputs; `observed`: whether rows are wanted; about `capacity` steps per chunk at most.
     """
 
     def __init__(
@@ -76,10 +76,11 @@ class CompiledLoop:
         self._slaves, self._wiring, self._bus, self._bounds = slaves, wiring, bus, bounds
         self._natives = [face_of(slave) for slave in slaves.values()]
         capacity = capacity or (min(max(_ROW_BYTES // (8 + 8 * wiring.n_outputs), 16), _MOST_STEPS) if observed else _MOST_STEPS)
-        self.capacity, self._steps = capacity, _FIRST_CHUNK
         # One column per signal, as they are written. Two sets: a recorder may still write one while the other is filled.
         # An odd number of cache lines each keeps the columns from falling on the same places of the cache.
+        # A full chunk is all of a set, which the recorder writes as it stands.
         length = 8 * (-(-capacity // 8) | 1)
+        self.capacity, self._steps = length if observed else capacity, _FIRST_CHUNK
         self._columns = [np.zeros((1 + wiring.n_outputs if observed else 0, length)) for _ in range(2)]
         self._report, self._ticks = np.zeros(3, np.int64), np.zeros(3, np.int64)
         phases: list[list[_Call]] = [[], [], []]

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from orchestration.disk import reserve
 from orchestration.errors import ResultsError, unknown
 from orchestration.results import ASIDE, CHECKPOINT, LIVE, RUN, SIGNALS, finalise, read_info, rows_of, set_aside, write_csv
 from orchestration.slave import FloatArray, Port, base_name
@@ -31,6 +32,7 @@ _FRAME = re.compile(r"_([A-Z])(?![a-z0-9A-Z])|_([A-Z])([A-Z])(?![a-z0-9A-Z])")
 _PROMOTED = ("program", "robot", "tool", "workpiece")
 _MAX_AGE = 2.0  # s of wall clock that rows may wait in memory
 _PIECE = 2**21  # bytes written at once
+_AHEAD = 2**26  # bytes that disk space is reserved ahead, at most
 
 
 @dataclass
@@ -74,8 +76,11 @@ class Recorder:
         self._write_info("running", "")
         self._schema = pa.schema(fields, metadata={"robomill": dump(self._info)})
         self._kinds = list(self._schema.types)
+        self._other = [i for i, kind in enumerate(self._kinds) if kind != pa.float64()]  # asked for each chunk, that took 0.1 ms
         # Arrow's own file is written without Python; in large pieces, because the pages cost more than what is copied into them
-        self._stream = pa.BufferedOutputStream(pa.OSFile(str(self.folder / LIVE), "wb"), _PIECE)
+        self._file = pa.OSFile(str(self.folder / LIVE), "wb")
+        self._reserved = 0
+        self._stream = pa.BufferedOutputStream(self._file, _PIECE)
         self._writer = pa.ipc.new_stream(self._stream, self._schema)
         self._writer.write_batch(pa.record_batch([[]] * len(fields), schema=self._schema))  # without a batch there is no schema in the file
         try:
@@ -89,6 +94,7 @@ class Recorder:
         self._taken = np.array([0, *(1 + i for i in chosen)], dtype=np.intp)  # columns of t and all outputs
         self._wrapped: dict[int, tuple[FloatArray, pa.RecordBatch]] = {}
         self._buffer = np.empty((self.chunk, 1 + len(chosen)))
+        self._heads: dict[int, bytes] = {}  # of the messages that are written without Arrow, by their number of rows
         self._rows = [row[1:] for row in self._buffer]
         self._count = 0
         self._background = ThreadPoolExecutor(1, "recorder")
@@ -179,14 +185,33 @@ class Recorder:
             self._put(columns[self._taken, kept.start : kept.stop : kept.step])
             return
         batch = self._wrap(columns).slice(kept.start, len(kept))
-        for i, kind in enumerate(self._kinds):
-            if kind != pa.float64():
-                batch = batch.set_column(i, self._schema.field(i), pa.array(_cast(columns[self._taken[i], kept.start : kept.stop], kind)))
-        self._put_batch(batch)
+        for i in self._other:
+            values = pa.array(_cast(columns[self._taken[i], kept.start : kept.stop], self._kinds[i]))
+            batch = batch.set_column(i, self._schema.field(i), values)
+        if len(kept) * len(self._kinds) == columns.size and not self._other:
+            self._put_whole(batch, columns)
+        else:
+            self._put_batch(batch)
+
+    def _put_whole(self, batch: pa.RecordBatch, columns: FloatArray) -> None:
+        """A batch that is all of the array: the bytes of the array are the body of the message as they stand, and are copied once less."""
+        if len(batch) not in self._heads:
+            self._heads[len(batch)] = batch.serialize().to_pybytes()[: -columns.nbytes]
+        self._reserve(len(batch))
+        self._file.write(self._heads[len(batch)])
+        self._file.write(columns)
 
     def _put_batch(self, batch: pa.RecordBatch) -> None:
+        self._reserve(len(batch))
         self._writer.write_batch(batch)
         self._stream.flush()
+
+    def _reserve(self, rows: int) -> None:
+        """Disk space for what comes next, and for as much again as there is, so that a short run does not take much."""
+        end = self._file.tell() + 8 * rows * len(self._kinds)
+        if end > self._reserved:
+            start, self._reserved = self._reserved, end + min(end, _AHEAD)
+            reserve(self._file.fileno(), start, self._reserved - start)
 
     def _wrap(self, columns: FloatArray) -> pa.RecordBatch:
         """The array as Arrow sees it, nothing copied. Wrapping takes as long as writing, and the same two arrays come again and again."""

@@ -14,10 +14,11 @@ import pytest
 
 from orchestration.assembly import run
 from orchestration.errors import ResultsError
-from orchestration.recorder import frame_of
+from orchestration.recorder import Recorder, frame_of
 from orchestration.results import Run, finalise
 from orchestration.slave import PortData
 from orchestration.system import Recording
+from orchestration.wiring import wire
 from tests.orchestration.mocks import Mock, resolver, system
 
 
@@ -39,6 +40,29 @@ def pose():
 def record(folder, recording=Recording(), stop=0.02, **options):  # noqa: B008  # frozen
     slaves = [pose()]
     return run(system(slaves, recording=recording), folder, stop=stop, resolver=resolver(slaves), **options)
+
+
+class TestManyRows:
+    """Rows that come as whole arrays."""
+
+    @pytest.mark.parametrize("every", [1, 3])
+    def test_what_is_on_disk_is_what_was_observed(self, tmp_path, every):
+        """An array that is written as it stands, one that is full in part, another full one: the stream holds all of them at once."""
+        slave = Mock("c", [PortData(name, "output") for name in ("y", "z")], lambda _, t: [t, t])
+        wiring = wire(system([slave]), {"c": slave.ports})
+        recorder = Recorder(tmp_path, chunk=5, every=every)
+        recorder.begin(wiring, 0.004)
+        rows = np.random.default_rng(3).standard_normal((3, 56))
+        rows[0] = np.arange(1, 57) * 0.004
+        for first, count in ((0, 24), (24, 8), (32, 24)):
+            columns = np.zeros((3, 24))
+            columns[:, :count] = rows[:, first : first + count]
+            recorder.observe_columns(columns, count)
+        recorder.flush()
+        live = Run.load(tmp_path)
+        recorder.end("finished", "")
+        for run_ in (live, Run.load(tmp_path)):
+            assert np.array_equal([run_.t, run_["c.y"], run_["c.z"]], rows[:, ::every])
 
 
 class TestReading:
@@ -192,6 +216,7 @@ from pathlib import Path
 from tests.orchestration.mocks import source, resolver, system
 from orchestration.assembly import run
 from orchestration.system import Recording
+from orchestration.wiring import wire
 
 def progress(done, total):
     if done == 57:
