@@ -55,8 +55,6 @@ CLEAR = 8.0
 """Log of the (tempered) odds from which an effect is believed to be there at all."""
 LISTED = 0.01
 """Probability from which a candidate is listed."""
-TEMPERATURE = 1.0
-"""By which evidence is divided; what two systems that are not quite the same leave is in the noise already (`search.DEPENDENCE`)."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +226,7 @@ class _Conclusion:
     ) -> None:
         self.laboratory, self.simulator, self.search, self.fits, self.groups, self.n = laboratory, simulator, search, fits, groups, n
         self.findings, self.menu, self.repair, self.began = findings, menu, repair, began
-        self.weights = probabilities(fits, search.candidates, TEMPERATURE)
+        self.weights = probabilities(fits, search.candidates)
         self.best = fits[int(self.weights.argmax())]
 
     def marginal(self) -> dict[Candidate, float]:
@@ -250,7 +248,7 @@ class _Conclusion:
         share = max(self.best.energy - usual, 0.0) / max(self.fits[0].energy - usual, 1e-9 * usual)
         marginal = self.marginal()
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] > 0.5]
-        if not self.best.model or self.best.log_evidence < CLEAR * TEMPERATURE:
+        if not self.best.model or self.best.log_evidence < CLEAR:
             verdict = "unknown" if self.fits[0].energy > UNKNOWN * expected else "none"
         elif self.best.energy > usual and (share > UNEXPLAINED or search.kept(self.best) < TRANSFER):
             verdict = "unknown"
@@ -267,7 +265,7 @@ class _Conclusion:
             )
             self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, not self.repair, self.repair))
         result = _result(verdict, self.findings, self.began, 0)
-        self.pairs = isolability.pairs(self.fits, [c for c, p in marginal.items() if p >= LISTED], self.search.evidence.space, TEMPERATURE)
+        self.pairs = isolability.pairs(self.fits, [c for c, p in marginal.items() if p >= LISTED], self.search.evidence.space)
         result["isolability"] = [
             {"pair": [p.one.name, p.other.name], "distance": p.distance, "confusable": p.confusable} for p in self.pairs
         ]
@@ -460,7 +458,7 @@ class _Conclusion:
                         "effect": c.effect,
                         "location": c.location,
                         "parameter": name,
-                        "value": 5.0 * math.sqrt(TEMPERATURE) * f.deviations[a],
+                        "value": 5.0 * f.deviations[a],
                         "unit": c.unit,
                     }
                 )
@@ -468,13 +466,13 @@ class _Conclusion:
 
     def next_run(self, verdict: str) -> dict[str, Any] | None:
         """The run on the menu that tells the likely models apart; None where there is only one, or no menu."""
-        rivals = next_run.rivals(self.fits, self.weights, self.search, TEMPERATURE, known=verdict != "unknown")
+        rivals = next_run.rivals(self.fits, self.weights, self.search, known=verdict != "unknown")
         offers = self.menu.offers() if len(rivals) > 1 else {}
         if not offers:
             return None
         fits, weights = [self.fits[i] for i in rivals], [max(float(self.weights[i]), LISTED) for i in rivals]
         with self.simulator.beside(next_run.laboratory(self.laboratory, offers)) as simulator:
-            return next_run.recommend(fits, weights, offers, self.search, simulator, TEMPERATURE)
+            return next_run.recommend(fits, weights, offers, self.search, simulator)
 
     def describe(self) -> dict[str, Any]:
         """What is known of an effect that is not in the catalogue: where its energy is."""

@@ -239,10 +239,10 @@ def log_priors(models: Sequence[Model], candidates: Sequence[Candidate]) -> list
     return out
 
 
-def probabilities(fits: Sequence[Fit], candidates: Sequence[Candidate], temperature: float) -> FloatArray:
-    """Of the models in `fits`, after the data. `temperature` > 1 trusts the evidence less than its face value."""
+def probabilities(fits: Sequence[Fit], candidates: Sequence[Candidate]) -> FloatArray:
+    """Of the models in `fits`, after the data."""
     priors = log_priors([f.model for f in fits], candidates)
-    scores = np.array([f.log_evidence / temperature + p for f, p in zip(fits, priors, strict=True)])
+    scores = np.array([f.log_evidence + p for f, p in zip(fits, priors, strict=True)])
     return np.asarray(np.exp(scores - logsumexp(scores)))
 
 

@@ -34,15 +34,15 @@ class Pair:
         return self.distance < CONFUSABLE
 
 
-def distance(one: Fit, other: Fit, space: Space, temperature: float) -> float:
-    """Between the signatures of two fitted models, in deviations of noise whose variance is `temperature` times what it is taken for."""
+def distance(one: Fit, other: Fit, space: Space) -> float:
+    """Between the signatures of two fitted models, in deviations of noise."""
     assert one.signature is not None
     assert other.signature is not None
     difference: FloatArray = one.signature - other.signature
-    return math.sqrt(max(float(space.dot(difference, difference)), 0.0) / temperature)
+    return math.sqrt(max(float(space.dot(difference, difference)), 0.0))
 
 
-def pairs(fits: Sequence[Fit], surviving: Sequence[Candidate], space: Space, temperature: float) -> list[Pair]:
+def pairs(fits: Sequence[Fit], surviving: Sequence[Candidate], space: Space) -> list[Pair]:
     """Candidates that stand for each other, closest first: models that differ in one candidate, at least one of the two surviving."""
     closest: dict[frozenset[Candidate], Pair] = {}
     for f, g in combinations([f for f in fits if f.model and f.signature is not None], 2):
@@ -52,7 +52,7 @@ def pairs(fits: Sequence[Fit], surviving: Sequence[Candidate], space: Space, tem
         (a,), (b,) = only_f, only_g
         if a not in surviving and b not in surviving:
             continue
-        far = distance(f, g, space, temperature)
+        far = distance(f, g, space)
         key = frozenset((a, b))
         if key not in closest or far < closest[key].distance:
             closest[key] = Pair(a, b, far) if a.name < b.name else Pair(b, a, far)

@@ -57,8 +57,8 @@ class Offer:
 class _Trial:
     """Simulations of the menu, and distances between the models in them."""
 
-    def __init__(self, fits: Sequence[Fit], offers: Mapping[str, Offer], search: Search, temperature: float) -> None:
-        self.fits, self.offers, self.search, self.temperature = fits, offers, search, temperature
+    def __init__(self, fits: Sequence[Fit], offers: Mapping[str, Offer], search: Search) -> None:
+        self.fits, self.offers, self.search = fits, offers, search
         self.simulated: dict[str, list[FloatArray]] = {}
         """Kind -> channels with each of the fits."""
         self.nominal: dict[str, FloatArray] = {}
@@ -82,12 +82,12 @@ class _Trial:
         along = difference / length
         # the repeats say what noise does along it, slow noise too, for which whitening is not made
         rest = [float(along @ np.resize(r, along.size)) ** 2 for r in self.repeats]
-        variance = self.temperature * max(1.0, float(np.mean(rest)) if rest else 1.0)
+        variance = max(1.0, float(np.mean(rest)) if rest else 1.0)
         if kind in self.nominal:
             nominal = self.nominal[kind]
             variance += sum(float(along @ self.white(x - nominal, kind)) ** 2 for x in self.drawn[kind]) / DRAWS
             for k, x in ((i, a), (j, b)):
-                variance += self.temperature * (_uncertainty(self.fits[k]) * float(along @ self.white(x - nominal, kind))) ** 2
+                variance += (_uncertainty(self.fits[k]) * float(along @ self.white(x - nominal, kind))) ** 2
         return length / math.sqrt(variance)
 
 
@@ -118,7 +118,7 @@ class _Tried:
         return self.least / self.offer.minutes
 
 
-def rivals(fits: Sequence[Fit], weights: FloatArray, search: Search, temperature: float, *, known: bool) -> list[int]:
+def rivals(fits: Sequence[Fit], weights: FloatArray, search: Search, *, known: bool) -> list[int]:
     """Indices of the models that a next run should tell apart, the best first; one where there is nothing to tell.
 
     Those that are likely and those that the data cannot tell from the best. Where the answer is not `known`, the best model and none at
@@ -128,14 +128,14 @@ def rivals(fits: Sequence[Fit], weights: FloatArray, search: Search, temperature
     best = fits[order[0]]
     if not known:
         return [order[0], 0]
-    close = [i for i in order[1:] if weights[i] > LIKELY or _instead(fits[i], best, search, temperature)]
+    close = [i for i in order[1:] if weights[i] > LIKELY or _instead(fits[i], best, search)]
     return [order[0], *close[: RIVALS - 1]]
 
 
-def _instead(fit: Fit, best: Fit, search: Search, temperature: float) -> bool:
+def _instead(fit: Fit, best: Fit, search: Search) -> bool:
     """Whether a model that differs from the best in one candidate is the same to the data."""
     one = len(fit.model) == len(best.model) and len(set(fit.model) - set(best.model)) == 1
-    return one and distance(fit, best, search.evidence.space, temperature) < CONFUSABLE
+    return one and distance(fit, best, search.evidence.space) < CONFUSABLE
 
 
 def recommend(
@@ -144,18 +144,17 @@ def recommend(
     offers: Mapping[str, Offer],
     search: Search,
     simulator: Simulator,
-    temperature: float,
 ) -> dict[str, Any] | None:
     """What `next_run` holds, for models of these weights; None where no run on the menu can be simulated.
 
     The laboratory of `simulator` has one condition per offer, in that order (`laboratory`).
     """
     space = search.evidence.space
-    now = {(i, j): distance(fits[i], fits[j], space, temperature) for i, j in combinations(range(len(fits)), 2)}
+    now = {(i, j): distance(fits[i], fits[j], space) for i, j in combinations(range(len(fits)), 2)}
     together = {(i, j): weights[i] * weights[j] for i, j in now}
     shares = {p: w / sum(together.values()) for p, w in together.items()}
     places = list(offers)
-    trial = _Trial(fits, offers, search, temperature)
+    trial = _Trial(fits, offers, search)
     settings = [simulator.seeded(setting(f.values)) for f in fits]
     results = iter(simulator.many([(k, s) for k in range(len(places)) for s in settings], "next run"))
     for kind in places:
