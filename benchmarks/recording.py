@@ -77,7 +77,8 @@ of all threads.
 
 The C loop keeps rows in memory whose pages are there before its clock starts, or writes them as plain numbers in pieces of
 4096 rows. Ours writes an Arrow stream of columns that others can read meanwhile, in a thread of its own, and checks every output
-in every step. Full chunks of real numbers go to the file as they stand, and disk space is reserved ahead (Linux). The pages of a new file cost both the same: the difference of the C loop's rows. Busy neighbours cost ours more
+in every step. Full chunks of real numbers go to the file as they stand, and disk space is reserved ahead (Linux).
+The pages of a new file cost both the same: the difference of the C loop's rows. Busy neighbours cost ours more
 than the C loop, because a chunk of columns is larger than the second-level cache.
 """
 
