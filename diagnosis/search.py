@@ -6,7 +6,6 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +39,8 @@ PARTS = 6
 """Parts of each condition for the test whether an effect is the same all along."""
 WORTH = 0.2
 """Part of the best candidate's gain (as columns have it) from which a candidate is looked at on real simulations."""
+FAR = 50.0
+"""Log of the odds against a model, beside the best of its size, from which it is not looked at more closely."""
 SINGLES, BASES, EXTENSIONS = 10, 3, 4
 """How many single candidates are refined, how many of them grow, and by how many partners each."""
 
@@ -100,7 +101,15 @@ class Search:
         columns, space = self.evidence.columns, self.evidence.space
         single = {c.addresses[0]: c for c in self.catalogue.candidates if len(c.parameters) == 1 and c.addresses[0] in columns}
         smaller = {a: math.exp(-c.prior.spread) if c.prior.kind == "log-normal" else -0.5 for a, c in single.items()}
-        other = {a: signature / smaller[a] for a, signature in self._signatures({a: [x] for a, x in smaller.items()}, first=True).items()}
+        # the first place of an effect tells for the others whether they are to be tried, too
+        places: dict[str, list[Address]] = {}
+        for a, c in single.items():
+            places.setdefault(c.effect, []).append(a)
+        other: dict[Address, FloatArray] = {}
+        for some in ([p[0] for p in places.values()], [a for p in places.values() for a in p[1:]]):
+            wanted = [a for a in some if _bends(places[single[a].effect][0], other, columns)]
+            tried = self._signatures({a: [smaller[a]] for a in wanted})
+            other |= {a: tried[a, smaller[a]] / smaller[a] for a in wanted if (a, smaller[a]) in tried}
         alike = {a: _cosine(column, columns[a]) for a, column in other.items()}
         for a, cosine in alike.items():
             if cosine < BENT:
@@ -121,15 +130,15 @@ class Search:
                 self.starts[a] = _Start(x, signature, (signature - neighbour) / (x - near))
         space.find_alike({a: columns[a] for a in alike}, {a: single[a].prior.scale for a in alike})
 
-    def _signatures(self, sizes: Mapping[Address, Sequence[float]], *, first: bool = False) -> dict[Any, FloatArray]:
-        """Signatures at sizes [prior scales]: (address, size) -> whitened change, or by address alone; without those that cannot run."""
+    def _signatures(self, sizes: Mapping[Address, Sequence[float]]) -> dict[tuple[Address, float], FloatArray]:
+        """Signatures at sizes [prior scales]: (address, size) -> whitened change; without those that cannot run."""
         n = len(self.groups)
         scales = {a: c.prior.scale for c in self.catalogue.candidates for a in c.addresses}
         keys = [(a, x) for a, xs in sizes.items() for x in xs]
         tasks = [(i, self.simulator.seeded(setting({a: x * scales[a]}))) for a, x in keys for i in range(n)]
         results = self.simulator.many(tasks, "effects at other sizes")
         found = {key: self.signature(results[k * n : (k + 1) * n]) for k, key in enumerate(keys)}
-        return {key[0] if first else key: signature for key, signature in found.items() if signature is not None}
+        return {key: signature for key, signature in found.items() if signature is not None}
 
     def _whitened(
         self,
@@ -302,7 +311,9 @@ class Search:
             return list(fits)
         space = self.evidence.space
         polished = []
-        for f in sorted(fits, key=lambda f: -f.log_evidence)[:POLISHED]:
+        best = max((f.log_evidence for f in fits), default=0.0)
+        near = [f for f in fits if f.log_evidence > best - max(FAR, 0.1 * best)]
+        for f in sorted(near, key=lambda f: -f.log_evidence)[:POLISHED]:
             signature = self.mean_signature(setting(f.values))
             if signature is None:
                 continue
@@ -408,6 +419,11 @@ def _scatter(group: Sequence[FloatArray], channels: int) -> FloatArray:
     if len(runs) == 1:
         return np.ones(channels)
     return np.asarray(runs.var(axis=0, ddof=1).mean(axis=0) / len(runs))
+
+
+def _bends(first: Address, other: Mapping[Address, FloatArray], columns: Mapping[Address, FloatArray]) -> bool:
+    """Whether the column at another size is another one, or not known yet."""
+    return first not in other or _cosine(other[first], columns[first]) < BENT
 
 
 def _cosine(a: FloatArray, b: FloatArray) -> float:

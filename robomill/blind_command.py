@@ -15,6 +15,7 @@ from rich.table import Table
 from robomill.binding import convert, resolve
 
 PAGE = Path("docs/benchmarks/blind.md")
+SIMULATIONS = "simulations"
 CATALOGUE = Path(__file__).parent.parent / "scenarios" / "catalogue.toml"
 
 
@@ -43,18 +44,24 @@ def add_arguments(parser: Any) -> None:
 
 
 def diagnose_case(case: Path, out: Path) -> None:
-    """Diagnose one case as anybody would: its system, its runs, the catalogue of the cell. Writes diagnosis.json."""
+    """Diagnose one case as anybody would: its system, its runs, the catalogue of the cell. Writes diagnosis.json.
+
+    Simulations of the nominal cell and of what may be wrong with it are the same in all cases of a condition: they are kept in
+    `simulations` beside the cases, which may be deleted at any time.
+    """
     from diagnosis.catalogue import Catalogue
     from diagnosis.engine import diagnose
+    from diagnosis.store import Store
     from orchestration.results import Run
     from orchestration.system import System
-    from robomill.diagnose_command import menu
+    from robomill.diagnose_command import menu, sources
 
     runs = [Run.load(f) for f in sorted((case / "runs").iterdir()) if f.is_dir()]
     system = System.load(case / "system.toml", convert)
     with TemporaryDirectory() as folder:
         told = menu(system, Path(folder))
-        found = diagnose(system, runs, Catalogue.load(CATALOGUE), resolver=resolve, convert=convert, menu=told)
+        store = Store(case.parent.parent / SIMULATIONS, sources())
+        found = diagnose(system, runs, Catalogue.load(CATALOGUE), resolver=resolve, convert=convert, menu=told, store=store)
     (out / "diagnosis.json").write_text(json.dumps(found.result, indent=1) + "\n", encoding="utf-8")
 
 
