@@ -107,7 +107,7 @@ def test_a_placebo_ranks_far_below_the_truth_and_at_its_prior_where_nothing_is(t
             assert real.log_evidence > placebo.log_evidence + 1000.0
         else:
             indifferent = replace(search.nominal(), model=(candidate,))  # the data say nothing about it
-            after, before = (probabilities([search.nominal(), f], search.candidates, 1.0)[1] for f in (placebo, indifferent))
+            after, before = (probabilities([search.nominal(), f], search.candidates)[1] for f in (placebo, indifferent))
             assert after < 2.0 * before
 
 
