@@ -28,8 +28,8 @@ A TOML file::
     component = "sensor"
     parameters = {noise_f = 0}
 
-    [refinement]                        # what the communication step itself does is seen by a simulation with a part of it
-    divide = 2
+    [refinement]                        # what the communication step itself does to a replay is seen by a simulation with a part of it
+    divide = 4
     sampled = ["sensor", "controller"]  # components that keep their cycle
 
 Parameters of "logging" are `lag PATTERN` [s], `smooth PATTERN` (time constant of a first-order filter [s]), `gain PATTERN` [1],

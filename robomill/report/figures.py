@@ -117,7 +117,11 @@ def shares(s: Subject) -> Figure | None:
         return None
     rows = [(component_name(s, w), w["share"], w["interval"], True) for w in entries]
     if not s.blamed:  # shares of a replay are no parts of the model that leaves this
-        rows.append(("not explained", max(s.result["gap"]["unexplained"], 0.0), None, False))
+        left = max(s.result["gap"]["unexplained"], 0.0)
+        tolerated = 1.0 - left - sum(w["share"] for w in entries)
+        if tolerated > 0.005:
+            rows.append(("tolerances of calibration", tolerated, None, False))
+        rows.append(("not explained", left, None, False))
     figure = Figure(figsize=(WIDTH, 0.62 + 0.36 * len(rows)), layout="constrained")
     ax = figure.subplots()
     for i, (_, share, interval, known) in enumerate(rows):
