@@ -121,7 +121,9 @@ def _tiles(s: Subject) -> str:
     if "probability_none" in result and s.verdict == "none":
         tiles.append(("Probability of no effect", percent(result["probability_none"]), "of all answers considered"))
     elif s.verdict != "bad_log":
-        tiles.append(("Gap explained", percent(1.0 - max(result["gap"]["unexplained"], 0.0)), "beyond noise and calibration, on the diagnosed runs"))
+        tiles.append(
+            ("Gap explained", percent(1.0 - max(result["gap"]["unexplained"], 0.0)), "beyond noise and calibration, on the diagnosed runs")
+        )
         if s.verdict != "unknown" and result["which"]:
             first = result["which"][0]
             tiles.append(("Probability", percent(first["probability"]), effect_name(first)))
