@@ -125,6 +125,8 @@ def rivals(fits: Sequence[Fit], weights: FloatArray, search: Search, *, known: b
     all (the first of `fits`): a run in which the best one shows most says whether it is that.
     """
     order = [int(i) for i in np.argsort(-weights, kind="stable") if fits[i].model]
+    if not order:
+        return []
     best = fits[order[0]]
     if not known:
         return [order[0], 0]

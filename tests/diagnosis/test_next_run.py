@@ -10,8 +10,9 @@ import pytest
 
 from diagnosis.catalogue import Catalogue
 from diagnosis.engine import Menu, diagnose
+from diagnosis.estimation import Fit
 from diagnosis.isolability import CONFUSABLE
-from diagnosis.next_run import Offer
+from diagnosis.next_run import Offer, rivals
 from orchestration.assembly import run
 from orchestration.results import Run
 from tests.diagnosis.demo import CATALOGUE, HUNG, NOISE, SYSTEM, measure, resolve
@@ -122,3 +123,8 @@ def test_what_is_unknown_is_tried_where_the_nearest_model_would_show_most(tmp_pa
     result = twins(tmp_path, [disturbed(r) for r in measure()], menu=Menu(offers=offers))
     assert result["verdict"] == "unknown"
     assert result["next_run"]["separates"][1] == "something else"
+
+
+def test_where_no_candidate_is_left_there_is_nothing_to_tell_apart() -> None:
+    only_nominal = [Fit((), {}, {}, 0.0, 1.0)]
+    assert rivals(only_nominal, np.ones(1), None, known=False) == []  # type: ignore[arg-type]
