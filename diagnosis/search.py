@@ -33,6 +33,8 @@ NOMINAL = 8
 """Simulations of the nominal system with different noise, of each condition."""
 POLISH, POLISHED = 6, 8
 """Simulations with different noise at the best values of a model, and how many models of each size get them."""
+ENOUGH = 1.2
+"""Energy, over that of noise, below which no further effect is looked for."""
 SUBSTANTIAL = 0.25
 """Part of what is left beyond noise that another effect must explain."""
 PARTS = 6
@@ -361,10 +363,8 @@ class Search:
         return fit.energy - noise < (1.0 - SUBSTANTIAL) * (min(f.energy for f in fewer) - noise)
 
     def adequate(self, fit: Fit) -> bool:
-        """Whether what remains is small or noise."""
-        after, deviation = self.gap(fit)
-        before, _ = self.gap(self.nominal(), calibrated=False)
-        return after < 4.0 * deviation or after < 0.02 * before
+        """Whether what remains is like noise."""
+        return fit.energy < ENOUGH * float(self.evidence.expected.sum())
 
     def kept(self, fit: Fit) -> float:
         """Part of the gain in evidence that stays when parts of the time are predicted from the others: an effect is the same all along."""
