@@ -9,6 +9,7 @@ import pickle
 import shutil
 import sys
 import tempfile
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from benchmarks.network import Member, Network, Variable, by_type
 WARM = 50  # steps before the clock starts
 
 
-class Peer:
+class Peer(ABC):
     """A master that is set up anew for every run, so that each begins at t = 0."""
 
     def __init__(self, file: Path) -> None:
@@ -49,24 +50,25 @@ class Peer:
                 answer.recorded = [float(y) for y in self.recorded(Path(folder))]
         return answer
 
+    @abstractmethod
     def start(self, results: str, folder: Path, steps: int) -> None:
         """Everything before the first step."""
-        raise NotImplementedError
 
+    @abstractmethod
     def step(self, steps: int) -> None:
         """So many steps from where it stands."""
-        raise NotImplementedError
 
+    @abstractmethod
     def outputs(self) -> Any:
         """All outputs now."""
-        raise NotImplementedError
 
+    @abstractmethod
     def end(self) -> None:
         """Give everything back; results are complete then."""
 
+    @abstractmethod
     def recorded(self, folder: Path) -> Any:
         """The last row of the results."""
-        raise NotImplementedError
 
 
 class Fmpy(Peer):

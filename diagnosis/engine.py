@@ -17,7 +17,7 @@ from diagnosis.estimation import Fit, probabilities
 from diagnosis.localise import Projection
 from diagnosis.measured import Condition, DataError, in_units, sort_by_condition
 from diagnosis.replay import intervals
-from diagnosis.search import NOMINAL, TRUST, Search, expected
+from diagnosis.search import NOMINAL, TRUST, Search, likely_count
 from diagnosis.simulation import Laboratory, Report, Simulator, decimate, setting
 from diagnosis.store import Store
 from diagnosis.where import combined, direction_of, located
@@ -41,7 +41,7 @@ LIKE_NOISE = 1.15
 UNKNOWN = 1.4
 """Energy, over that of noise, from which there is a gap even if no candidate explains any of it."""
 TRANSFER = 0.4
-"""Part of its gain in evidence that a model must keep in spells that it is not fitted to."""
+"""Part of its gain in evidence that a model must keep in parts of the time that it is not fitted to."""
 SAID = {
     "lag": "the clock of the {place} is late by {value:.1f} {unit}",
     "smooth": "the {place} was filtered before it was logged, with a time constant of {value:.1f} {unit}",
@@ -52,7 +52,7 @@ SAID = {
 FAULTS = {"smooth": "filter", "gain": "unit"}
 """Kinds of findings, where they are called otherwise than what is wrong with the log."""
 CLEAR = 8.0
-"""Log of the (tempered) odds from which an effect is believed to be there at all."""
+"""Log of the odds from which an effect is believed to be there at all."""
 LISTED = 0.01
 """Probability from which a candidate is listed."""
 
@@ -121,7 +121,7 @@ def diagnose(
     )
     groups = [[decimate(c.matrix(r, channels), decimation) for r in c.runs] for c in conditions]
     with Simulator(laboratory, workers, report, store) as simulator:
-        simulator.expected = expected(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
+        simulator.expected = likely_count(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
         findings = _gate(laboratory, simulator, groups, n, channels, ranges)
         if any(f.fatal for f in findings):
             result = _result("bad_log", findings, began, simulator.count)

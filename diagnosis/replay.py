@@ -21,6 +21,7 @@ import numpy.typing as npt
 from diagnosis.catalogue import LOGGING, Address, Catalogue, Nuisance
 from diagnosis.measured import DataError
 from diagnosis.noise import whitening
+from diagnosis.search import SUDDEN, TRUST
 from diagnosis.simulation import Laboratory, Setting, decimate, refined, with_values
 from diagnosis.tape import Tape
 from orchestration.assembly import run
@@ -32,10 +33,8 @@ from orchestration.system import Component, Connection, System
 TAPE = "tape:"
 KNOWN = 1e-3
 """Relative deviation up to which the signal of a component without inputs (a program) is taken as it is simulated."""
-TRUST = 0.02
-"""Part of an effect of typical size that the models are not trusted to."""
-LATENESS, SUDDEN = 12.0**-0.5, 0.25
-"""Steps that outputs may be late, as a whole and at random."""
+LATENESS = 12.0**-0.5
+"""Steps that the outputs of a component which is driven alone may be late: measured inputs reach it anywhere within a step."""
 SEEN, WEAK = 9.0, 1e-3
 """Whitened energy from which a change is seen at all, and part of that at its own outputs below which one further on does not count."""
 REACH = 0.05

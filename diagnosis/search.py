@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
-from diagnosis.estimation import Fit, Model, Space, leave_one_out, quadratic_fit, scaled_bounds, solve
+from diagnosis.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solve
 from diagnosis.measured import DataError
 from diagnosis.noise import SPELL, Whitening, own_noise, whitening
 from diagnosis.simulation import Setting, Simulator, setting
@@ -116,7 +116,8 @@ class Search:
         for a, cosine in alike.items():
             if cosine < BENT:
                 own = space.without([a])
-                columns[a] = max((columns[a], other[a]), key=lambda c, own=own, a=a: _gain(own, c, single[a]))  # type: ignore[misc]
+                if _gain(own, other[a], single[a]) > _gain(own, columns[a], single[a]):
+                    columns[a] = other[a]
         sizes = {a: _sizes(single[a]) for a, cosine in alike.items() if cosine < TURNED}
         tried = self._signatures(sizes)
         for a, xs in sizes.items():
@@ -126,7 +127,7 @@ class Search:
             own = space.without([a])
             energies = own.energies(space.y[:, None] - np.stack([f for _, f in found], axis=1))
             i = int(np.argmin(energies))
-            j = min((k for k in (i - 1, i + 1) if 0 <= k < len(found)), key=lambda k, e=energies: e[k])  # type: ignore[misc]
+            _, j = min((energies[k], k) for k in (i - 1, i + 1) if 0 <= k < len(found))
             (x, signature), (near, neighbour) = found[i], found[j]
             if energies[i] < space.energy:
                 self.starts[a] = _Start(x, signature, (signature - neighbour) / (x - near))
@@ -275,7 +276,7 @@ class Search:
             self._kept = self.evidence.space.dot(stacked, stacked)
         return self._kept
 
-    def refine(self, fits: Sequence[Fit], bases: dict[Model, Fit] | None = None, rounds: int = 5) -> list[Fit]:
+    def refine(self, fits: Sequence[Fit], rounds: int = 5) -> list[Fit]:
         """Gauss-Newton on real simulations, all models together (one simulation of each per round)."""
         space = self.evidence.space
         states = []
@@ -399,7 +400,7 @@ class Search:
         return total, float(np.sqrt(variance)) * 1.5
 
 
-def expected(catalogue: Catalogue, nuisances: Sequence[Nuisance], conditions: int) -> int:
+def likely_count(catalogue: Catalogue, nuisances: Sequence[Nuisance], conditions: int) -> int:
     """About how many simulations a search takes that ends with single effects; more where effects are combined."""
     addresses = {a for c in catalogue.candidates for a in c.addresses} | {n.address for n in nuisances}
     return conditions * (NOMINAL + len(addresses) + 2 * SINGLES + POLISH * POLISHED)

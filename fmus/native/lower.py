@@ -116,7 +116,7 @@ class _Process:
         for name in ("NUMBA_ENABLE_AVX", "NUMBA_BOUNDSCHECK", "NUMBA_DISABLE_JIT", "NUMBA_DEVELOPER_MODE", "NUMBA_COVERAGE"):
             environment.pop(name, None)
         # a file, as a pipe that nobody reads would fill up; `end` closes it
-        self._errors = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115
+        self._errors = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115 (until `end`)
         command = [sys.executable, "-m", "fmus.native.lower"]
         self._process = subprocess.Popen(
             command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, encoding="utf-8"
