@@ -24,9 +24,8 @@ from typing import Any
 KEPT = 20
 """Folders of former sources that stay: a handful of components, other branches, other processes."""
 PACKAGE = Path(__file__).parent
-_PARSING = (
-    threading.Lock()
-)  # builds side by side: CPython 3.11 counts the depth of its trees for all threads together, and then finds it wrong
+# builds side by side: CPython 3.11 counts the depth of its trees for all threads together, and then finds it wrong
+_PARSING = threading.Lock()
 
 
 def user_folder() -> Path:

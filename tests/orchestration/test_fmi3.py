@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from orchestration.system import Component, Connection, System
 from tests.orchestration import c_fmu, c_fmu3
 from tests.orchestration.mocks import resolver, source
 
-pytestmark = pytest.mark.skipif(c_fmu.compiler() is None, reason="no C compiler here")
+pytestmark = [pytest.mark.skipif(c_fmu.compiler() is None, reason="no C compiler here"), pytest.mark.usefixtures("temporary")]
 
 
 @pytest.fixture(scope="module")
@@ -32,16 +31,6 @@ def types(tmp_path_factory) -> Path:
 def plain(tmp_path_factory) -> Path:
     """Without the types that the compiled loop does not carry."""
     return c_fmu3.build(tmp_path_factory.mktemp("c"), c_fmu3.PLAIN)
-
-
-@pytest.fixture(autouse=True)
-def temporary(tmp_path, monkeypatch):
-    """All temporary folders of a test in one place, and none left in the end."""
-    place = tmp_path / "temporary"
-    place.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(place))
-    yield
-    assert list(place.iterdir()) == []
 
 
 def driven(file: Path, value: float, **parameters) -> tuple[System, object]:

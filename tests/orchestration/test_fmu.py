@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from pathlib import Path
 
 import fmpy
@@ -19,6 +18,8 @@ from orchestration.slave import PortData, Slave, inputs, outputs
 from orchestration.system import Component, System
 from tests.orchestration import c_fmu
 from tests.orchestration.mocks import gain, resolver, source, system
+
+pytestmark = pytest.mark.usefixtures("temporary")
 
 SCRIPT = """
 import traceback
@@ -69,16 +70,6 @@ def amplifier(tmp_path_factory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
         return Path(FmuBuilder.build_FMU(folder / "h7_amplifier.py", dest=folder, needsExecutionTool=False))
-
-
-@pytest.fixture(autouse=True)
-def temporary(tmp_path, monkeypatch):
-    """All temporary folders of a test in one place, and none left in the end."""
-    place = tmp_path / "temporary"
-    place.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(place))
-    yield
-    assert list(place.iterdir()) == []
 
 
 def one(file, **options) -> System:

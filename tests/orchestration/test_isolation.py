@@ -22,6 +22,8 @@ from orchestration.system import Component, System
 from tests.orchestration import c_fmu
 from tests.orchestration.mocks import resolver, source, system
 
+pytestmark = pytest.mark.usefixtures("temporary")
+
 BAD = "if (m->mode != 2)"
 DEATHS = {
     "aborts": 'if (t > 0.019) { puts("about to abort"); fflush(stdout); abort(); }',
@@ -44,16 +46,6 @@ def fmus(tmp_path_factory) -> dict[str, Path]:
         assert text != c_fmu.SOURCE
         made[name] = c_fmu.build(tmp_path_factory.mktemp(name), text)
     return made
-
-
-@pytest.fixture(autouse=True)
-def temporary(tmp_path, monkeypatch):
-    """All temporary folders of a test in one place, and none left in the end."""
-    place = tmp_path / "temporary"
-    place.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(place))
-    yield
-    assert list(place.iterdir()) == []
 
 
 def driven(file: Path, isolate: bool, limit: float = 60.0) -> tuple[System, object]:
