@@ -5,11 +5,14 @@ what it compiled before. So the package is copied once to the cache folder of th
 name, which holds a hash of its content. Only the standard library is used here.
 """
 
+import atexit
+import ctypes
 import filecmp
 import importlib.util
 import os
 import shutil
 import sys
+import threading
 import uuid
 from contextlib import suppress
 from pathlib import Path
@@ -31,7 +34,27 @@ def install(package: str, bundle: str) -> ModuleType:
         notes.append(f"the cache folder cannot be used ({error}): the model is compiled anew in every process")
     module = _module(package, folder / "__init__.py", register=True)
     module.ComponentSlave.notes = tuple(notes)
+    if sys.platform == "linux":
+        binaries = source.parents[2] / "binaries" / "linux64"
+        atexit.register(_release, [file.name for file in binaries.glob("*.so")])
     return module
+
+
+def _release(names: list[str]) -> None:
+    """Have pythonfmu's library drop its hold on the interpreter while the process is still whole.
+
+    A library that was not unloaded (0.7) drops it twice when the process ends: once as its variables are destroyed and
+    again in its own destructor, which then writes into memory that has been given back ("corrupted double-linked list").
+    Where the library has started the interpreter itself, the thread that runs this is the one it would wait for.
+    """
+    if threading.get_native_id() != os.getpid():
+        return
+    maps = Path("/proc/self/maps").read_text(encoding="utf-8", errors="surrogateescape").splitlines()
+    mapped = {line.split(maxsplit=5)[5].removesuffix(" (deleted)") for line in maps if ".so" in line}
+    for file in sorted(mapped):
+        if Path(file).name in names and Path(file).parent.name == "linux64":
+            with suppress(OSError, AttributeError):  # unloaded meanwhile; another library of that name
+                ctypes.CDLL(file, mode=os.RTLD_NOLOAD | os.RTLD_LAZY).finalizePythonInterpreter()
 
 
 def _copy(source: Path, target: Path) -> Path:

@@ -312,6 +312,23 @@ def test_a_cache_that_cannot_be_used_is_a_warning(built: Built, tmp_path: Path) 
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the library's destructor is that of Linux")
+def test_the_library_lets_go_of_the_interpreter_before_the_process_ends(built: Built, tmp_path: Path) -> None:
+    watch = """
+import atexit, ctypes, os
+released = []
+class Watched(ctypes.CDLL):
+    def finalizePythonInterpreter(self):
+        self["finalizePythonInterpreter"]()
+        released.append(os.path.relpath(self._name, folder))
+ctypes.CDLL = Watched
+atexit.register(lambda: print("released:", released))
+"""
+    found = in_a_fresh_process(built("demo"), tmp_path, before=watch)
+    assert "released: ['binaries/linux64/demo.so']" in found["log"]
+
+
+@pytest.mark.slow
 def test_an_edited_fmu_runs_its_own_code_not_the_cached_one(built: Built, tmp_path: Path) -> None:
     with zipfile.ZipFile(built("demo")) as old, zipfile.ZipFile(tmp_path / "edited.fmu", "w") as new:
         for name in old.namelist():
