@@ -186,6 +186,7 @@ def _gate(
         for r, x in zip(condition.runs, groups[i], strict=True):
             found += gate.raw(r, channels, ranges)
             found += gate.against_simulation(r, x, simulated, channels, step, noise)
+        found += gate.spikes(condition, channels)
         found += gate.repeats(condition, groups[i], channels)
     unique: dict[tuple[str, str], gate.Finding] = {}
     for f in found:

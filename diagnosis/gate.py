@@ -101,7 +101,6 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
             found.append(Finding(name, "constant", still * step, "s", f"stands still for {still * step:.2f} s"))
             suspects.add(name)
             continue
-        found += _spikes(run, name)
         if name in suspects or not _visible(float(x[:, i] @ x[:, i]), noise[i], len(x)):  # measured over measured: whatever its unit is
             continue
         off = ((x[:, i] - s[:, i]) ** 2).sum()
@@ -135,19 +134,33 @@ def _still(x: FloatArray) -> int:
     return int(np.diff(edges).max())
 
 
-def _spikes(run: Run, name: str) -> list[Finding]:
-    """Single samples far from both neighbours."""
-    x = run.columns[name]
-    x = x[np.isfinite(x)]
+def spikes(condition: Condition, channels: Sequence[str]) -> list[Finding]:
+    """Single samples far from both neighbours. What jumps at the same time in most repeats is the machine (masses at a jerk), not the log."""
+    found = []
+    for name in channels:
+        times = [_jumps(run.t, run.columns[name]) for run in condition.runs]
+        counts = []
+        for k, (run, own) in enumerate(zip(condition.runs, times, strict=True)):
+            near = 2.5 * float(np.median(np.diff(run.t)))
+            others = [other for i, other in enumerate(times) if i != k]
+            again = [sum(bool(np.any(np.abs(other - t) < near)) for other in others) for t in own]
+            counts.append(sum(2 * n <= len(others) for n in again))
+        count = max(counts)
+        if count:
+            text = f"{count} sample{'s' if count > 1 else ''} {'jump' if count > 1 else 'jumps'} away by more than 30 times what is usual"
+            found.append(Finding(name, "spikes", count, "1", text, count > 3))
+    return found
+
+
+def _jumps(t: FloatArray, x: FloatArray) -> FloatArray:
+    """Times of the samples that are far from both neighbours, on the same side."""
+    t, x = t[np.isfinite(x)], x[np.isfinite(x)]
     if len(x) < 10:
-        return []
-    jump = np.minimum(np.abs(x[1:-1] - x[:-2]), np.abs(x[1:-1] - x[2:])) * (np.sign(x[1:-1] - x[:-2]) == np.sign(x[1:-1] - x[2:]))
+        return np.zeros(0)
+    before, after = x[1:-1] - x[:-2], x[1:-1] - x[2:]
     typical = max(float(np.percentile(np.abs(np.diff(x)), 95)), 1e-12)
-    count = int((jump > 30.0 * typical).sum())
-    if not count:
-        return []
-    text = f"{count} sample{'s' if count > 1 else ''} {'jump' if count > 1 else 'jumps'} away by more than 30 times what is usual"
-    return [Finding(name, "spikes", count, "1", text, count > 3)]
+    away = (np.minimum(np.abs(before), np.abs(after)) > 30.0 * typical) & (np.sign(before) == np.sign(after))
+    return np.asarray(t[1:-1][away])
 
 
 def _arrays(channels: Sequence[str]) -> list[list[int]]:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from diagnosis import gate
 from diagnosis.engine import Diagnosis, diagnose
-from diagnosis.measured import DataError
+from diagnosis.measured import DataError, sort_by_condition
 from orchestration.results import Run
 from tests.diagnosis.demo import SYSTEM, catalogue, changed, measure, resolve
 
@@ -163,7 +164,7 @@ class TestGate:
             ("constant", lambda t, y: np.where((t > 4.0) & (t < 6.0), y[400], y)),
             ("missing", lambda t, y: np.where((t > 4.0) & (t < 5.0), np.nan, y)),
             ("range", lambda t, y: np.where(t > 7.9, 9.0, y)),
-            ("spikes", lambda t, y: y + 1.0 * (np.arange(len(t)) % 150 == 7)),
+            ("spikes", lambda t, y: y + 1.0 * (np.arange(len(t)) % 150 == int(1e6 * abs(y[-1])) % 150)),  # elsewhere in each repeat
         ],
     )
     def test_a_bad_channel_is_stopped_with_the_reason(self, tmp_path: Path, kind: str, function: Any) -> None:
@@ -171,6 +172,21 @@ class TestGate:
         assert result["verdict"] == "bad_log"
         assert not result["gate"]["usable"]
         assert (kind, "sensors.y[2]") in {(f["kind"], f["channel"]) for f in result["gate"]["findings"]}
+
+    def test_what_jumps_at_the_same_time_in_every_repeat_is_the_machine(self) -> None:
+        def jerk(t: Any, y: Any) -> Any:
+            return y + 1.0 * (np.arange(len(t)) % 150 == 7)
+
+        runs = changed(measure(repeats=4), "sensors.y[2]", jerk)
+        (condition,) = sort_by_condition(runs, SYSTEM)
+        assert not gate.spikes(condition, ["sensors.y[2]"])
+        once = replace(runs[0], columns={**runs[0].columns, "sensors.y[2]": np.roll(runs[0].columns["sensors.y[2]"], 40)})
+        (condition,) = sort_by_condition([once, *runs[1:]], SYSTEM)
+        (finding,) = gate.spikes(condition, ["sensors.y[2]"])
+        assert (finding.value, finding.fatal) == (6, True)
+        assert finding.text == "6 samples jump away by more than 30 times what is usual"
+        (alone,) = sort_by_condition(runs[:1], SYSTEM)
+        assert gate.spikes(alone, ["sensors.y[2]"])[0].fatal  # nothing says that it would come again
 
     def test_interchanged_channels_are_stopped(self, tmp_path: Path) -> None:
         runs = [
