@@ -135,7 +135,7 @@ def _still(x: FloatArray) -> int:
 
 
 def spikes(condition: Condition, channels: Sequence[str]) -> list[Finding]:
-    """Single samples far from both neighbours. What jumps at the same time in most repeats is the machine (masses at a jerk), not the log."""
+    """Single samples far from both neighbours. What jumps at one time in most repeats is the machine (masses at a jerk), not the log."""
     found = []
     for name in channels:
         times = [_jumps(run.t, run.columns[name]) for run in condition.runs]
