@@ -18,7 +18,7 @@ from diagnosis.localise import Projection
 from diagnosis.measured import Condition, DataError, in_units, sort_by_condition
 from diagnosis.replay import intervals
 from diagnosis.search import NOMINAL, TRUST, Search, likely_count
-from diagnosis.simulation import Laboratory, Report, Simulator, decimate, setting
+from diagnosis.simulation import Laboratory, Report, Setting, Simulator, decimate, setting
 from diagnosis.store import Store
 from diagnosis.where import combined, direction_of, located
 from orchestration.assembly import Resolver, assemble, run
@@ -49,6 +49,8 @@ SAID = {
     "offset": "the {place} is off by {value:.4g} {unit}",
 }
 """What is wrong with the log, in words."""
+EXPLAINABLE = ("constant", "unit")
+"""Kinds of findings that an effect may be the reason of: a clipped channel stands still. They count if the best model has them, too."""
 FAULTS = {"smooth": "filter", "gain": "unit"}
 """Kinds of findings, where they are called otherwise than what is wrong with the log."""
 CLEAR = 8.0
@@ -123,12 +125,18 @@ def diagnose(
     with Simulator(laboratory, workers, report, store) as simulator:
         simulator.expected = likely_count(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
         findings = _gate(laboratory, simulator, groups, n, channels, ranges)
-        if any(f.fatal for f in findings):
+        fatal = [f for f in findings if f.fatal]
+        if all(f.kind in EXPLAINABLE for f in fatal):
+            search = Search(catalogue, simulator, groups[:n], nuisances)
+            fits = search.run()
+            if fatal:  # is it the machine, after all?
+                best = fits[int(probabilities(fits, search.candidates).argmax())]
+                findings = _gate(laboratory, simulator, groups, n, channels, ranges, setting(best.values))
+                fatal = [f for f in findings if f.fatal]
+        if fatal:
             result = _result("bad_log", findings, began, simulator.count)
             curves = _curves(laboratory, groups, simulator.repeated(range(n), (), NOMINAL))
             return Diagnosis(result, {}, channels=tuple(channels), curves=curves)
-        search = Search(catalogue, simulator, groups[:n], nuisances)
-        fits = search.run()
         return _Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu, repair, began).diagnosis()
 
 
@@ -173,10 +181,12 @@ def _gate(
     n: int,
     channels: Sequence[str],
     ranges: Mapping[str, tuple[float | None, float | None]],
+    changes: Setting = (),
 ) -> list[gate.Finding]:
+    """What is wrong with the log where the system has these changes."""
     found: list[gate.Finding] = []
     step = laboratory.system.step * laboratory.decimation
-    base = simulator.repeated(range(n), (), NOMINAL, "nominal")
+    base = simulator.repeated(range(n), changes, NOMINAL, "the log")
     for i in range(n):
         condition, group = laboratory.conditions[i], base[i]
         assert group is not None

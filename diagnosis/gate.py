@@ -37,6 +37,9 @@ MUCH_BETTER = 0.2
 FAR_OFF = 0.6
 """Energy of the difference over energy of the signal, above which another sign, order or unit is looked for."""
 
+LIMIT = 0.1
+"""Part of a channel's range by which its simulation may be short of a limit that the channel stands at."""
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -94,8 +97,10 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
             found.append(Finding(name, "constant", float(x[0, i]), run.ports[name].unit or "", "does not change, but it should"))
             suspects.add(name)
             continue
-        # at rest at zero or at its extremes is what a dead band or a limit makes of an output, too
-        moving = (x[:, i] != 0.0) & (x[:, i] < x[:, i].max()) & (x[:, i] > x[:, i].min())
+        # at rest at zero, or where the simulation goes as far or further, is what a dead band or a limit makes of an output, too
+        over, under = s[:, i] >= x[:, i].max() - LIMIT * spread, s[:, i] <= x[:, i].min() + LIMIT * spread
+        limited = ((x[:, i] == x[:, i].max()) & over) | ((x[:, i] == x[:, i].min()) & under)
+        moving = (x[:, i] != 0.0) & ~limited
         still, longest = _still(x[moving, i]), _still(s[:, i])
         if still * step > 0.5 and still > 3 * longest + 10 and still > 0.1 * len(x):
             found.append(Finding(name, "constant", still * step, "s", f"stands still for {still * step:.2f} s"))
@@ -126,10 +131,10 @@ def _visible(energy: float, noise: float, n: int) -> bool:
 
 
 def _still(x: FloatArray) -> int:
-    """Longest stretch of equal samples."""
+    """Longest stretch of samples that are equal, as far as a log in single precision tells."""
     if not len(x):
         return 0
-    changes = np.flatnonzero(np.diff(x) != 0.0)
+    changes = np.flatnonzero(np.abs(np.diff(x)) > 2.0**-22 * np.abs(x).max())
     edges = np.concatenate([[-1], changes, [len(x) - 1]])
     return int(np.diff(edges).max())
 
@@ -138,14 +143,8 @@ def spikes(condition: Condition, channels: Sequence[str]) -> list[Finding]:
     """Single samples far from both neighbours. What jumps at one time in most repeats is the machine (masses at a jerk), not the log."""
     found = []
     for name in channels:
-        times = [_jumps(run.t, run.columns[name]) for run in condition.runs]
-        counts = []
-        for k, (run, own) in enumerate(zip(condition.runs, times, strict=True)):
-            near = 2.5 * float(np.median(np.diff(run.t)))
-            others = [other for i, other in enumerate(times) if i != k]
-            again = [sum(bool(np.any(np.abs(other - t) < near)) for other in others) for t in own]
-            counts.append(sum(2 * n <= len(others) for n in again))
-        count = max(counts)
+        jumps = [_jumps(run.t, run.columns[name]) for run in condition.runs]
+        count = max(_alone(jumps[k], jumps[:k] + jumps[k + 1 :]) for k in range(len(jumps)))
         if count:
             text = f"{count} sample{'s' if count > 1 else ''} {'jump' if count > 1 else 'jumps'} away by more than 30 times what is usual"
             found.append(Finding(name, "spikes", count, "1", text, count > 3))
@@ -153,14 +152,24 @@ def spikes(condition: Condition, channels: Sequence[str]) -> list[Finding]:
 
 
 def _jumps(t: FloatArray, x: FloatArray) -> FloatArray:
-    """Times of the samples that are far from both neighbours, on the same side."""
+    """Time, and distance from the nearer neighbour where both are on the same side, over what is usual; [2, samples]."""
     t, x = t[np.isfinite(x)], x[np.isfinite(x)]
     if len(x) < 10:
-        return np.zeros(0)
+        return np.zeros((2, 0))
     before, after = x[1:-1] - x[:-2], x[1:-1] - x[2:]
-    typical = max(float(np.percentile(np.abs(np.diff(x)), 95)), 1e-12)
-    away = (np.minimum(np.abs(before), np.abs(after)) > 30.0 * typical) & (np.sign(before) == np.sign(after))
-    return np.asarray(t[1:-1][away])
+    usual = max(float(np.percentile(np.abs(np.diff(x)), 95)), 1e-12)
+    away = np.where(np.sign(before) == np.sign(after), np.minimum(np.abs(before), np.abs(after)), 0.0)
+    return np.stack([t[1:-1], away / usual])
+
+
+def _alone(own: FloatArray, others: Sequence[FloatArray]) -> int:
+    """How many samples jump that do not in half of the other repeats, by a quarter of that, not more than two samples away."""
+    count = 0
+    for t, size in own[:, own[1] > 30.0].T:
+        near = 2.5 * float(np.median(np.diff(own[0])))
+        again = sum(bool(np.any(other[1, np.abs(other[0] - t) < near] > 0.25 * size)) for other in others)
+        count += 2 * again <= len(others)
+    return count
 
 
 def _arrays(channels: Sequence[str]) -> list[list[int]]:

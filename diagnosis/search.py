@@ -88,12 +88,25 @@ class Search:
         results = iter(self.simulator.many(tasks, "effects"))
         changes: dict[Address, list[FloatArray]] = {}
         for a in sizes:
-            change = [r - b if r is not None else None for r, b in zip((next(results) for _ in self.groups), self.base, strict=True)]
-            if all(c is not None for c in change) and any(np.any(c) for c in change):
-                changes[a] = [c for c in change if c is not None]
+            change = self._change([next(results) for _ in self.groups])
+            if change is not None:
+                changes[a] = change
+        # a limit does nothing until it is reached
+        largest = {c.addresses[0]: c.maximum for c in self.catalogue.candidates if len(c.parameters) == 1 and c.addresses[0] not in changes}
+        tasks = [(i, self.simulator.seeded(setting({a: s}))) for a, s in largest.items() for i in range(len(self.groups))]
+        results = iter(self.simulator.many(tasks, "effects"))
+        for a, s in largest.items():
+            change = self._change([next(results) for _ in self.groups])
+            if change is not None:
+                changes[a], sizes[a] = change, s
         self.evidence = self._whitened(changes, sizes, scales, unknown)
         self._start_elsewhere()
         return [c for c in self.catalogue.candidates if all(a in self.evidence.columns for a in c.addresses)]
+
+    def _change(self, results: Sequence[FloatArray | None]) -> list[FloatArray] | None:
+        """What simulations of all conditions differ by from the nominal ones; None where one cannot run, or nothing differs."""
+        change = [r - b for r, b in zip(results, self.base, strict=True) if r is not None]
+        return change if len(change) == len(self.base) and any(np.any(c) for c in change) else None
 
     def _start_elsewhere(self) -> None:
         """Columns from another size, where one fits better, and starts from the best of many sizes for effects that turn with theirs.
@@ -407,10 +420,12 @@ def likely_count(catalogue: Catalogue, nuisances: Sequence[Nuisance], conditions
 
 
 def _sizes(candidate: Candidate) -> list[float]:
-    """Sizes to start from [prior scales], in order: a quarter apart from each other."""
-    prior = candidate.prior
-    sizes = [prior.scale * math.exp(0.25 * k) for k in range(-10, 7)]
-    found = [x / prior.scale for x in sizes if candidate.minimum <= x <= candidate.maximum]
+    """Sizes to start from [prior scales], in order: a quarter apart from each other, closer to a bound that is near."""
+    scale, largest = candidate.prior.scale, candidate.maximum
+    sizes = [scale * math.exp(0.25 * k) for k in range(-10, 7)]
+    if largest < sizes[-1]:
+        sizes = [x for x in sizes if x <= scale] + [largest - (largest - scale) * math.exp(-0.35 * k) for k in range(1, 9)]
+    found = [x / scale for x in sizes if candidate.minimum <= x <= largest]
     return [-x for x in reversed(found)] + found if candidate.both_signs else found
 
 
