@@ -58,7 +58,14 @@ def parser() -> argparse.ArgumentParser:
         default="python",
         help="python: needs Python, NumPy and Numba on the other side; native: needs nothing (default: python)",
     )
-    build.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version (3: native only; default: 2)")
+    build.add_argument(
+        "--fmi",
+        type=int,
+        choices=(2, 3),
+        nargs="+",
+        action="extend",
+        help="FMI version (3: native only; default: 2); `--fmi 2 3`: both, FMI 3 in the subfolder fmi3",
+    )
     build.add_argument(
         "--platform", action="append", choices=("linux64", "win64", "darwin64"), help="native only; may be repeated (default: linux64)"
     )
@@ -71,7 +78,7 @@ def parser() -> argparse.ArgumentParser:
     )
 
     check = _command(commands, "check", "check FMUs, ours or not: validity, conformance, repeatability", "robomill check dist/*.fmu")
-    check.add_argument("fmus", type=Path, nargs="+", metavar="FMU", help="FMI 2.0 co-simulation FMUs")
+    check.add_argument("fmus", type=Path, nargs="+", metavar="FMU", help="co-simulation FMUs of FMI 2.0 or 3.0")
 
     plan = _command(commands, "plan", "plan a program and say what it does", "robomill plan scenarios/groove.ngc")
     plan.add_argument("program", type=Path, help="G-code, or a path of points (TOML)")

@@ -289,20 +289,26 @@ def build(options: Namespace) -> int:
 
 
 def _build(models: Sequence[Model], options: Namespace, report: milling.Progress) -> list[Path]:
-    """FMUs of all models with the backend that was asked for."""
-    report("build", 0, len(models))
+    """FMUs of all models with the backend and for the FMI versions that were asked for."""
+    versions = sorted(set(options.fmi or [2]))
+    report("build", 0, len(models) * len(versions))
     files: list[Path] = []
 
     def done(file: Path) -> None:
         files.append(file)
-        report("build", len(files), len(models))
+        report("build", len(files), len(models) * len(versions))
 
     if options.backend == "native":
         from fmus.native.builder import build_all  # needs LLVM: a second to load
 
-        platforms = tuple(options.platform or ["linux64"])
-        return build_all(models, options.out, fmi=options.fmi, platforms=platforms, reference=lambda m: reference_files(m.name), done=done)
-    if options.fmi != 2 or options.platform:
+        built: list[Path] = []
+        for fmi in versions:
+            # the folder itself is where `run --fmus` and the packages, which know no FMI 3, look
+            folder = options.out / "fmi3" if fmi == 3 and len(versions) > 1 else options.out
+            platforms = tuple(options.platform or ["linux64"])
+            built += build_all(models, folder, fmi=fmi, platforms=platforms, reference=lambda m: reference_files(m.name), done=done)
+        return built
+    if versions != [2] or options.platform:
         raise ValueError("--fmi 3 and --platform go with --backend native; Python FMUs are FMI 2 for linux64 and win64")
     for model in models:
         done(build_python(model, options.out))

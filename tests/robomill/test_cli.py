@@ -249,6 +249,37 @@ class TestResume:
         assert "holds a run of another system: files: path.segments was" in refused(capsys, "run", "part.toml", "--resume")
 
 
+class TestBuild:
+    """Which files `robomill build` writes."""
+
+    @pytest.mark.slow
+    @pytest.mark.skipif(sys.platform != "linux", reason="builds libraries for linux64")
+    def test_both_versions_of_fmi_side_by_side(self, tmp_path, monkeypatch, capsys):
+        """FMI 2 where everything looks, FMI 3 below; both pass the battery and give the same bits."""
+        monkeypatch.chdir(tmp_path)
+        text = 'name = "one"\nstep = 0.004\nstop = 0.1\n[components.sensor]\nsource = "sensor_chain"\n'
+        (tmp_path / "one.toml").write_text(text)
+        assert main(["build", "--backend", "native", "--fmi", "2", "3", "--ssp", "one.toml", "--json"]) == 0
+        files = ["dist/sensor_chain.fmu", "dist/fmi3/sensor_chain.fmu"]
+        assert json.loads(capsys.readouterr().out) == {"fmus": files, "packages": ["dist/one.ssp"]}
+        assert main(["check", *files, "--json"]) == 0
+        reports = json.loads(capsys.readouterr().out)
+        told = [next(r["detail"] for r in reports[f] if r["check"] == "exports") for f in files]
+        assert [t[-7:] for t in told] == ["FMI 2.0", "FMI 3.0"]
+        runs = []
+        for folder in ("dist", "dist/fmi3"):
+            assert main(["run", "one.toml", "--fmus", folder, "--out", f"{folder}/run"]) == 0
+            runs.append(Run.load(tmp_path / folder / "run"))
+        assert len(runs[0]) == 26
+        for name in runs[0].columns:
+            assert runs[0][name].tobytes() == runs[1][name].tobytes(), name
+
+    def test_fmi_3_is_native(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.chdir(tmp_path)
+        assert "--fmi 3 and --platform go with --backend native" in refused(capsys, "build", "--fmi", "2", "--fmi", "3")
+        assert not list(tmp_path.rglob("*.fmu"))
+
+
 def with_more_values(package: Path) -> None:
     """A value for a variable that the FMU does not have goes into a package."""
     with zipfile.ZipFile(package) as z:
