@@ -71,6 +71,8 @@ def _run(fmu: Fmu) -> str:
     instance.terminate()
     instance.free()
     fmu.trajectory = trajectory
+    if fmu.calls.remark:
+        raise _Finding(fmu.calls.remark)
     return f"{len(fmu.rows)} steps of {fmu.h} s in {Path.cwd()}"
 
 
@@ -283,7 +285,7 @@ def _too_little_room(instance: Instance) -> None:
 
 
 def _wrong_calls(fmu: Fmu) -> str:
-    """An importer's mistakes: they give an error with a text, and neither the process nor other instances suffer."""
+    """An importer's mistakes: they give an error with a text, a reset helps, and neither the process nor other instances suffer."""
     expected = _expected(fmu)
     mistakes: dict[str, Callable[[Instance], None]] = {"a step before the end of initialisation": _step_too_early}
     if fmu.outputs:
@@ -298,9 +300,12 @@ def _wrong_calls(fmu: Fmu) -> str:
         try:
             mistake(instance)
             passing.append(what)
-        except CallFailed:
+        except CallFailed as error:
             if not any(instance.log):
                 silent.append(what)
+            if not error.fatal:
+                instance.reset()
+                _same(fmu, f"fresh and after {what}, an error and a reset", expected[:2], [instance.initialise(), instance.step(0)])
         instance.free()
     after = Instance(fmu, "after")
     _same(fmu, "before and after wrong calls in other instances", expected[:2], [after.initialise(), after.step(0)])

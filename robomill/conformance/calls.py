@@ -18,7 +18,11 @@ _SUFFIXES = {"posix": (".so", ".dylib"), "nt": (".dll",)}
 
 
 class CallFailed(Exception):  # noqa: N818  # its text says what failed
-    """An FMI call that did not return OK or warning."""
+    """An FMI call that did not return OK or warning; after a `fatal` one the instance takes no further call."""
+
+    def __init__(self, text: str, fatal: bool = False) -> None:
+        super().__init__(text)
+        self.fatal = fatal
 
 
 class Type(NamedTuple):
@@ -60,6 +64,8 @@ class Calls(ABC):
     def __init__(self, folder: Path, description: Any, log: list[str]) -> None:
         """Load the library of the FMU unpacked in `folder`; its messages go to `log`. `CallFailed` if it cannot be loaded."""
         self.folder, self.description, self._log = folder, description, log
+        self.remark = ""
+        """What is allowed in the calls made so far, but worth knowing."""
         place = folder / "binaries" / self.platform
         names = [description.coSimulation.modelIdentifier + suffix for suffix in _SUFFIXES[os.name]]
         found = [place / name for name in names if (place / name).is_file()]

@@ -80,7 +80,7 @@ class Fmi3(Calls):
         call("fmi3EnterInitializationMode", False, 0.0, start, False, 0.0)
 
     def step(self, call: Call, t: float, h: float) -> None:
-        """From `t` to `t + h` [s]. `CallFailed`, too, if the FMU did not go all the way or wants to end here."""
+        """From `t` to `t + h` [s]. `CallFailed`, too, if the FMU returns early, wants to end here or wants event mode."""
         events, ends, early = (_FLAG * 1)(), (_FLAG * 1)(), (_FLAG * 1)()
         reached = (NUMBER * 1)()
         call("fmi3DoStep", t, h, True, events, ends, early, reached)
@@ -88,8 +88,10 @@ class Fmi3(Calls):
             raise CallFailed(f"fmi3DoStep asks for the end of the simulation at t = {t:.9g} s (terminateSimulation)")
         if early[0]:
             raise CallFailed(f"fmi3DoStep returned early from t = {t:.9g} s, though it was told not to (earlyReturnAllowed = false)")
-        if not abs(reached[0] - (t + h)) <= _TIME_ERROR * h:
-            raise CallFailed(f"fmi3DoStep from t = {t:.9g} s of {h:.9g} s gives {reached[0]:.9g} s as lastSuccessfulTime")
+        if events[0]:
+            raise CallFailed(f"fmi3DoStep from t = {t:.9g} s wants event mode, which it was told not to (eventModeUsed = false)")
+        if not self.remark and not abs(reached[0] - (t + h)) <= _TIME_ERROR * h:
+            self.remark = f"fmi3DoStep from t = {t:.9g} s of {h:.9g} s gives {reached[0]:.9g} s as lastSuccessfulTime"
 
     def room(self, values: int) -> tuple[int, ...]:
         """The number of values: arrays have more than references."""

@@ -99,9 +99,9 @@ class Fmu:
         """Outputs of the first run, which the other checks compare with."""
 
     def _variables(self, causality: str) -> Iterator[Variable]:
-        """Those that can be set and read outside of event mode."""
+        """Those that can be set and read outside of event mode; arrays of texts, whose starts FMPy does not read, are left out."""
         for v in self.md.modelVariables:
-            if v.causality == causality and v.type in self.calls.types and not v.clocks:
+            if v.causality == causality and v.type in self.calls.types and not v.clocks and not (v.type == "String" and v.dimensions):
                 yield Variable(v, self.calls.types[v.type])
 
     def _excitation(self) -> list[list[float]]:
@@ -163,7 +163,7 @@ class Instance:
         status = self._calls.function(function)(self.address, *arguments)
         if status not in (0, 1):
             label = _LABELS[status] if 0 <= status < len(_LABELS) else str(status)
-            raise CallFailed(f"{function} returned {label}: {self.logged()}")
+            raise CallFailed(f"{function} returned {label}: {self.logged()}", fatal=label == "fatal")
 
     def set(self, elements: Sequence[Element], values: Sequence[Any]) -> None:
         """Set elements, one call per type."""

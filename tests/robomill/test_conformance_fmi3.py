@@ -32,7 +32,7 @@ static double shared[6], spoilt;
 static int runs;
 static void start(Model *m) {
     memset(&m->v, 0, sizeof m->v);
-    m->v.limit = 1e9, m->v.y[0] = spoilt;
+    m->v.limit = 1e9, m->v.y[0] = m->env != NULL;
     for (int i = 0; i < 6; i++) m->v.u[i] = 0.5, m->v.gain[i] = i + 1;
     m->v.i32[0] = 1, m->v.i32[1] = 2, m->v.flag[0] = m->v.flag[2] = true;
 }
@@ -45,7 +45,7 @@ SOURCE = changed(
     ("enum { NEW, INIT, STEP };\n", "enum { NEW, INIT, STEP };\n" + STARTS),
     (
         "m->env = env, m->log = log, m->v.limit = 1e9;\n    for (int i = 0; i < 6; i++) m->v.gain[i] = 1;",
-        "m->env = env, m->log = log; start(m);",
+        "m->env = env, m->log = log; start(m); m->v.y[0] = spoilt;",
     ),
     ("GIVE(101, m->v.y, 6,)", f"GIVE(101, m->v.y, 6,) {LAST} GIVE(1, m->v.u, 6,) GIVE(2, m->v.gain, 6,)"),
     ("GIVE(109, m->v.i32, 2, + 1)", "GIVE(109, m->v.i32, 2, + 1) GIVE(9, m->v.i32, 2,)"),
@@ -57,7 +57,7 @@ HAS = {
 }
 SOURCE += RESET + "".join(f"int {name}(void) {{ return 3; }}\n" for name in Fmi3.functions if name not in {*HAS, "fmi3Reset"})
 DESCRIPTION = changed(
-    c_fmu3.PLAIN,
+    c_fmu3.DESCRIPTION,
     (
         '  <Binary name="blob" valueReference="15" causality="input"/>\n',
         '  <Float64 name="last" valueReference="102" causality="output"/>\n',
@@ -69,7 +69,7 @@ DESCRIPTION = changed(
     ),
     (
         " </ModelStructure>",
-        "".join(f'<InitialUnknown valueReference="{n}"/>' for n in (101, 102, 109, 111, 113)) + " </ModelStructure>",
+        "".join(f'<InitialUnknown valueReference="{n}"/>' for n in (101, 102, *range(104, 114))) + " </ModelStructure>",
     ),
 )
 
@@ -86,7 +86,7 @@ def test_an_fmu_of_another_tool_is_judged_by_what_it_declares(tmp_path: Path) ->
     findings = {name: r.detail for name, r in results.items() if r.outcome == "finding"}
     assert (
         findings.pop("units and descriptions")
-        == "no description for y, gain, limit, in_Int32, ... (11 in all); no unit for gain, limit, last"
+        == "no description for y, gain, limit, in_Int32, ... (25 in all); no unit for gain, limit, last, in_Float32, ... (5 in all)"
     )
     assert findings == {
         "contents": "without documentation, icon, licence",
@@ -114,9 +114,9 @@ BROKEN = {
         *(RETURN, f"*early = true;\n{RETURN}"),
         *("runs in a fresh process", "fmi3DoStep returned early from t = 0 s, though it was told not to (earlyReturnAllowed = false)"),
     ),
-    "it stops half way": (
-        *(STEP, f"{STEP}    *last = t + h / 2;\n"),
-        *("runs in a fresh process", "fmi3DoStep from t = 0 s of 0.004 s gives 0.002 s as lastSuccessfulTime"),
+    "it wants event mode": (
+        *(RETURN, f"*event = true;\n{RETURN}"),
+        *("runs in a fresh process", "fmi3DoStep from t = 0 s wants event mode, which it was told not to (eventModeUsed = false)"),
     ),
     "an output is not finite": (
         *(STEP, f"{STEP}    if (t > 0.03) m->v.y[3] = 1e300 * 1e300;\n"),
@@ -160,6 +160,10 @@ BROKEN = {
         *('return say(m, fmi3Error, "no such " #NAME " to get")', 'spoilt = 1; return say(m, fmi3Error, "no such " #NAME " to get")'),
         *("wrong calls", "before and after wrong calls in other instances: y[1,1] differs first at step 0: 0.0 and 1.0"),
     ),
+    "an error that a reset does not mend": (
+        *('return say(m, fmi3Error, "no such " #NAME " to get")', 'm->env = m; return say(m, fmi3Error, "no such " #NAME " to get")'),
+        *("wrong calls", "that does not exist, an error and a reset: y[1,1] differs first at step 0: 0.0 and 1.0"),
+    ),
     "an error without a text": (
         *("    if (m->v.u[0] > 1000)", "    if (m->v.u[0] != m->v.u[0]) return fmi3Error;\n    if (m->v.u[0] > 1000)"),
         *("input that is NaN", "an error, but no text: fmi3DoStep returned error: (nothing logged)"),
@@ -195,6 +199,17 @@ def test_a_fault_does_not_hide_how_the_fmu_behaves(tmp_path: Path) -> None:
     assert list(results)[4:] == list(CHECKS)
 
 
+def test_a_step_that_ends_elsewhere_is_worth_knowing(tmp_path: Path) -> None:
+    result = outcomes(tmp_path, (STEP, f"{STEP}    *last = t + h / 2;\n"))["runs in a fresh process"]
+    assert result.outcome == "finding"
+    assert result.detail == "fmi3DoStep from t = 0 s of 0.004 s gives 0.002 s as lastSuccessfulTime"
+
+
+def test_an_array_with_too_few_starts(tmp_path: Path) -> None:
+    last = list(outcomes(tmp_path, description=changed(DESCRIPTION, ('start="1 2 3 4 5 6"', 'start="1 2"'))).values())[-1]
+    assert last == Result("unpacking", "failed", "array gain has 6 elements and 2 start values")
+
+
 def test_an_output_that_follows_an_array_it_does_not_declare(tmp_path: Path) -> None:
     description = changed(
         DESCRIPTION, ('<Output valueReference="109" dependencies="9"/>', '<Output valueReference="109" dependencies="1"/>')
@@ -207,9 +222,10 @@ def test_an_output_that_follows_an_array_it_does_not_declare(tmp_path: Path) -> 
 def test_reference_results_name_elements(tmp_path: Path) -> None:
     file = c_fmu3.build(tmp_path, DESCRIPTION, SOURCE)
     inputs = {**{f"u[{i},{j}]": 1.0 for i in (1, 2) for j in (1, 2, 3)}, "in_Int32[1]": 1, "in_Int32[2]": 2, "in_Int64": 0}
-    inputs |= {f"in_Boolean[{i}]": 1 for i in (1, 2, 3)}
+    inputs |= {f"in_Boolean[{i}]": 1 for i in (1, 2, 3)} | {f"in_{kind}": 2 for kind in c_fmu3.NARROW}
     outputs = {f"y[{i},{j}]": 0.004 * (3 * i + j - 3) for i in (1, 2) for j in (1, 2, 3)} | {"last": 0.024}
     outputs |= {"out_Int32[1]": 2, "out_Int32[2]": 3, "out_Int64": 1} | {f"out_Boolean[{i}]": 0 for i in (1, 2, 3)}
+    outputs |= {f"out_{kind}": 4 if kind == "Float32" else 3 for kind in c_fmu3.NARROW}
     start = {name: 0.0 if name[0] in "yl" else x for name, x in outputs.items()}
 
     def table(*rows: dict[str, float]) -> str:
