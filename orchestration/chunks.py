@@ -18,6 +18,7 @@ import numpy.typing as npt
 from orchestration import compiled
 from orchestration.acceleration import Iteration, Work
 from orchestration.callbacks import face_of, rollback_of
+from orchestration.disk import zeros_on_lines
 from orchestration.iteration import unconverged, unsaved
 from orchestration.native import Block, native_of
 from orchestration.rate import MultiRate
@@ -81,7 +82,7 @@ class CompiledLoop:
         # A full chunk is all of a set, which the recorder writes as it stands.
         length = 8 * (-(-capacity // 8) | 1)
         self.capacity, self._steps = length if observed else capacity, _FIRST_CHUNK
-        self._columns = [np.zeros((1 + wiring.n_outputs if observed else 0, length)) for _ in range(2)]
+        self._columns = [zeros_on_lines(1 + wiring.n_outputs if observed else 0, length) for _ in range(2)]
         self._report, self._ticks = np.zeros(3, np.int64), np.zeros(3, np.int64)
         phases: list[list[_Call]] = [[], [], []]
         for c, native in enumerate(self._natives):

@@ -128,7 +128,7 @@ def _unload(ops: Any, o: int, bus: Any, places: Any) -> None:
             bus[places[first + i]] = load_i64(buffer + 8 * i)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(**OPTIONS)
 def _small_steps(ops: Any, o: int, clocks: Any) -> int:
     """The steps of a component at another rate; returns the status of the last one made."""
     c = ops[o, COMPONENT]
@@ -140,25 +140,34 @@ def _small_steps(ops: Any, o: int, clocks: Any) -> int:
     return status
 
 
+@njit(**OPTIONS)
+def _converted(ops: Any, o: int, bus: Any, n_outputs: int, places: Any) -> int:
+    """A set or get by way of a buffer; returns its status. Not inlined: the quicker operations are, and need the registers."""
+    what, function, status = ops[o, OPERATION], ops[o, FUNCTION], 0
+    if what < GET:
+        _load(ops, o, bus, places, n_outputs)
+    if function != 0:
+        status = _call_values(function, ops[o, INSTANCE], ops[o, REFERENCES], ops[o, N], ops[o, BUFFER])
+    if what >= GET and 0 <= status <= ops[o, LIMIT]:
+        _unload(ops, o, bus, places)
+    return status
+
+
 @njit(inline="always", **OPTIONS)
 def operate(ops: Any, o: int, rates: bool, clocks: Any, bus: Any, n_outputs: int, places: Any, t: float, h: float) -> int:
     """One operation in the step of the system from `t` to `t + h` [s]; returns its status."""
-    what, function, status = ops[o, OPERATION], ops[o, FUNCTION], 0
+    what, status = ops[o, OPERATION], 0
     if rates and clocks[ops[o, COMPONENT], COUNT] != clocks[ops[o, COMPONENT], EVERY] - 1:
         return 0
-    if what == STEP:
-        if rates:
-            status = _small_steps(ops, o, clocks)
-        else:
-            status = _call_step(function, ops[o, INSTANCE], t, h)
+    if what == CALL:
+        status = _call_values(ops[o, FUNCTION], ops[o, INSTANCE], ops[o, REFERENCES], ops[o, N], ops[o, BUFFER])
+    elif what != STEP:
+        status = _converted(ops, o, bus, n_outputs, places)
+    elif rates:
+        status = _small_steps(ops, o, clocks)
     else:
-        if SET <= what < GET:
-            _load(ops, o, bus, places, n_outputs)
-        if function != 0:
-            status = _call_values(function, ops[o, INSTANCE], ops[o, REFERENCES], ops[o, N], ops[o, BUFFER])
-        if what >= GET and 0 <= status <= ops[o, LIMIT]:
-            _unload(ops, o, bus, places)
-    return status
+        status = _call_step(ops[o, FUNCTION], ops[o, INSTANCE], t, h)
+    return int(status)
 
 
 @njit(inline="always", **OPTIONS)

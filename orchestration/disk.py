@@ -1,4 +1,4 @@
-"""Disk space ahead of a file that grows."""
+"""What makes writing to a file that grows quick: disk space ahead of it, and numbers that stand in memory as they will in the file."""
 
 from __future__ import annotations
 
@@ -6,6 +6,12 @@ import ctypes
 import sys
 from typing import Any
 
+import numpy as np
+
+from orchestration.slave import FloatArray
+
+LINE = 64
+"""Bytes of a line of the cache: where numbers begin in one, in memory and in the file, the kernel copies them at its best."""
 _KEEP_SIZE = 1
 """FALLOC_FL_KEEP_SIZE of linux/falloc.h: the file does not get longer, so readers see nothing of it."""
 _LIBRARY: Any = ctypes.CDLL(None) if sys.platform == "linux" else None
@@ -19,3 +25,10 @@ def reserve(descriptor: int, start: int, length: int) -> None:
     """
     if _LIBRARY is not None:
         _LIBRARY.fallocate(descriptor, _KEEP_SIZE, ctypes.c_long(start), ctypes.c_long(length))
+
+
+def zeros_on_lines(n: int, length: int) -> FloatArray:
+    """Zeros, float64[n, length], that begin with a line of the cache."""
+    numbers = np.zeros(n * length + LINE // 8)
+    first = -numbers.ctypes.data % LINE // 8
+    return numbers[first : first + n * length].reshape(n, length)

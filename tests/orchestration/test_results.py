@@ -13,6 +13,7 @@ import pyarrow.parquet
 import pytest
 
 from orchestration.assembly import run
+from orchestration.disk import LINE, zeros_on_lines
 from orchestration.errors import ResultsError
 from orchestration.recorder import Recorder, frame_of
 from orchestration.results import Run, finalise
@@ -63,6 +64,21 @@ class TestManyRows:
         recorder.end("finished", "")
         for run_ in (live, Run.load(tmp_path)):
             assert np.array_equal([run_.t, run_["c.y"], run_["c.z"]], rows[:, ::every])
+
+    def test_arrays_written_as_they_stand_begin_with_a_line_of_the_cache(self, tmp_path):
+        """Wherever the messages before them end, and in memory as in the file; foreign readers do not mind the longer heads."""
+        slave = Mock("c", [PortData(name, "output") for name in ("y", "z")], lambda _, t: [t, t])
+        recorder = Recorder(tmp_path, chunk=5)
+        recorder.begin(wire(system([slave]), {"c": slave.ports}), 0.004)
+        columns = zeros_on_lines(3, 24)
+        for count in (24, 7, 24):
+            recorder.observe_columns(columns, count)
+        recorder.flush()
+        with pyarrow.memory_map(str(tmp_path / "signals.arrow")) as file:
+            batches = [b for b in pyarrow.ipc.open_stream(file) if len(b) == 24]
+            addresses = [batch.column(0).buffers()[1].address for batch in batches] + [columns.ctypes.data]
+        recorder.end("finished", "")
+        assert [address % LINE for address in addresses] == [0, 0, 0]
 
 
 class TestReading:
@@ -215,6 +231,7 @@ import os, signal, sys
 from pathlib import Path
 from tests.orchestration.mocks import source, resolver, system
 from orchestration.assembly import run
+from orchestration.disk import LINE, zeros_on_lines
 from orchestration.system import Recording
 from orchestration.wiring import wire
 
