@@ -32,6 +32,8 @@ ROWS = 1500
 """Samples that a diagnosis works on, over all conditions: longer logs are averaged in blocks."""
 CLOSING = 4
 """Simulations with different noise that the closure is measured with."""
+ELSE = 0.03
+"""Probability that an answer is of no model that was looked at: part of the clear answers that are wrong."""
 IDENTIFIED = 0.8
 """Probability from which one answer is given."""
 UNEXPLAINED = 0.35
@@ -41,7 +43,10 @@ LIKE_NOISE = 1.15
 UNKNOWN = 1.4
 """Energy, over that of noise, from which there is a gap even if no candidate explains any of it."""
 TRANSFER = 0.4
-"""Part of its gain in evidence that a model must keep in parts of the time that it is not fitted to."""
+"""Part of its gain in evidence that a model must keep in parts of the time that it is not fitted to, where more than noise is left; and
+as much more as the share that it leaves."""
+WEAK, TRANSFER_OF_WEAK = 100.0, 0.5
+"""The same for gains in evidence [nats] of no more than this, whatever is left."""
 SAID = {
     "lag": "the clock of the {place} is late by {value:.1f} {unit}",
     "smooth": "the {place} was filtered before it was logged, with a time constant of {value:.1f} {unit}",
@@ -118,8 +123,9 @@ def diagnose(
     decimation = max(1, math.ceil(sum(len(c.grid) for c in conditions[:n]) / ROWS))
     nuisances = _nuisances(system, conditions, resolver, convert, catalogue)
     nominal = {u.address: u.nominal for u in nuisances if u.nominal}
+    seeds = [a for a in catalogue.seeds if any(c.name == a[0] for c in system.components)]
     laboratory = Laboratory(
-        system, conditions, channels, resolver, convert, catalogue.quiet or {}, nominal, decimation, catalogue.seeds, catalogue.refinement
+        system, conditions, channels, resolver, convert, catalogue.quiet or {}, nominal, decimation, seeds, catalogue.refinement
     )
     groups = [[decimate(c.matrix(r, channels), decimation) for r in c.runs] for c in conditions]
     with Simulator(laboratory, workers, report, store) as simulator:
@@ -131,8 +137,10 @@ def diagnose(
             fits = search.run()
             if fatal:  # is it the machine, after all?
                 best = fits[int(probabilities(fits, search.candidates).argmax())]
-                findings = _gate(laboratory, simulator, groups, n, channels, ranges, setting(best.values))
-                fatal = [f for f in findings if f.fatal]
+                like_noise = best.energy < UNKNOWN * float(search.evidence.expected.sum())
+                if like_noise and not any(c.component == LOGGING for c in best.model):
+                    findings = _gate(laboratory, simulator, groups, n, channels, ranges, setting(best.values))
+                    fatal = [f for f in findings if f.fatal]
         if fatal:
             result = _result("bad_log", findings, began, simulator.count)
             curves = _curves(laboratory, groups, simulator.repeated(range(n), (), NOMINAL))
@@ -245,7 +253,7 @@ class _Conclusion:
         total: dict[Candidate, float] = {}
         for f, p in zip(self.fits, self.weights, strict=True):
             for c in f.model:
-                total[c] = total.get(c, 0.0) + float(p)
+                total[c] = total.get(c, 0.0) + (1.0 - ELSE) * float(p)
         return dict(sorted(total.items(), key=lambda item: -item[1]))
 
     def diagnosis(self) -> Diagnosis:
@@ -259,9 +267,12 @@ class _Conclusion:
         share = max(self.best.energy - usual, 0.0) / max(self.fits[0].energy - usual, 1e-9 * usual)
         marginal = self.marginal()
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] > 0.5]
+        kept = search.kept(self.best) if self.best.model else 0.0
+        other = self.best.energy > usual and (share > UNEXPLAINED or kept < TRANSFER + share)
+        passing = self.best.log_evidence < WEAK and kept < TRANSFER_OF_WEAK
         if not self.best.model or self.best.log_evidence < CLEAR:
             verdict = "unknown" if self.fits[0].energy > UNKNOWN * expected else "none"
-        elif self.best.energy > usual and (share > UNEXPLAINED or search.kept(self.best) < TRANSFER):
+        elif other or passing:
             verdict = "unknown"
         elif clocks and not self.repair:
             verdict = "bad_log"
@@ -292,7 +303,7 @@ class _Conclusion:
         if verdict == "none":
             result["smallest_visible"] = self.smallest()
             result["which"] = self.which(marginal)
-            result["probability_none"] = float(self.weights[0])
+            result["probability_none"] = (1.0 - ELSE) * float(self.weights[0])
         else:
             result["which"] = self.which(marginal)
             found = located(self.laboratory, self.n, self.search.catalogue, self.search.nuisances, self.figures(), self.menu.projections)

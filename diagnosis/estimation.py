@@ -34,6 +34,9 @@ PRIOR_OF_SIZE = {0: 0.3, 1: 0.4, 2: 0.2, 3: 0.1}
 ALIKE = 0.97
 """Correlation from which a nuisance is taken as the same thing as a parameter that is fitted."""
 
+UNDETERMINED = 0.3
+"""Standard deviation, over the value, from which data do not say how large an effect is."""
+
 
 @dataclass
 class Fit:
@@ -246,27 +249,43 @@ def probabilities(fits: Sequence[Fit], candidates: Sequence[Candidate]) -> Float
     return np.asarray(np.exp(scores - logsumexp(scores)))
 
 
-def leave_one_out(fit: Fit, space: Space) -> dict[str, float]:
-    """Gain in log score on each condition when the model is fitted to all the others (linear about the best values)."""
+@dataclass(frozen=True)
+class LeftOut:
+    """One part of the data, and what the others say about it."""
+
+    predicted: float
+    """Gain in log score there when the model is fitted to all the others (linear about the best values)."""
+    fitted: float
+    """The same at the best values."""
+    determined: bool
+    """Whether the others say how large the effects are: not if an effect shows in this part only."""
+
+
+def leave_one_out(fit: Fit, space: Space) -> dict[str, LeftOut]:
+    """Each part (block of the space), left out of the fit; empty where there is one part only."""
     assert fit.signature is not None
     assert fit.columns is not None
     scales, low, high = scaled_bounds(fit.model)
-    best = np.array([fit.values[a] for c in fit.model for a in c.addresses]) / scales
+    addresses = [a for c in fit.model for a in c.addresses]
+    best = np.array([fit.values[a] for a in addresses]) / scales
+    own = space.without(addresses)
     gains = {}
     for name in space.blocks:
         others = [b for b in space.blocks if b != name]
         if not others:
             return {}
         rest, here = space.rows(others), space.rows([name])
-        own = space.without([a for c in fit.model for a in c.addresses])
         inner = own.only(others)
         target = inner.y - fit.signature[rest] + fit.columns[rest] @ best
         columns = fit.columns[rest]
-        x = np.array(
-            list(solve(fit.model, inner.dot(columns, columns), inner.dot(columns, target), 0.0, 0.0, scales, low, high).values.values())
-        )
-        x = x / scales
+        refit = solve(fit.model, inner.dot(columns, columns), inner.dot(columns, target), 0.0, 0.0, scales, low, high)
+        x = np.array([refit.values[a] for a in addresses]) / scales
         there, plain = own.only([name]), space.only([name])
-        left = there.y - fit.signature[here] - fit.columns[here] @ (x - best)
-        gains[name] = float(0.5 * (plain.energy - there.dot(left, left)))
+        left = there.y - fit.signature[here]
+        moved = left - fit.columns[here] @ (x - best)
+        gains[name] = LeftOut(
+            float(0.5 * (plain.energy - there.dot(moved, moved))),
+            float(0.5 * (plain.energy - there.dot(left, left))),
+            all(refit.deviations[a] < UNDETERMINED * abs(fit.values[a]) for a in addresses),
+        )
     return gains

@@ -33,12 +33,14 @@ NOMINAL = 8
 """Simulations of the nominal system with different noise, of each condition."""
 POLISH, POLISHED = 6, 8
 """Simulations with different noise at the best values of a model, and how many models of each size get them."""
-ENOUGH = 1.2
-"""Energy, over that of noise, below which no further effect is looked for."""
-SUBSTANTIAL = 0.25
+PROMISING = 12.0
+"""Gain in evidence [nats] that columns must promise for a further effect to be looked at."""
+SUBSTANTIAL = 0.05
 """Part of what is left beyond noise that another effect must explain."""
 PARTS = 6
 """Parts of each condition for the test whether an effect is the same all along."""
+TOLD = 0.1
+"""Part of the gain that must be where the other parts say how large an effect is, for that to be a test."""
 WORTH = 0.2
 """Part of the best candidate's gain (as columns have it) from which a candidate is looked at on real simulations."""
 FAR = 50.0
@@ -356,15 +358,15 @@ class Search:
         for size in (2, 3):
             bases = sorted(level, key=lambda f: -f.log_evidence)[: BASES if size == 2 else 1]
             best = max(f.log_evidence for f in fits)
-            if not bases or self.adequate(max(bases, key=lambda f: f.log_evidence)):
-                break
             grown = sorted(self.screen(bases), key=lambda f: -f.log_evidence)
-            promising = [f for f in grown if f.log_evidence > best + 3.0][: EXTENSIONS * (BASES if size == 2 else 1)]
+            promising = [f for f in grown if f.log_evidence > best + PROMISING][: EXTENSIONS * (BASES if size == 2 else 1)]
+            if not promising:
+                break
             level = [f for f in self.polish(self.refine(promising)) if self._worth(f, fits)]
             fits += level
         fits = [f for f in fits if f.large_enough()]
         for f in sorted(fits[1:], key=lambda f: -f.log_evidence)[:3]:
-            f.predictive = leave_one_out(f, space)
+            f.predictive = {name: part.predicted for name, part in leave_one_out(f, space).items()}
         return fits
 
     def _worth(self, fit: Fit, fits: Sequence[Fit]) -> bool:
@@ -376,19 +378,21 @@ class Search:
         fewer = [f for f in fits if set(f.model) < set(fit.model)]
         return fit.energy - noise < (1.0 - SUBSTANTIAL) * (min(f.energy for f in fewer) - noise)
 
-    def adequate(self, fit: Fit) -> bool:
-        """Whether what remains is like noise."""
-        return fit.energy < ENOUGH * float(self.evidence.expected.sum())
-
     def kept(self, fit: Fit) -> float:
-        """Part of the gain in evidence that stays when parts of the time are predicted from the others: an effect is the same all along."""
+        """Part of the gain in evidence that stays when parts of the time are predicted from the others: an effect is the same all along.
+
+        1 where that cannot be told, because the effect shows in one part only.
+        """
         space, channels = self.evidence.space, int(self.active.sum())
         parts: dict[str, slice] = {}
         for name, block in space.blocks.items():
             rows = (block.stop - block.start) // channels
             edges = block.start + channels * np.linspace(0, rows, PARTS + 1).astype(int)
             parts |= {f"{name}, part {i + 1}": slice(int(a), int(b)) for i, (a, b) in enumerate(itertools.pairwise(edges))}
-        return sum(leave_one_out(fit, space.divided(parts)).values()) / max(fit.log_evidence, 1e-9)
+        every = leave_one_out(fit, space.divided(parts)).values()
+        told = [part for part in every if part.determined]
+        gain = sum(p.fitted for p in told)
+        return sum(p.predicted for p in told) / gain if gain > TOLD * sum(p.fitted for p in every) else 1.0
 
     def gap(self, fit: Fit, *, calibrated: bool = True) -> tuple[float, float]:
         """G: mean over pairs of repeats of r_a' W r_b with the model taken out, and its deviation by noise.

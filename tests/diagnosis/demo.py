@@ -74,6 +74,21 @@ relative = 0.01
 source = "made up"
 """
 
+RANGE = """
+[[effect]]
+name = "range"
+component = "sensors"
+description = "part of the measuring range is lost"
+source = "made up"
+unit = "1"
+minimum = 0.02
+maximum = 0.99
+sign = "positive"
+prior = {kind = "log-normal", scale = 0.5, spread = 0.5}
+locations = [{name = "sensors", parameters = ["range_lost"]}]
+"""
+"""One more effect: at the size that is usual it does nothing yet."""
+
 
 def real(name: str, causality: str, unit: str, start: float = 0.0, **more: Any) -> PortData:
     return PortData(name, causality, unit=unit, start=start, **more)
@@ -168,12 +183,14 @@ class Sensors(Part):
     def __init__(self, name: str) -> None:
         gains = [real(f"gain_error[{i}]", "parameter", "1") for i in (1, 2)]
         y = [real(f"y[{i}]", "output", "m", dependencies=(f"x[{i}]",), minimum=-5.0, maximum=5.0) for i in (1, 2)]
-        scale = real("scale_error", "parameter", "1")
-        super().__init__(name, [*(real(f"x[{i}]", "input", "m") for i in (1, 2)), *gains, scale, *y])
+        more = [real("scale_error", "parameter", "1"), real("range_lost", "parameter", "1")]
+        super().__init__(name, [*(real(f"x[{i}]", "input", "m") for i in (1, 2)), *gains, *more, *y])
 
     def advance(self, t: float, h: float) -> None:
+        end = 0.5 * (1.0 - self.p["range_lost"])
         for i in (0, 1):
-            self.y[i] = self.u[i] * (1.0 + self.p[f"gain_error[{i + 1}]"]) * (1.0 + self.p["scale_error"])
+            shown = self.u[i] * (1.0 + self.p[f"gain_error[{i + 1}]"]) * (1.0 + self.p["scale_error"])
+            self.y[i] = min(max(shown, -end), end)
 
 
 PARTS = {"force": Force, "weight": Weight, "masses": Masses, "sensors": Sensors}
@@ -196,8 +213,8 @@ def resolve(source: str, name: str) -> Any:
     return PARTS[source](name)
 
 
-def catalogue(folder: Path) -> Catalogue:
-    (folder / "catalogue.toml").write_text(CATALOGUE)
+def catalogue(folder: Path, more: str = "") -> Catalogue:
+    (folder / "catalogue.toml").write_text(CATALOGUE + more)
     return Catalogue.load(folder / "catalogue.toml")
 
 

@@ -14,7 +14,7 @@ from diagnosis import gate
 from diagnosis.engine import Diagnosis, diagnose
 from diagnosis.measured import DataError, sort_by_condition
 from orchestration.results import Run
-from tests.diagnosis.demo import SYSTEM, catalogue, changed, measure, resolve
+from tests.diagnosis.demo import RANGE, SYSTEM, catalogue, changed, measure, resolve
 
 STIFF = {"masses": {"stiffness_error[2]": -0.08}}
 
@@ -162,6 +162,7 @@ class TestGate:
             ("sign", lambda t, y: -y),
             ("constant", lambda t, y: np.full_like(y, 0.01)),
             ("constant", lambda t, y: np.where((t > 4.0) & (t < 6.0), y[400], y)),
+            ("constant", lambda t, y: np.where(t > t[y[:400].argmax()], y[:400].max(), y)),  # at an extreme, but the simulation moves on
             ("missing", lambda t, y: np.where((t > 4.0) & (t < 5.0), np.nan, y)),
             ("range", lambda t, y: np.where(t > 7.9, 9.0, y)),
             ("spikes", lambda t, y: y + 1.0 * (np.arange(len(t)) % 150 == int(1e6 * abs(y[-1])) % 150)),  # elsewhere in each repeat
@@ -172,6 +173,17 @@ class TestGate:
         assert result["verdict"] == "bad_log"
         assert not result["gate"]["usable"]
         assert (kind, "sensors.y[2]") in {(f["kind"], f["channel"]) for f in result["gate"]["findings"]}
+
+    @pytest.mark.parametrize("lost", [0.8, 0.98])
+    def test_a_range_that_is_too_small_is_an_effect_and_no_standstill(self, tmp_path: Path, lost: float) -> None:
+        def clipped(_: Any, y: Any) -> Any:
+            return np.clip(y, -0.5 * (1.0 - lost), 0.5 * (1.0 - lost))
+
+        runs = changed(changed(measure(), "sensors.y[1]", clipped), "sensors.y[2]", clipped)
+        result = diagnose(SYSTEM, runs, catalogue(tmp_path, RANGE), resolver=resolve).result
+        assert result["gate"]["findings"] == []
+        assert (result["verdict"], result["which"][0]["effect"]) == ("identified", "range")
+        assert result["which"][0]["parameters"]["range_lost"]["value"] == pytest.approx(lost, abs=0.002)
 
     def test_what_jumps_at_the_same_time_in_every_repeat_is_the_machine(self) -> None:
         def jerk(t: Any, y: Any) -> Any:
