@@ -40,7 +40,7 @@ class Chunk:
     made: int
     """Steps."""
     columns: FloatArray
-    """t [s] and all outputs after each of them, float64[1 + n_outputs, capacity]; stays as it is until the next chunk but one."""
+    """t [s] and all outputs after each of them, float64[1 + n_outputs, capacity], until the next chunk."""
     failed: tuple[str, Exception] | None = None
     """Component and its error, in the step after those made."""
     in_range: bool = True
@@ -77,12 +77,12 @@ class CompiledLoop:
         self._slaves, self._wiring, self._bus, self._bounds = slaves, wiring, bus, bounds
         self._natives = [face_of(slave) for slave in slaves.values()]
         capacity = capacity or (min(max(_ROW_BYTES // (8 + 8 * wiring.n_outputs), 16), _MOST_STEPS) if observed else _MOST_STEPS)
-        # One column per signal, as they are written. Two sets: a recorder may still write one while the other is filled.
+        # One column per signal, as they are written.
         # An odd number of cache lines each keeps the columns from falling on the same places of the cache.
-        # A full chunk is all of a set, which the recorder writes as it stands.
+        # A full chunk is all of the array, which the recorder writes as it stands.
         length = 8 * (-(-capacity // 8) | 1)
         self.capacity, self._steps = length if observed else capacity, _FIRST_CHUNK
-        self._columns = [zeros_on_lines(1 + wiring.n_outputs if observed else 0, length) for _ in range(2)]
+        self._columns = zeros_on_lines(1 + wiring.n_outputs if observed else 0, length)
         self._report, self._ticks = np.zeros(3, np.int64), np.zeros(3, np.int64)
         phases: list[list[_Call]] = [[], [], []]
         for c, native in enumerate(self._natives):
@@ -117,10 +117,8 @@ class CompiledLoop:
         self._clocks[:, compiled.EACH] = step * self._clocks[:, compiled.EVERY] // self._clocks[:, compiled.RATE]
         for c, slave in self._rated:
             self._clocks[c, [compiled.COUNT, compiled.BEGAN]] = slave.count, round(slave.began * TICK)
-        self._columns.reverse()
-        columns = self._columns[0]
         most, rates = int(min(steps, self._steps)), bool(self._rated)
-        tables = self._operations, self._clocks, self._places, self._bus, *self._bounds, columns, self._report
+        tables = self._operations, self._clocks, self._places, self._bus, *self._bounds, self._columns, self._report
         if self._loops is None:
             made = compiled.advance(most, self._ticks, rates, self._wiring.any_delayed, watched, *tables)
         else:
@@ -137,7 +135,7 @@ class CompiledLoop:
             failed = names[call.component], self._natives[call.component].failed(call.phase, call.number, status, t, step / TICK)
         elif self._loops is not None:
             failed = self._loops.failed(outcome, operation, status)
-        return Chunk(made, columns, failed, outcome != compiled.VIOLATED)
+        return Chunk(made, self._columns, failed, outcome != compiled.VIOLATED)
 
     def pace(self, elapsed: float) -> None:
         """Longer or shorter chunks from now on: the last one, with all that belongs to it, took `elapsed` s of wall clock."""

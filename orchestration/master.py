@@ -50,7 +50,7 @@ class Observer(Protocol):
         """All outputs at time `t` [s], in the order of the bus. The array is reused: copy what is kept.
 
         An observer may also have `observe_columns(columns, count)`, called instead for many steps at once: the first `count`
-        rows of float64[1 + n_outputs, capacity], t [s] and all outputs. That array, too, is reused: not before the next call has returned.
+        rows of float64[1 + n_outputs, capacity], t [s] and all outputs. That array, too, is reused.
         """
         ...
 

@@ -11,7 +11,6 @@ import datetime
 import re
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -92,13 +91,11 @@ class Recorder:
             raise
         self._chosen = None if chosen == list(range(wiring.n_outputs)) else np.array(chosen, dtype=np.intp)
         self._taken = np.array([0, *(1 + i for i in chosen)], dtype=np.intp)  # columns of t and all outputs
-        self._wrapped: dict[int, tuple[FloatArray, pa.RecordBatch]] = {}
+        self._wrapped: tuple[FloatArray, pa.RecordBatch] | None = None
         self._buffer = np.empty((self.chunk, 1 + len(chosen)))
         self._heads: dict[int, bytes] = {}  # of the messages that are written without Arrow, by their number of rows
         self._rows = [row[1:] for row in self._buffer]
         self._count = 0
-        self._background = ThreadPoolExecutor(1, "recorder")
-        self._pending: Future[None] | None = None
         self._flushed = time.monotonic()
 
     def _clear(self) -> None:
@@ -139,16 +136,14 @@ class Recorder:
     def observe_columns(self, columns: FloatArray, count: int) -> None:
         """Keep many rows: the first `count` of float64[1 + n_outputs, capacity], t [s] and all outputs.
 
-        As many as make a chunk or more are written at once, while the next steps are made. So the array must stay as it is
-        until the next call has returned; after that it may be filled anew.
+        As many as make a chunk or more are written at once. The array may be filled anew after that.
         """
         kept = range(-self._seen % self.every, count, self.every)
         self._seen += count
-        self._wait()
         if self._count + len(kept) > self.chunk:
             self.flush()
         if len(kept) > self.chunk:
-            self._pending = self._background.submit(self._put_columns, columns, kept)
+            self._put_columns(columns, kept)
             self._flushed = time.monotonic()
         else:
             self._buffer[self._count : self._count + len(kept)] = columns[self._taken, kept.start : kept.stop : kept.step].T
@@ -159,22 +154,9 @@ class Recorder:
     def flush(self) -> None:
         """Write the rows kept so far to disk."""
         if self._count:
-            self._write(self._buffer[: self._count])
-        self._wait()
+            self._put(np.ascontiguousarray(self._buffer[: self._count].T))
         self._count = 0
         self._flushed = time.monotonic()
-
-    def _write(self, rows: FloatArray) -> None:
-        """Begin to write rows, in the background; what went wrong with those before is raised."""
-        columns = np.ascontiguousarray(rows.T)
-        self._wait()
-        self._pending = self._background.submit(self._put, columns)
-
-    def _wait(self) -> None:
-        """Until everything given to the background is on disk."""
-        pending, self._pending = self._pending, None
-        if pending is not None:
-            pending.result()
 
     def _put(self, columns: FloatArray) -> None:
         arrays = [pa.array(_cast(column, kind)) for column, kind in zip(columns, self._kinds, strict=True)]
@@ -215,24 +197,21 @@ class Recorder:
             reserve(self._file.fileno(), start, self._reserved - start)
 
     def _wrap(self, columns: FloatArray) -> pa.RecordBatch:
-        """The array as Arrow sees it, nothing copied. Wrapping takes as long as writing, and the same two arrays come again and again."""
-        if id(columns) not in self._wrapped:
-            if len(self._wrapped) > 1:
-                self._wrapped.clear()
+        """The array as Arrow sees it, nothing copied. Wrapping takes as long as writing, and the same array comes again and again."""
+        if self._wrapped is None or self._wrapped[0] is not columns:
             n = columns.shape[1]
             arrays = [
                 pa.array(columns[i]) if kind == pa.float64() else pa.nulls(n, kind)
                 for i, kind in zip(self._taken, self._kinds, strict=True)
             ]
-            self._wrapped[id(columns)] = columns, pa.RecordBatch.from_arrays(arrays, schema=self._schema)
-        return self._wrapped[id(columns)][1]
+            self._wrapped = columns, pa.RecordBatch.from_arrays(arrays, schema=self._schema)
+        return self._wrapped[1]
 
     def end(self, outcome: str, message: str) -> None:
         """Write what is left, turn the stream into signals.parquet, complete run.toml."""
         try:
             self.flush()
         finally:
-            self._background.shutdown()
             self._writer.close()
             self._stream.close()
             finalise(self.folder)
