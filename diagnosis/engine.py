@@ -17,7 +17,7 @@ from diagnosis.estimation import Fit, probabilities
 from diagnosis.localise import Projection
 from diagnosis.measured import Condition, DataError, in_units, sort_by_condition
 from diagnosis.replay import intervals
-from diagnosis.search import NOMINAL, TRUST, Search, likely_count
+from diagnosis.search import NOMINAL, Search, likely_count
 from diagnosis.simulation import Laboratory, Report, Setting, Simulator, decimate, setting
 from diagnosis.store import Store
 from diagnosis.where import combined, direction_of, located
@@ -60,6 +60,8 @@ FAULTS = {"smooth": "filter", "gain": "unit"}
 """Kinds of findings, where they are called otherwise than what is wrong with the log."""
 CLEAR = 8.0
 """Log of the odds from which an effect is believed to be there at all."""
+WIDER, BIAS = 1.25, 0.04
+"""Factor on the deviation of a fit, and part of the value that the form of an effect may put it off, in intervals."""
 LISTED = 0.01
 """Probability from which a candidate is listed."""
 
@@ -336,7 +338,7 @@ class _Conclusion:
             parameters = {}
             for a, name in zip(c.addresses, c.parameters, strict=True):
                 # a calibrated number's own tolerance, and what the models are not trusted to, come on top of noise
-                half = 1.645 * math.hypot(fit.deviations[a], self.tolerance(a), TRUST * fit.values[a])
+                half = 1.645 * math.hypot(WIDER * fit.deviations[a], self.tolerance(a), BIAS * fit.values[a])
                 parameters[name] = {"value": fit.values[a], "interval": [fit.values[a] - half, fit.values[a] + half], "unit": c.unit}
             listed.append(
                 {

@@ -6,6 +6,7 @@ import hashlib
 import json
 import sys
 from argparse import Namespace
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -114,6 +115,7 @@ def run(options: Namespace) -> int:
     return 1 if found.result["verdict"] == "bad_log" else 0
 
 
+@cache
 def sources() -> str:
     """Hash of all that a simulation is computed with: simulations kept on disk are those of this program."""
     digest = hashlib.sha256()
