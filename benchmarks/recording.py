@@ -1,6 +1,6 @@
 """What recording costs on the ring of generic FMUs, like compared with like.
 
-python -m benchmarks.recording [--rounds 9] [--out docs/benchmarks]
+python -m benchmarks.recording [--rounds 15] [--out docs/benchmarks]
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ import shutil
 import statistics
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks import ring
+from benchmarks.answer import Answer
 from benchmarks.contenders import Ring
 from benchmarks.runners import Program, Runner
 
@@ -33,13 +35,19 @@ def loops(bench: Ring) -> dict[str, Program]:
     return {kind: loop(number) for kind, number in KINDS.items()}
 
 
+def ratio(answers: Sequence[Answer], others: Sequence[Answer]) -> str:
+    """CPU time relative to the others': of the medians, and in brackets of the least."""
+    median, least = (f(a.cpu for a in answers) / f(b.cpu for b in others) for f in (statistics.median, min))
+    return f"{median:.2f} ({least:.2f})"
+
+
 def main() -> None:
     """Measure in turns and write the page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.recording", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--out", type=Path, default=DOCS)
     options = parser.parse_args()
-    found: dict[tuple[str, str], list[float]] = {}
+    found: dict[tuple[str, str], list[Answer]] = {}
     with tempfile.TemporaryDirectory() as name:
         bench = Ring(Path(name) / "ring")
         os.chdir(name)  # the C loop writes there
@@ -51,17 +59,18 @@ def main() -> None:
             found[master, kind] = []
         for _ in range(options.rounds):
             for master, kind, runner in masters:
-                found[master, kind].append(runner.run(STEPS, kind).cpu / STEPS * 1e9)
+                found[master, kind].append(runner.run(STEPS, kind))
         ours.close()
         bench.close()
     lines = [
-        "| | results | ns of CPU per step, least | median | x C loop that does the same | x C loop, rows in memory |",
-        "|---|---|---|---|---|---|",
+        "| | results | CPU per step, median | least .. most | wall clock, median | x C loop doing the same | x C loop, rows in memory |",
+        "|---|---|---|---|---|---|---|",
     ]
-    for (master, kind), times in found.items():
-        least = min(times)
-        same, memory = (min(found["plain C loop", k]) for k in (kind, "memory"))
-        lines.append(f"| {master} | {kind} | {least:.0f} | {statistics.median(times):.0f} | {least / same:.2f} | {least / memory:.2f} |")
+    for (master, kind), answers in found.items():
+        cpu, wall = ([getattr(answer, clock) / STEPS * 1e9 for answer in answers] for clock in ("cpu", "wall"))
+        same, memory = (ratio(answers, found["plain C loop", k]) for k in (kind, "memory"))
+        spread = f"{statistics.median(cpu):.0f} | {min(cpu):.0f} .. {max(cpu):.0f} | {statistics.median(wall):.0f}"
+        lines.append(f"| {master} | {kind} | {spread} | {same} | {memory} |")
     page = PAGE.format(table="\n".join(lines), rounds=options.rounds, steps=STEPS, load=os.getloadavg()[0], date=time.strftime("%Y-%m-%d"))
     (options.out / "recording.md").write_text(page)
     print(page)
@@ -70,16 +79,16 @@ def main() -> None:
 PAGE = """# What recording costs
 
 Written by `python -m benchmarks.recording`. {date}; load of the machine {load:.1f} at the end. The ring of four generic FMUs
-with 12 inputs and 12 outputs each (48 columns and t: 392 bytes per step), {steps} steps per run, {rounds} rounds in turns; CPU
-of all threads.
+with 12 inputs and 12 outputs each (48 columns and t: 392 bytes per step), {steps} steps per run, {rounds} rounds in turns;
+nanoseconds. CPU is that of all threads; ratios are of its medians, in brackets of the least.
 
 {table}
 
 The C loop keeps rows in memory whose pages are there before its clock starts, or writes them as plain numbers in pieces of
-4096 rows. Ours writes an Arrow stream of columns that others can read meanwhile, in a thread of its own, and checks every output
-in every step. Full chunks of real numbers go to the file as they stand, and disk space is reserved ahead (Linux).
-The pages of a new file cost both the same: the difference of the C loop's rows. Busy neighbours cost ours more
-than the C loop, because a chunk of columns is larger than the second-level cache.
+4096 rows. Ours writes an Arrow stream of columns that others can read meanwhile, between two chunks of steps, and checks every output
+in every step. Full chunks of real numbers go to the file as they stand, disk space is reserved ahead (Linux), and numbers begin with a
+line of the cache in memory and in the file: otherwise the kernel takes up to three times as long to copy them.
+The pages of a new file cost both the same: the difference of the C loop's rows. In memory ours takes pages as it goes.
 """
 
 if __name__ == "__main__":
