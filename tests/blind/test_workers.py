@@ -21,6 +21,10 @@ def fail(x):
     raise RuntimeError(f"job {x}")
 
 
+def fail_at_3(x):
+    return fail(x) if x == 3 else x
+
+
 def test_in_this_process_jobs_come_in_their_order():
     assert list(work(double, [(1,), (2,), (3,)], 1)) == [(0, 2), (1, 4), (2, 6)]
     assert list(work(double, [], 2)) == []
@@ -35,8 +39,8 @@ def test_processes_have_one_thread_each_and_the_environment_is_as_before():
 
 
 def test_an_error_ends_it_and_is_that_of_the_job():
-    with pytest.raises(RuntimeError, match="job 1"):
-        list(work(fail, [(1,), (2,)], 2))
+    with pytest.raises(RuntimeError, match="job 3"):
+        list(work(fail_at_3, [(1,), (2,), (3,), (4,)], 2))
 
 
 def test_a_number_of_processes_below_one_is_refused():
