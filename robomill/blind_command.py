@@ -12,8 +12,6 @@ from typing import Any
 from rich.box import SIMPLE
 from rich.table import Table
 
-from robomill.binding import convert, resolve
-
 PAGE = Path("docs/benchmarks/blind.md")
 SIMULATIONS = "simulations"
 CATALOGUE = Path(__file__).parent.parent / "scenarios" / "catalogue.toml"
@@ -54,6 +52,7 @@ def diagnose_case(case: Path, out: Path) -> None:
     from diagnosis.store import Store
     from orchestration.results import Run
     from orchestration.system import System
+    from robomill.binding import convert, resolve
     from robomill.diagnose_command import menu, sources
 
     runs = [Run.load(f) for f in sorted((case / "runs").iterdir()) if f.is_dir()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import sys
 from collections.abc import Sequence
@@ -13,10 +14,21 @@ from orchestration.errors import Interrupted, OrchestrationError
 
 DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exchangeable FMUs."
 
+ACTIONS = {
+    "run": ("commands", "run"),
+    "build": ("commands", "build"),
+    "check": ("commands", "check"),
+    "plan": ("commands", "plan"),
+    "import": ("import_command", "run"),
+    "diagnose": ("diagnose_command", "run"),
+    "blind": ("blind_command", "blind"),
+}
+"""Module and function of each command; imported when it is called, because some take seconds."""
+
 
 def parser() -> argparse.ArgumentParser:
     """All commands and their options."""
-    from robomill import blind_command, diagnose_command
+    from robomill import blind_command
 
     main_parser = argparse.ArgumentParser("robomill", description=DESCRIPTION, epilog="Start with: robomill run scenarios/groove.toml")
     commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -111,7 +123,15 @@ def parser() -> argparse.ArgumentParser:
         "say where measured runs depart from their simulation, why, and how far that can be mended",
         "robomill diagnose scenarios/milling_cell.toml runs/slot-* --held-out runs/pocket-*",
     )
-    diagnose_command.add_arguments(diagnose)
+    diagnose.add_argument("system", type=Path, metavar="SYSTEM.toml", help="the nominal simulation")
+    diagnose.add_argument(
+        "runs", type=Path, nargs="+", metavar="RUN", help="folders of measured runs; repeats of one condition belong together"
+    )
+    diagnose.add_argument("--held-out", type=Path, nargs="+", default=[], metavar="RUN", help="runs that only the closure is measured on")
+    diagnose.add_argument("--catalogue", type=Path, metavar="FILE", help="candidate effects (default: catalogue.toml beside the system)")
+    diagnose.add_argument("--out", type=Path, default=Path("results") / "diagnosis", metavar="DIR", help="folder for the answer")
+    diagnose.add_argument("--repair", action="store_true", help="correct a clock that is late, and diagnose the rest")
+    diagnose.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
 
     blind = _command(
         commands, "blind", "the benchmark of withheld effects: make, run, score, page", "robomill blind make results/blind --cases 24"
@@ -131,19 +151,10 @@ def _command(commands: Any, name: str, text: str, example: str) -> argparse.Argu
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; errors that a user can mend become one message on stderr and exit status 2."""
     options = parser().parse_args(arguments)
-    from robomill import blind_command, commands, diagnose_command, import_command
-
-    action = {
-        "run": commands.run,
-        "build": commands.build,
-        "check": commands.check,
-        "plan": commands.plan,
-        "import": import_command.run,
-        "diagnose": diagnose_command.run,
-        "blind": blind_command.blind,
-    }[options.command]
+    module, function = ACTIONS[options.command]
+    action = getattr(importlib.import_module(f"robomill.{module}"), function)
     try:
-        return action(options)
+        return int(action(options))
     except (Interrupted, KeyboardInterrupt) as error:
         print(f"robomill {options.command}: {str(error) or 'interrupted'}", file=sys.stderr)
         return 130

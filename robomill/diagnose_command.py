@@ -50,19 +50,6 @@ def menu(system: System, folder: Path) -> Menu:
     return Menu(titles=TITLES, offers=offers, projections=PROJECTIONS)
 
 
-def add_arguments(command: Any) -> None:
-    """The options of the command."""
-    command.add_argument("system", type=Path, metavar="SYSTEM.toml", help="the nominal simulation")
-    command.add_argument(
-        "runs", type=Path, nargs="+", metavar="RUN", help="folders of measured runs; repeats of one condition belong together"
-    )
-    command.add_argument("--held-out", type=Path, nargs="+", default=[], metavar="RUN", help="runs that only the closure is measured on")
-    command.add_argument("--catalogue", type=Path, metavar="FILE", help="candidate effects (default: catalogue.toml beside the system)")
-    command.add_argument("--out", type=Path, default=Path("results") / "diagnosis", metavar="DIR", help="folder for the answer")
-    command.add_argument("--repair", action="store_true", help="correct a clock that is late, and diagnose the rest")
-    command.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
-
-
 def run(options: Namespace) -> int:
     """Exit status 0: answered; 1: the log is not usable."""
     from robomill import report
