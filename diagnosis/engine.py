@@ -396,14 +396,14 @@ class _Conclusion:
         """Channel with the strongest signature, its direction, and the times when it is there."""
         values = {a: self.best.values[a] for c in members for a in c.addresses}
         results = self.simulator.many([(i, self.simulator.seeded(setting(values))) for i in range(self.n)], "shares")
-        active = self.search.active
+        active = self.search.evidence.active
         names = [c for c, on in zip(self.laboratory.channels, active, strict=True) if on]
         variance = self.search.evidence.whitening.deviation**2 + 1e-30
         total, regime = np.zeros(len(names)), []
         for i, r in enumerate(results):
             if r is None:
                 continue
-            energy = (r[:, active] - self.search.base[i]) ** 2 / (variance + np.median(variance) * 1e-12)
+            energy = (r[:, active] - self.search.evidence.nominals[i][0]) ** 2 / (variance + np.median(variance) * 1e-12)
             total += energy.sum(axis=0)
             over = energy.sum(axis=1)
             if i == 0 and over.max() > 0.0:
@@ -415,7 +415,7 @@ class _Conclusion:
         """Arrays of channels that count as one figure."""
         groups: dict[str, list[int]] = {}
         for i, name in enumerate(self.laboratory.channels):
-            if self.search.active[i]:
+            if self.search.evidence.active[i]:
                 groups.setdefault(base_name(name), []).append(i)
         wanted = [g for g in groups if g in self.menu.titles] or list(groups)
         return {g: groups[g] for g in wanted}
@@ -437,7 +437,7 @@ class _Conclusion:
             kinds.setdefault("held-out repeat" if conditions[i].name in seen else "held-out condition", []).append(i)
         spread = self._spread()
         listed: list[dict[str, Any]] = []
-        active = np.flatnonzero(self.search.active)
+        active = np.flatnonzero(self.search.evidence.active)
         scale = np.zeros(len(self.laboratory.channels))
         floor = np.sqrt(np.diag(self.search.evidence.whitening.factor @ self.search.evidence.whitening.factor.T))
         scale[active] = 1.0 / floor
@@ -468,7 +468,7 @@ class _Conclusion:
     def _spread(self) -> FloatArray:
         """Standard deviation of a single decimated run about its mean, all channels."""
         spread = np.zeros(len(self.laboratory.channels))
-        spread[self.search.active] = self.search.evidence.whitening.deviation
+        spread[self.search.evidence.active] = self.search.evidence.whitening.deviation
         return spread
 
     def smallest(self) -> list[dict[str, Any]]:
@@ -502,7 +502,7 @@ class _Conclusion:
         """What is known of an effect that is not in the catalogue: where its energy is."""
         space, search = self.search.evidence.space, self.search
         assert self.best.signature is not None
-        names = [c for c, on in zip(self.laboratory.channels, search.active, strict=True) if on]
+        names = [c for c, on in zip(self.laboratory.channels, search.evidence.active, strict=True) if on]
         energy = np.zeros(len(names))
         regime: list[list[float]] = []
         for i, (_, block) in enumerate(space.blocks.items()):

@@ -70,7 +70,7 @@ class _Trial:
         """Whitened deviations of the given repeats, flat."""
 
     def white(self, change: FloatArray, kind: str) -> FloatArray:
-        return self.search.evidence.whitening.apply(change[:, self.search.active], self.offers[kind].repeats)
+        return self.search.evidence.whitening.apply(change[:, self.search.evidence.active], self.offers[kind].repeats)
 
     def distance(self, kind: str, i: int, j: int) -> float:
         """Between two of the fits; nuisances and uncertain values count once their simulations are there."""

@@ -19,9 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from diagnosis.catalogue import LOGGING, Address, Catalogue, Nuisance
+from diagnosis.evidence import SUDDEN, TRUST
 from diagnosis.measured import DataError
 from diagnosis.noise import whitening
-from diagnosis.search import SUDDEN, TRUST
 from diagnosis.simulation import Laboratory, Setting, decimate, refined, with_values
 from diagnosis.tape import Tape
 from orchestration.assembly import run

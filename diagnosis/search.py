@@ -8,23 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
+from diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
 from diagnosis.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solve
-from diagnosis.measured import DataError
-from diagnosis.noise import SPELL, Whitening, own_noise, whitening
+from diagnosis.evidence import DEPENDENCE, gather
 from diagnosis.simulation import Setting, Simulator, setting
 from orchestration.slave import FloatArray
 
-TRUST = 0.02
-"""Part of an effect of typical size that the models are not trusted to: the noise floor of each channel."""
-DEPENDENCE = 10.0
-"""Samples that are worth one: what two systems that are not quite the same leave is no noise, it goes in one direction for a while."""
-LATENESS = 0.2
-"""Communication steps that the channels of a component may be late: outputs hold for a step, and a step later others see them."""
-SUDDEN = 0.25
-"""Communication steps, at random, that a change may come early or late: what happens within a step is not modelled."""
 BENT = 0.9
 """Cosine of the columns at two sizes below which an effect is not taken as proportional to its size."""
 TURNED = 0.5
@@ -49,24 +39,6 @@ SINGLES, BASES, EXTENSIONS = 10, 3, 4
 """How many single candidates are refined, how many of them grow, and by how many partners each."""
 
 
-@dataclass
-class Evidence:
-    """What the search works on."""
-
-    space: Space
-    whitening: Whitening
-    residuals: list[list[FloatArray]]
-    """Per condition and repeat: whitened measured minus nominal, in single-run units."""
-    columns: dict[Address, FloatArray]
-    """Whitened change per prior scale, for each parameter that changes anything."""
-    repeats: list[float]
-    """Per condition: repeats that the mean residual is worth, the scatter of the simulated mean and DEPENDENCE included."""
-    expected: FloatArray
-    """Energy that noise alone leaves in each sample of y, [n]: by channel and condition, from repeats and from simulations."""
-    halves: list[tuple[FloatArray, FloatArray]]
-    """Per condition: what two independent means of nominal simulations are away from the mean of all, whitened."""
-
-
 class Search:
     """Fits on the first `len(groups)` conditions of the simulator's laboratory; `groups` are their measured repeats."""
 
@@ -77,7 +49,6 @@ class Search:
         self.catalogue, self.simulator, self.groups = catalogue, simulator, groups
         nominal = simulator.repeated(range(len(groups)), (), NOMINAL, "nominal")
         self.nominals = [b for b in nominal if b is not None]
-        self.base = [b[0] for b in self.nominals]
         self.starts: dict[Address, _Start] = {}
         self.candidates = self._screened()
 
@@ -101,14 +72,14 @@ class Search:
             change = self._change([next(results) for _ in self.groups])
             if change is not None:
                 changes[a], sizes[a] = change, s
-        self.evidence = self._whitened(changes, sizes, scales, unknown)
+        self.evidence = gather(self.simulator.laboratory, self.groups, self.nominals, changes, sizes, scales, unknown)
         self._start_elsewhere()
         return [c for c in self.catalogue.candidates if all(a in self.evidence.columns for a in c.addresses)]
 
     def _change(self, results: Sequence[FloatArray | None]) -> list[FloatArray] | None:
         """What simulations of all conditions differ by from the nominal ones; None where one cannot run, or nothing differs."""
-        change = [r - b for r, b in zip(results, self.base, strict=True) if r is not None]
-        return change if len(change) == len(self.base) and any(np.any(c) for c in change) else None
+        change = [r - n[0] for r, n in zip(results, self.nominals, strict=True) if r is not None]
+        return change if len(change) == len(self.nominals) and any(np.any(c) for c in change) else None
 
     def _start_elsewhere(self) -> None:
         """Columns from another size, where one fits better, and starts from the best of many sizes for effects that turn with theirs.
@@ -155,92 +126,8 @@ class Search:
         keys = [(a, x) for a, xs in sizes.items() for x in xs]
         tasks = [(i, self.simulator.seeded(setting({a: x * scales[a]}))) for a, x in keys for i in range(n)]
         results = self.simulator.many(tasks, "effects at other sizes")
-        found = {key: self.signature(results[k * n : (k + 1) * n]) for k, key in enumerate(keys)}
+        found = {key: self.evidence.signature(results[k * n : (k + 1) * n]) for k, key in enumerate(keys)}
         return {key: signature for key, signature in found.items() if signature is not None}
-
-    def _whitened(
-        self,
-        changes: dict[Address, list[FloatArray]],
-        sizes: dict[Address, float],
-        scales: dict[Address, float],
-        unknown: dict[Address, float],
-    ) -> Evidence:
-        moved = np.array([np.any([np.any(c, axis=0) for c in change], axis=0) for change in changes.values()])
-        if not moved.any():
-            raise DataError("no parameter of the catalogue changes any of the measured channels: there is nothing to diagnose with")
-        self.active: npt.NDArray[np.bool_] = np.asarray(
-            moved.any(axis=0)
-        )  # what no effect can change says nothing; the gate has looked at it
-        self.groups = [[x[:, self.active] for x in g] for g in self.groups]
-        self.base = [b[:, self.active] for b in self.base]
-        self.nominals = [[b[:, self.active] for b in group] for group in self.nominals]
-        changes = {a: [c[:, self.active] for c in change] for a, change in changes.items()}
-        channels = int(self.active.sum())
-        rms = np.array([np.sqrt(np.mean(np.concatenate([c * c for c in change]), axis=0)) for change in changes.values()]).reshape(
-            -1, channels
-        )
-        floor = np.array([TRUST * np.median(r[r > 1e-3 * r.max()]) if r.size and r.max() > 0.0 else 0.0 for r in rms.T])
-        w = whitening(self.groups, floor)
-        floor_of_noise = np.where(floor > 0.0, 0.0, 1e-9 + 1e-6 * np.abs(np.concatenate(self.base)).max(axis=0))
-        if floor_of_noise.any():
-            w = whitening(self.groups, floor + floor_of_noise)
-        means = [np.asarray(np.mean(group, axis=0)) for group in self.nominals]
-        # the mean of so many simulations scatters too
-        counts = [
-            len(g) * len(m) / (len(g) + len(m)) if len(m) > 1 else float(len(g)) for g, m in zip(self.groups, self.nominals, strict=True)
-        ]
-        laboratory = self.simulator.laboratory
-        # change of each channel in a communication step
-        rates = [np.gradient(m, axis=0) / laboratory.decimation for m in means]
-        self.sudden = [SUDDEN * rate * np.sqrt(n) for rate, n in zip(rates, counts, strict=True)]
-        residuals = [[w.apply(x - m, 1.0, s) for x in g] for g, m, s in zip(self.groups, means, self.sudden, strict=True)]
-        halves = [
-            (w.apply(np.mean(g[::2], axis=0) - m, 1.0, s), w.apply(np.mean(g[1::2] or g, axis=0) - m, 1.0, s))
-            for g, m, s in zip(self.nominals, means, self.sudden, strict=True)
-        ]
-        counts = [n / DEPENDENCE for n in counts]
-        y = np.concatenate([np.sqrt(n) * np.mean(r, axis=0) for n, r in zip(counts, residuals, strict=True)])
-        blocks, start = {}, 0
-        for i, n in enumerate([b.size for b in self.base]):
-            blocks[self.simulator.laboratory.conditions[i].name] = slice(start, start + n)
-            start += n
-        raw = {
-            a: np.concatenate([w.apply(c, n, s) for c, n, s in zip(change, counts, self.sudden, strict=True)])
-            for a, change in changes.items()
-        }
-        columns = {a: raw[a] * (scales[a] / sizes[a]) for a in scales if a in raw}
-        doubtful = [a for a in unknown if a in raw]
-        nuisances = [raw[a] * (unknown[a] / sizes[a]) for a in doubtful]
-        names = [c for c, on in zip(laboratory.channels, self.active, strict=True) if on]
-        for component in dict.fromkeys(name.partition(".")[0] for name in names):
-            here = np.array([name.partition(".")[0] == component for name in names])
-            late = [w.apply(-LATENESS * rate * here, n, s) for rate, n, s in zip(rates, counts, self.sudden, strict=True)]
-            doubtful.append((LOGGING, f"lag {component}.*"))
-            nuisances.append(np.concatenate(late))
-        spell = max(1, round(SPELL / (laboratory.system.step * laboratory.decimation)))
-        own = []
-        expected = np.zeros(y.size)
-        for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
-            simulated = [w.apply(x - means[i], 1.0, self.sudden[i]) for x in self.nominals[i]]
-            level = counts[i] * (_scatter(group, channels) + (_scatter(simulated, channels) if len(simulated) > 1 else 0.0))
-            expected[block].reshape(-1, channels)[:] = level
-            column = own_noise([group, simulated], channels, spell)
-            own.append(np.zeros((y.size, column.shape[1])))
-            own[-1][block] = column / np.sqrt(DEPENDENCE)
-        doubtful += [(LOGGING, f"noise {i + 1}") for i in range(sum(o.shape[1] for o in own))]
-        unknowns = np.concatenate([np.stack(nuisances, axis=1), *own], axis=1)
-        space = Space(y, blocks, unknowns, doubtful)
-        space.find_alike(columns, scales)
-        return Evidence(space, w, residuals, columns, counts, expected, halves)
-
-    def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
-        """Whitened change of simulations of all conditions against the nominal ones; None if one of them failed."""
-        parts = []
-        for r, b, n, s in zip(results, self.base, self.evidence.repeats, self.sudden, strict=True):
-            if r is None:
-                return None
-            parts.append(self.evidence.whitening.apply(r[:, self.active] - b, n, s))
-        return np.concatenate(parts)
 
     def nominal(self) -> Fit:
         """No effect."""
@@ -308,20 +195,13 @@ class Search:
             n = len(self.groups)
             results = self.simulator.many([(i, self.simulator.seeded(setting(s.fit.values))) for s in active for i in range(n)], "fits")
             for k, s in enumerate(active):
-                signature = self.signature(results[k * n : (k + 1) * n])
+                signature = self.evidence.signature(results[k * n : (k + 1) * n])
                 s.update(signature, space)
         return [s.best for s in states]
 
     def mean_signature(self, changes: Setting) -> FloatArray | None:
         """Whitened change that these settings make, as a mean over noise; None where the system cannot run."""
-        groups = self.simulator.repeated(range(len(self.groups)), changes, POLISH, "fits")
-        parts = []
-        for g, b, weight, s in zip(groups, self.nominals, self.evidence.repeats, self.sudden, strict=True):
-            if g is None:
-                return None
-            change = np.mean([x[:, self.active] for x in g], axis=0) - np.mean(b[: len(g)], axis=0)
-            parts.append(self.evidence.whitening.apply(change, weight, s))
-        return np.concatenate(parts)
+        return self.evidence.mean_signature(self.simulator.repeated(range(len(self.groups)), changes, POLISH, "fits"))
 
     def polish(self, fits: Sequence[Fit]) -> list[Fit]:
         """The best of `fits` again, with simulations that are means over noise; a single one scatters as a measured run does."""
@@ -383,7 +263,7 @@ class Search:
 
         1 where that cannot be told, because the effect shows in one part only.
         """
-        space, channels = self.evidence.space, int(self.active.sum())
+        space, channels = self.evidence.space, int(self.evidence.active.sum())
         parts: dict[str, slice] = {}
         for name, block in space.blocks.items():
             rows = (block.stop - block.start) // channels
@@ -431,14 +311,6 @@ def _sizes(candidate: Candidate) -> list[float]:
         sizes = [x for x in sizes if x <= scale] + [largest - (largest - scale) * math.exp(-0.35 * k) for k in range(1, 9)]
     found = [x / scale for x in sizes if candidate.minimum <= x <= largest]
     return [-x for x in reversed(found)] + found if candidate.both_signs else found
-
-
-def _scatter(group: Sequence[FloatArray], channels: int) -> FloatArray:
-    """Variance of the mean of these whitened repeats, by channel; that of a single one is taken as 1."""
-    runs = np.stack(group).reshape(len(group), -1, channels)
-    if len(runs) == 1:
-        return np.ones(channels)
-    return np.asarray(runs.var(axis=0, ddof=1).mean(axis=0) / len(runs))
 
 
 def _bends(first: Address, other: Mapping[Address, FloatArray], columns: Mapping[Address, FloatArray]) -> bool:

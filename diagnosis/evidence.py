@@ -1,0 +1,154 @@
+"""What the search works on: whitened residuals, columns of the candidates, and all that is no effect.
+
+What repeats do is in the whitening (`noise`). What two systems that are the same but not quite leave is in nuisances: calibrated
+numbers within their tolerances, channels that are a part of a step late, own noise of single runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from diagnosis.catalogue import LOGGING, Address
+from diagnosis.estimation import Space
+from diagnosis.measured import DataError
+from diagnosis.noise import SPELL, Whitening, own_noise, whitening
+from diagnosis.simulation import Laboratory
+from orchestration.slave import FloatArray
+
+TRUST = 0.02
+"""Part of an effect of typical size that the models are not trusted to: the noise floor of each channel."""
+DEPENDENCE = 10.0
+"""Samples that are worth one: what two systems that are not quite the same leave is no noise, it goes in one direction for a while."""
+LATENESS = 0.2
+"""Communication steps that the channels of a component may be late: outputs hold for a step, and a step later others see them."""
+SUDDEN = 0.25
+"""Communication steps, at random, that a change may come early or late: what happens within a step is not modelled."""
+
+Changes = Mapping[Address, Sequence[FloatArray]]
+"""parameter -> change of the channels that it makes in each condition, [samples, channels]."""
+
+
+@dataclass
+class Evidence:
+    """Per condition: lists. Samples are of the channels that an effect changes (`active`)."""
+
+    space: Space
+    whitening: Whitening
+    active: npt.NDArray[np.bool_]
+    """Of all channels those that some effect changes. The others say nothing; the gate has looked at them."""
+    nominals: Sequence[Sequence[FloatArray]]
+    """Nominal simulations with different noise, [samples, channels]."""
+    sudden: list[FloatArray]
+    """Standard deviation that single runs have beyond the noise where a channel changes fast, [samples, channels]."""
+    residuals: list[list[FloatArray]]
+    """Per repeat: whitened measured minus nominal, in single-run units."""
+    columns: dict[Address, FloatArray]
+    """Whitened change per prior scale, for each parameter that changes anything."""
+    repeats: list[float]
+    """Repeats that the mean residual is worth, the scatter of the simulated mean and DEPENDENCE included."""
+    expected: FloatArray
+    """Energy that noise alone leaves in each sample of y, [n]: by channel and condition, from repeats and from simulations."""
+    halves: list[tuple[FloatArray, FloatArray]]
+    """What two independent means of nominal simulations are away from the mean of all, whitened."""
+
+    def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
+        """Whitened change of simulations of all conditions (all channels) against the nominal ones; None if one of them failed."""
+        return self._white(results, [n[0] for n in self.nominals])
+
+    def mean_signature(self, groups: Sequence[Sequence[FloatArray] | None]) -> FloatArray | None:
+        """The same of means over simulations with different noise."""
+        means = [None if g is None else np.asarray(np.mean(g, axis=0)) for g in groups]
+        return self._white(means, [np.asarray(np.mean(n[: len(g or n)], axis=0)) for n, g in zip(self.nominals, groups, strict=True)])
+
+    def _white(self, results: Sequence[FloatArray | None], base: Sequence[FloatArray]) -> FloatArray | None:
+        parts = []
+        for r, b, n, s in zip(results, base, self.repeats, self.sudden, strict=True):
+            if r is None:
+                return None
+            parts.append(self.whitening.apply(r[:, self.active] - b, n, s))
+        return np.concatenate(parts)
+
+
+def gather(
+    laboratory: Laboratory,
+    groups: Sequence[Sequence[FloatArray]],
+    nominals: Sequence[Sequence[FloatArray]],
+    changes: Changes,
+    sizes: Mapping[Address, float],
+    scales: Mapping[Address, float],
+    tolerances: Mapping[Address, float],
+) -> Evidence:
+    """Evidence from the repeats and nominal simulations of each condition, [samples, channels].
+
+    `changes` were simulated at `sizes` [unit of the parameter]; `scales` are the prior scales of the candidates' parameters,
+    `tolerances` the standard deviations of calibrated ones. DataError if no parameter changes any channel.
+    """
+    moved = np.array([np.any([np.any(c, axis=0) for c in change], axis=0) for change in changes.values()])
+    if not moved.any():
+        raise DataError("no parameter of the catalogue changes any of the measured channels: there is nothing to diagnose with")
+    active: npt.NDArray[np.bool_] = np.asarray(moved.any(axis=0))
+    groups = [[x[:, active] for x in g] for g in groups]
+    nominals = [[b[:, active] for b in group] for group in nominals]
+    changes = {a: [c[:, active] for c in change] for a, change in changes.items()}
+    w = _whitening(groups, nominals, changes)
+    means = [np.asarray(np.mean(group, axis=0)) for group in nominals]
+    # the mean of so many simulations scatters too
+    counts = [len(g) * len(m) / (len(g) + len(m)) if len(m) > 1 else float(len(g)) for g, m in zip(groups, nominals, strict=True)]
+    # change of each channel in a communication step
+    rates = [np.gradient(m, axis=0) / laboratory.decimation for m in means]
+    sudden = [SUDDEN * rate * np.sqrt(n) for rate, n in zip(rates, counts, strict=True)]
+    residuals = [[w.apply(x - m, 1.0, s) for x in g] for g, m, s in zip(groups, means, sudden, strict=True)]
+    halves = [
+        (w.apply(np.mean(g[::2], axis=0) - m, 1.0, s), w.apply(np.mean(g[1::2] or g, axis=0) - m, 1.0, s))
+        for g, m, s in zip(nominals, means, sudden, strict=True)
+    ]
+    counts = [n / DEPENDENCE for n in counts]
+
+    def white(change: Sequence[FloatArray]) -> FloatArray:
+        return np.concatenate([w.apply(c, n, s) for c, n, s in zip(change, counts, sudden, strict=True)])
+
+    y = np.concatenate([np.sqrt(n) * np.mean(r, axis=0) for n, r in zip(counts, residuals, strict=True)])
+    blocks, start = {}, 0
+    for i, mean in enumerate(means):
+        blocks[laboratory.conditions[i].name] = slice(start, start + mean.size)
+        start += mean.size
+    raw = {a: white(change) for a, change in changes.items()}
+    columns = {a: raw[a] * (scales[a] / sizes[a]) for a in scales if a in raw}
+    nuisances = {a: raw[a] * (tolerances[a] / sizes[a]) for a in tolerances if a in raw}
+    names = [c for c, on in zip(laboratory.channels, active, strict=True) if on]
+    for component in dict.fromkeys(name.partition(".")[0] for name in names):
+        here = np.array([name.partition(".")[0] == component for name in names])
+        nuisances[LOGGING, f"lag {component}.*"] = white([-LATENESS * rate * here for rate in rates])
+    spell = max(1, round(SPELL / (laboratory.system.step * laboratory.decimation)))
+    own, expected = [], np.zeros(y.size)
+    for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
+        simulated = [w.apply(x - means[i], 1.0, sudden[i]) for x in nominals[i]]
+        level = counts[i] * (_scatter(group, len(names)) + (_scatter(simulated, len(names)) if len(simulated) > 1 else 0.0))
+        expected[block].reshape(-1, len(names))[:] = level
+        column = own_noise([group, simulated], len(names), spell)
+        own.append(np.zeros((y.size, column.shape[1])))
+        own[-1][block] = column / np.sqrt(DEPENDENCE)
+    doubtful = [*nuisances, *((LOGGING, f"noise {i + 1}") for i in range(sum(o.shape[1] for o in own)))]
+    space = Space(y, blocks, np.concatenate([np.stack(list(nuisances.values()), axis=1), *own], axis=1), doubtful)
+    space.find_alike(columns, scales)
+    return Evidence(space, w, active, nominals, sudden, residuals, columns, counts, expected, halves)
+
+
+def _whitening(groups: Sequence[Sequence[FloatArray]], nominals: Sequence[Sequence[FloatArray]], changes: Changes) -> Whitening:
+    """From the repeats, above a floor of TRUST of what effects of typical size do to a channel."""
+    rms = np.array([np.sqrt(np.mean(np.concatenate([c * c for c in change]), axis=0)) for change in changes.values()])
+    floor = np.array([TRUST * np.median(r[r > 1e-3 * r.max()]) if r.max() > 0.0 else 0.0 for r in rms.T])
+    least = np.where(floor > 0.0, 0.0, 1e-9 + 1e-6 * np.abs(np.concatenate([n[0] for n in nominals])).max(axis=0))
+    return whitening(groups, floor + least)
+
+
+def _scatter(group: Sequence[FloatArray], channels: int) -> FloatArray:
+    """Variance of the mean of these whitened repeats, by channel; that of a single one is taken as 1."""
+    runs = np.stack(group).reshape(len(group), -1, channels)
+    if len(runs) == 1:
+        return np.ones(channels)
+    return np.asarray(runs.var(axis=0, ddof=1).mean(axis=0) / len(runs))
