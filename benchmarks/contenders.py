@@ -7,7 +7,8 @@ import pickle
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -37,6 +38,19 @@ def _as_dict(proxy: Any) -> Any:
 
 
 copyreg.pickle(MappingProxyType, _as_dict)  # systems hold some
+
+
+@contextmanager
+def side_by_side(commands: Iterable[Sequence[str]]) -> Iterator[None]:
+    """Programs run while something else is done; in the end all have ended. CalledProcessError if one failed."""
+    started = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) for command in commands]
+    try:
+        yield
+    finally:
+        said = [process.communicate() for process in started]
+    for process, (output, errors) in zip(started, said, strict=True):
+        if process.returncode:
+            raise subprocess.CalledProcessError(process.returncode, process.args, output, errors)
 
 
 @dataclass(frozen=True)
@@ -74,21 +88,14 @@ class Bench:
             self.kept.pop().close()
 
     def program(self, system: System, name: str) -> Callable[[Environment], Runner]:
-        """A generated C loop for a system of FMUs, compiled when it is started for the first time."""
-        made: dict[bool, Path] = {}
-
-        def command(steps: int, record: bool) -> list[str]:
-            if record not in made:
-                folder = self.folder / name
-                folder.mkdir(exist_ok=True)
-                made[record] = SystemLoop(self.kept[-1] if not made else self.open(system), folder, record).program
-            return [str(made[record]), str(steps)]
+        """A generated C loop for a system of FMUs, compiled when it is started."""
 
         def start(environment: Environment) -> Runner:
-            self.open(system)
-            for record in (False, True):
-                command(1, record)
-            return Program(command)
+            folder = self.folder / name
+            folder.mkdir(exist_ok=True)
+            assembly = self.open(system)
+            made = {record: SystemLoop(assembly, folder, record).program for record in (False, True)}
+            return Program(lambda steps, record: [str(made[record]), str(steps)])
 
         return start
 
@@ -162,11 +169,15 @@ class Milling(Bench):
         job = prepare(load_scenario(ROOT / "scenarios" / "groove.toml"), self.folder / "groove")
         robomill = str(Path(sys.executable).parent / "robomill")
         chosen = [word for c in job.system.components for word in ("--component", c.source)]
-        for backend in ("native", "python"):
-            command = [robomill, "build", "--backend", backend, "--out", str(self.folder / backend), *chosen]
-            subprocess.run(command, check=True, capture_output=True)
-        self.steps = job.steps
         self.in_process = replace(job.system, stop_when=None, labels={})
+        builds = ([robomill, "build", "--backend", b, "--out", str(self.folder / b), *chosen] for b in ("native", "python"))
+        with side_by_side(builds):
+            compiling = self.worker("compiled", self.in_process, "in_process")(None)
+            try:
+                compiling.run(2, "none", limit=240.0)  # what Numba compiles stays on disk
+            finally:
+                compiling.close()
+        self.steps = job.steps
         self.native = with_fmus(self.in_process, self.folder / "native")
         self.python = with_fmus(self.in_process, self.folder / "python")
         with assemble(self.native, resolve, convert) as assembly:

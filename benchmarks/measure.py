@@ -20,6 +20,8 @@ from benchmarks.runners import MasterError, Runner
 
 MOST = 25_000_000  # numbers that are kept in memory as results: 200 MB
 FIRST = 240.0  # s; Python FMUs may have to be compiled
+FEWEST = 60  # steps of a run
+PATIENCE = 4.0  # s that runs of one size may take, after which none is begun
 Say = Callable[[str], object]
 
 
@@ -121,10 +123,10 @@ def difference(values: Sequence[float], reference: Sequence[float]) -> float:
 
 def calibrate(runner: Runner, results: str, slice_: float, most: int, limit: float = 60.0) -> int:
     """How many steps take `slice_` [s], about, at most `most`. The runner is warm: it has made a run before."""
-    steps = min(60, most)
+    steps = min(FEWEST, most)
     while (wall := runner.run(steps, results, limit=limit).wall) < slice_ / 3 and steps < most:
         steps = min(int(steps * min(20.0, 1.2 * slice_ / max(wall, 1e-9))), most)
-    return min(max(int(steps * slice_ / wall), 60), most)
+    return min(max(int(steps * slice_ / wall), FEWEST), most)
 
 
 @dataclass
@@ -152,17 +154,25 @@ def with_results(c: Contender) -> str:
 
 
 def point(c: Contender, x: float, outputs: int, slice_: float, repeat: int, limit: float) -> Point:
-    """One contender of a size, in a fresh process, with results; `limit` [s] for setting up and running once."""
+    """One contender of a size, in a fresh process, with results; `limit` [s] for setting up and running once.
+
+    The first run also warms up and is not counted, unless it alone has worn out the patience: setting up, or completing the
+    results, of tens of thousands of signals takes that long, the steps do not.
+    """
     made = Point(c.name, with_results(c), x)
     runner: Runner | None = None
     try:
         runner = c.start(None)
-        made.setup = runner.run(60, made.results, limit=limit).setup  # the first run also warms up
-        made.steps = calibrate(runner, made.results, slice_, MOST // outputs, limit)
-        for _ in range(repeat):
-            answer = runner.run(made.steps, made.results, limit=limit)
-            made.wall.values.append(answer.wall / made.steps * 1e6)
-            made.cpu.values.append(answer.cpu / made.steps * 1e6)
+        began = time.monotonic()
+        made.steps, answer = FEWEST, runner.run(FEWEST, made.results, limit=limit)
+        made.setup = answer.setup
+        answers = [answer]
+        if time.monotonic() - began < PATIENCE:
+            made.steps, answers = calibrate(runner, made.results, slice_, MOST // outputs, limit), []
+        while len(answers) < repeat and (not answers or time.monotonic() - began < PATIENCE):
+            answers.append(runner.run(made.steps, made.results, limit=limit))
+        made.wall.values = [answer.wall / made.steps * 1e6 for answer in answers]
+        made.cpu.values = [answer.cpu / made.steps * 1e6 for answer in answers]
     except Exception as error:
         made.problem = reason(error)
     finally:
