@@ -60,7 +60,7 @@ class Recorder:
         chosen = select(self.columns, wiring.column_names())
         ports = [wiring.outputs[i] for i in chosen]
         self.folder = Path(self.folder)
-        self._info = self.info(wiring, step)
+        info = self.info(wiring, step)
         fields = [pa.field("t", pa.float64(), metadata={"unit": "s", "description": "time"})]
         fields += [pa.field(f"{c}.{p.name}", _TYPES[p.type], metadata=_metadata(c, p)) for c, p in ports]
         self._seen = 0
@@ -69,11 +69,12 @@ class Recorder:
             self._clear()
         else:
             old = read_info(self.folder)
-            self._info |= {"created": old.get("created", ""), "resumed": [*old.get("resumed", []), self.resume_after * step]}
+            info |= {"created": old.get("created", ""), "resumed": [*old.get("resumed", []), self.resume_after * step]}
             self._seen = self.resume_after + 1
             aside = set_aside(self.folder, -(-self._seen // self.every))
+        self._about = dump(info)  # once: of tens of thousands of columns it takes a second
         self._write_info("running", "")
-        self._schema = pa.schema(fields, metadata={"robomill": dump(self._info)})
+        self._schema = pa.schema(fields, metadata={"robomill": self._about})
         self._kinds = list(self._schema.types)
         self._other = [i for i, kind in enumerate(self._kinds) if kind != pa.float64()]  # asked for each chunk, that took 0.1 ms
         # Arrow's own file is written without Python; in large pieces, because the pages cost more than what is copied into them
@@ -236,9 +237,8 @@ class Recorder:
         }
 
     def _write_info(self, outcome: str, message: str) -> None:
-        info = {"schema": SCHEMA, "outcome": outcome, "message": message, **self._info}
         part = self.folder / (RUN + ".part")
-        part.write_text(dump(info), encoding="utf-8")
+        part.write_text(dump({"schema": SCHEMA, "outcome": outcome, "message": message}) + self._about, encoding="utf-8")
         part.replace(self.folder / RUN)
 
 
