@@ -40,7 +40,7 @@ UNEXPLAINED = 0.35
 """Share of the energy beyond noise (calibration fitted) that an adequate model may leave."""
 LIKE_NOISE = 1.15
 """Energy, over that of noise, that two systems which are the same but for calibration leave: machines without effects have 1.05 to 1.23."""
-UNKNOWN = 1.3
+UNKNOWN = 1.4
 """Energy, over that of noise, from which there is a gap even if no candidate explains any of it."""
 TRANSFER = 0.4
 """Part of its gain in evidence that a model must keep in parts of the time that it is not fitted to, where more than noise is left; and

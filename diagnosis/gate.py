@@ -37,6 +37,8 @@ MUCH_BETTER = 0.2
 FAR_OFF = 0.6
 """Energy of the difference over energy of the signal, above which another sign, order or unit is looked for."""
 
+NEAR = 25.5
+"""Samples by which what happens at one time may be apart in two repeats: an axis that begins to move has a time of its own."""
 LIMIT = 0.1
 """Part of a channel's range by which its simulation may be short of a limit that the channel stands at."""
 
@@ -101,7 +103,8 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
         over, under = s[:, i] >= x[:, i].max() - LIMIT * spread, s[:, i] <= x[:, i].min() + LIMIT * spread
         limited = ((x[:, i] == x[:, i].max()) & over) | ((x[:, i] == x[:, i].min()) & under)
         moving = (x[:, i] != 0.0) & ~limited
-        still, longest = _still(x[moving, i]), _still(s[:, i])
+        single = 2.0**-22 * float(np.abs(s[:, i]).max())  # a log in single precision stands still where a simulation creeps
+        still, longest = _still(x[moving, i]), _still(s[:, i], single)
         if still * step > 0.5 and still > 3 * longest + 10 and still > 0.1 * len(x):
             found.append(Finding(name, "constant", still * step, "s", f"stands still for {still * step:.2f} s"))
             suspects.add(name)
@@ -130,11 +133,11 @@ def _visible(energy: float, noise: float, n: int) -> bool:
     return bool(energy > 25.0 * noise * noise * n and energy > 0.0)
 
 
-def _still(x: FloatArray) -> int:
-    """Longest stretch of samples that are equal, as far as a log in single precision tells."""
+def _still(x: FloatArray, tolerance: float = 0.0) -> int:
+    """Longest stretch of samples that are equal to the next one."""
     if not len(x):
         return 0
-    changes = np.flatnonzero(np.abs(np.diff(x)) > 2.0**-22 * np.abs(x).max())
+    changes = np.flatnonzero(np.abs(np.diff(x)) > tolerance)
     edges = np.concatenate([[-1], changes, [len(x) - 1]])
     return int(np.diff(edges).max())
 
@@ -163,10 +166,10 @@ def _jumps(t: FloatArray, x: FloatArray) -> FloatArray:
 
 
 def _alone(own: FloatArray, others: Sequence[FloatArray]) -> int:
-    """How many samples jump that do not in half of the other repeats, by a quarter of that, not more than two samples away."""
+    """How many samples jump where no sample near them does in half of the other repeats, by a quarter of that."""
     count = 0
     for t, size in own[:, own[1] > 30.0].T:
-        near = 2.5 * float(np.median(np.diff(own[0])))
+        near = NEAR * float(np.median(np.diff(own[0])))
         again = sum(bool(np.any(other[1, np.abs(other[0] - t) < near] > 0.25 * size)) for other in others)
         count += 2 * again <= len(others)
     return count

@@ -106,8 +106,9 @@ class Search:
                     columns[a] = other[a]
         sizes = {a: _sizes(single[a]) for a, cosine in alike.items() if cosine < TURNED}
         tried = self._signatures(sizes)
-        for a, xs in sizes.items():
-            found = [(x, tried[a, x]) for x in xs if (a, x) in tried]
+        tried |= self._signatures({a: _where_it_begins([(x, tried[a, x]) for x in xs if (a, x) in tried]) for a, xs in sizes.items()})
+        for a in sizes:
+            found = sorted(((x, signature) for (b, x), signature in tried.items() if b == a), key=lambda pair: pair[0])
             if len(found) < 2:
                 continue
             own = space.without([a])
@@ -311,6 +312,14 @@ def _sizes(candidate: Candidate) -> list[float]:
         sizes = [x for x in sizes if x <= scale] + [largest - (largest - scale) * math.exp(-0.35 * k) for k in range(1, 9)]
     found = [x / scale for x in sizes if candidate.minimum <= x <= largest]
     return [-x for x in reversed(found)] + found if candidate.both_signs else found
+
+
+def _where_it_begins(found: Sequence[tuple[float, FloatArray]]) -> list[float]:
+    """Sizes between the last one that does nothing and the first one that does something: a limit may cut off everything from there."""
+    for (x, signature), (after, following) in itertools.pairwise(found):
+        if not np.any(signature) and np.any(following):
+            return [x + (after - x) * k / 8 for k in range(1, 8)]
+    return []
 
 
 def _bends(first: Address, other: Mapping[Address, FloatArray], columns: Mapping[Address, FloatArray]) -> bool:
