@@ -34,7 +34,7 @@ PRIOR_OF_SIZE = {0: 0.3, 1: 0.4, 2: 0.2, 3: 0.1}
 ALIKE = 0.97
 """Correlation from which a nuisance is taken as the same thing as a parameter that is fitted."""
 
-UNDETERMINED = 0.3
+UNDETERMINED = 1.0
 """Standard deviation, over the value, from which data do not say how large an effect is."""
 
 

@@ -23,6 +23,10 @@ NOMINAL = 8
 """Simulations of the nominal system with different noise, of each condition."""
 POLISH, POLISHED = 6, 8
 """Simulations with different noise at the best values of a model, and how many models of each size get them."""
+SHARPENED, ROUGH = 2, 1.15
+"""How many models of each size are fitted with slopes of their own place, if they leave more than this times noise."""
+SHARPER, BETTER = 5, 0.99
+"""How often at most, and the part of the energy that must not be left for it to go on."""
 PROMISING = 12.0
 """Gain in evidence [nats] that columns must promise for a further effect to be looked at."""
 SUBSTANTIAL = 0.05
@@ -33,8 +37,8 @@ TOLD = 0.1
 """Part of the gain that must be where the other parts say how large an effect is, for that to be a test."""
 WORTH = 0.2
 """Part of the best candidate's gain (as columns have it) from which a candidate is looked at on real simulations."""
-FAR = 50.0
-"""Log of the odds against a model, beside the best of its size, from which it is not looked at more closely."""
+FAR, NEARBY = 50.0, 0.4
+"""Log of the odds against a model, beside the best of its size, from which it is not looked at more closely; or that part of the gain."""
 SINGLES, BASES, EXTENSIONS = 10, 3, 4
 """How many single candidates are refined, how many of them grow, and by how many partners each."""
 
@@ -208,23 +212,64 @@ class Search:
         """The best of `fits` again, with simulations that are means over noise; a single one scatters as a measured run does."""
         if not self.simulator.laboratory.seeds:
             return list(fits)
-        space = self.evidence.space
         polished = []
         best = max((f.log_evidence for f in fits), default=0.0)
-        near = [f for f in fits if f.log_evidence > best - max(FAR, 0.1 * best)]
+        near = [f for f in fits if f.log_evidence > best - max(FAR, NEARBY * best)]
         for f in sorted(near, key=lambda f: -f.log_evidence)[:POLISHED]:
             signature = self.mean_signature(setting(f.values))
             if signature is None:
                 continue
-            scales, _, _ = scaled_bounds(f.model)
-            addresses = [a for c in f.model for a in c.addresses]
-            x = np.array([f.values[a] for a in addresses]) / scales
             assert f.columns is not None
-            better = quadratic_fit(f.model, space.y, signature, f.columns, x, space)
-            move = np.array([better.values[a] for a in addresses]) / scales - x
-            better.exact, better.columns, better.signature = True, f.columns, signature + f.columns @ move
-            polished.append(better)
+            polished.append(self._about(f, signature, f.columns))
         return polished
+
+    def _about(self, fit: Fit, signature: FloatArray, columns: FloatArray) -> Fit:
+        """The best fit near the values of another one, where the signature and its slopes are these."""
+        scales, _, _ = scaled_bounds(fit.model)
+        addresses = [a for c in fit.model for a in c.addresses]
+        x = np.array([fit.values[a] for a in addresses]) / scales
+        better = quadratic_fit(fit.model, self.evidence.space.y, signature, columns, x, self.evidence.space)
+        move = np.array([better.values[a] for a in addresses]) / scales - x
+        better.exact, better.columns, better.signature = True, columns, signature + columns @ move
+        return better
+
+    def sharpen(self, fit: Fit) -> Fit:
+        """The fit again with the slopes of the signature where it is: those of the way there miss an effect that turns with its size."""
+        space = self.evidence.space
+        addresses = [a for c in fit.model for a in c.addresses]
+        own = space.without(addresses)
+        scales, _, high = scaled_bounds(fit.model)
+
+        def energy(signature: FloatArray) -> float:
+            return float(own.dot(space.y - signature, space.y - signature))
+
+        here = self.mean_signature(setting(fit.values))
+        for _ in range(SHARPER):
+            moved = []
+            for a, scale, bound in zip(addresses, scales, high, strict=True):
+                step = max(fit.deviations[a], 0.05 * abs(fit.values[a]))
+                moved.append((a, step if fit.values[a] + step < bound * scale else -step))
+            settings = [setting(fit.values), *(setting({**fit.values, a: fit.values[a] + step}) for a, step in moved)]
+            n = len(self.groups)
+            results = self.simulator.many([(i, self.simulator.seeded(changes)) for changes in settings for i in range(n)], "fits")
+            signatures = [self.evidence.signature(results[k * n : (k + 1) * n]) for k in range(len(settings))]
+            base, *others = (x for x in signatures if x is not None)
+            if here is None or len(others) < len(moved):
+                break
+            slopes = [(x - base) * (scale / step) for x, scale, (_, step) in zip(others, scales, moved, strict=True)]
+            trial = self._about(fit, here, np.stack(slopes, axis=1))
+            there = self.mean_signature(setting(trial.values))
+            if there is None or energy(there) > BETTER * energy(here):
+                break
+            assert trial.columns is not None
+            fit, here = self._about(trial, there, trial.columns), there
+        return fit
+
+    def _sharpened(self, fits: Sequence[Fit]) -> list[Fit]:
+        """The same, the best of them sharper where they leave more than noise."""
+        noise = float(self.evidence.expected.sum())
+        best = sorted(fits, key=lambda f: -f.log_evidence)
+        return [self.sharpen(f) if k < SHARPENED and f.energy > ROUGH * noise else f for k, f in enumerate(best)]
 
     def run(self) -> list[Fit]:
         """All models looked at on real simulations, the nominal one first."""
@@ -234,7 +279,7 @@ class Search:
         self.screened = screened
         gain = space.energy - min((f.energy for f in screened), default=space.energy)
         chosen = [f for f in screened if space.energy - f.energy > WORTH * gain][:SINGLES] or screened[:SINGLES]
-        level = self.polish(self.refine(chosen))
+        level = self._sharpened(self.polish(self.refine(chosen)))
         fits += level
         for size in (2, 3):
             bases = sorted(level, key=lambda f: -f.log_evidence)[: BASES if size == 2 else 1]
@@ -243,7 +288,7 @@ class Search:
             promising = [f for f in grown if f.log_evidence > best + PROMISING][: EXTENSIONS * (BASES if size == 2 else 1)]
             if not promising:
                 break
-            level = [f for f in self.polish(self.refine(promising)) if self._worth(f, fits)]
+            level = [f for f in self._sharpened(self.polish(self.refine(promising))) if self._worth(f, fits)]
             fits += level
         fits = [f for f in fits if f.large_enough()]
         for f in sorted(fits[1:], key=lambda f: -f.log_evidence)[:3]:
@@ -256,8 +301,8 @@ class Search:
         What is left of a strong effect that is modelled a little otherwise would else be given to one small effect after the other.
         """
         noise = float(self.evidence.expected.sum())
-        fewer = [f for f in fits if set(f.model) < set(fit.model)]
-        return fit.energy - noise < (1.0 - SUBSTANTIAL) * (min(f.energy for f in fewer) - noise)
+        without = min(f.energy for f in fits if set(f.model) < set(fit.model)) - noise
+        return without > 0.0 and fit.energy - noise < (1.0 - SUBSTANTIAL) * without
 
     def kept(self, fit: Fit) -> float:
         """Part of the gain in evidence that stays when parts of the time are predicted from the others: an effect is the same all along.
