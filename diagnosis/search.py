@@ -253,10 +253,10 @@ class Search:
             n = len(self.groups)
             results = self.simulator.many([(i, self.simulator.seeded(changes)) for changes in settings for i in range(n)], "fits")
             signatures = [self.evidence.signature(results[k * n : (k + 1) * n]) for k in range(len(settings))]
-            base, *others = (x for x in signatures if x is not None)
-            if here is None or len(others) < len(moved):
+            known = [x for x in signatures if x is not None]
+            if here is None or len(known) < len(signatures):
                 break
-            slopes = [(x - base) * (scale / step) for x, scale, (_, step) in zip(others, scales, moved, strict=True)]
+            slopes = [(x - known[0]) * (scale / step) for x, scale, (_, step) in zip(known[1:], scales, moved, strict=True)]
             trial = self._about(fit, here, np.stack(slopes, axis=1))
             there = self.mean_signature(setting(trial.values))
             if there is None or energy(there) > BETTER * energy(here):
