@@ -55,7 +55,7 @@ SAID = {
 }
 """What is wrong with the log, in words."""
 EXPLAINABLE = ("constant", "unit")
-"""Kinds of findings that an effect may be the reason of: a clipped channel stands still. They do not count if the best model shows the same."""
+"""Kinds of findings that an effect may be the reason of: a clipped channel stands still. They are no fault if the best model does it."""
 FAULTS = {"smooth": "filter", "gain": "unit"}
 """Kinds of findings, where they are called otherwise than what is wrong with the log."""
 CLEAR = 8.0
