@@ -20,6 +20,7 @@ from diagnosis.replay import intervals
 from diagnosis.search import NOMINAL, Search, likely_count
 from diagnosis.simulation import Laboratory, Report, Setting, Simulator, decimate, setting
 from diagnosis.store import Store
+from diagnosis.transfer import Transfer, transfer
 from diagnosis.where import combined, direction_of, located
 from orchestration.assembly import Resolver, assemble, run
 from orchestration.parameters import Convert, same_unit_only
@@ -107,9 +108,9 @@ def diagnose(
 ) -> Diagnosis:
     """Where, which, how far. DataError where the runs do not fit the system; a bad log is an answer, not an error.
 
-    `held_out` runs are only looked at to measure the closure; runs labelled `held_out` count as such. `repair`: a clock that is
-    found to be late is corrected, and the rest is diagnosed. `store` keeps simulations, so that a second call after an interruption
-    goes on; the caller removes it when the answer is safe.
+    `held_out` runs are only looked at to see whether the answer holds there, and to measure the closure; runs labelled `held_out`
+    count as such. `repair`: a clock that is found to be late is corrected, and the rest is diagnosed. `store` keeps simulations, so
+    that a second call after an interruption goes on; the caller removes it when the answer is safe.
     """
     began = time.monotonic()
     held = [*held_out, *(r for r in runs if r.info.get("labels", {}).get("held_out") is True)]
@@ -272,12 +273,15 @@ class _Conclusion:
         kept = search.kept(self.best) if self.best.model else 0.0
         other = self.best.energy > usual and (share > UNEXPLAINED or kept < TRANSFER + share)
         passing = self.best.log_evidence < WEAK and kept < TRANSFER_OF_WEAK
+        moved = None
         if not self.best.model or self.best.log_evidence < CLEAR:
             verdict = "unknown" if self.fits[0].energy > UNKNOWN * expected else "none"
         elif other or passing:
             verdict = "unknown"
         elif clocks and not self.repair:
             verdict = "bad_log"
+        elif (moved := self.transfer()) is not None and moved.fails:
+            verdict = "unknown"
         elif all(marginal[c] >= IDENTIFIED for c in self.best.model):
             verdict = "identified"
         else:
@@ -301,6 +305,8 @@ class _Conclusion:
             "unexplained": share,
             "noise_is_a_guess": self.search.evidence.whitening.guessed,
         }
+        if moved is not None:
+            result["transfer"] = asdict(moved)
         adopted = dict(self.best.values) if verdict in ("identified", "ambiguous", "unknown") else {}
         if verdict == "none":
             result["smallest_visible"] = self.smallest()
@@ -322,6 +328,12 @@ class _Conclusion:
             "taken_over": self.simulator.found,
         }
         return Diagnosis(result, adopted, tuple(self.fits), tuple(self.laboratory.channels), self.curves(adopted))
+
+    def transfer(self) -> Transfer | None:
+        """Whether the best model holds in conditions that were held out."""
+        fit = self.best
+        doubt = max(math.hypot(BIAS, WIDER * fit.deviations[a] / (abs(v) + 1e-300)) for a, v in fit.values.items())
+        return transfer(self.search, self.groups, fit.values, min(doubt, 1.0))
 
     def which(self, marginal: Mapping[Candidate, float]) -> list[dict[str, Any]]:
         """Every candidate above 1 %."""

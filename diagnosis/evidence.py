@@ -75,26 +75,29 @@ class Evidence:
 
 def gather(
     laboratory: Laboratory,
+    conditions: Sequence[str],
     groups: Sequence[Sequence[FloatArray]],
     nominals: Sequence[Sequence[FloatArray]],
     changes: Changes,
     sizes: Mapping[Address, float],
     scales: Mapping[Address, float],
     tolerances: Mapping[Address, float],
+    like: Evidence | None = None,
 ) -> Evidence:
-    """Evidence from the repeats and nominal simulations of each condition, [samples, channels].
+    """Evidence from the repeats and nominal simulations of each of these conditions, [samples, channels].
 
     `changes` were simulated at `sizes` [unit of the parameter]; `scales` are the prior scales of the candidates' parameters,
-    `tolerances` the standard deviations of calibrated ones. DataError if no parameter changes any channel.
+    `tolerances` the standard deviations of calibrated ones. `like`: channels and whitening are those of this one, so that
+    energies can be compared. DataError if no parameter changes any channel.
     """
     moved = np.array([np.any([np.any(c, axis=0) for c in change], axis=0) for change in changes.values()])
     if not moved.any():
         raise DataError("no parameter of the catalogue changes any of the measured channels: there is nothing to diagnose with")
-    active: npt.NDArray[np.bool_] = np.asarray(moved.any(axis=0))
+    active: npt.NDArray[np.bool_] = np.asarray(moved.any(axis=0)) if like is None else like.active
     groups = [[x[:, active] for x in g] for g in groups]
     nominals = [[b[:, active] for b in group] for group in nominals]
     changes = {a: [c[:, active] for c in change] for a, change in changes.items()}
-    w = _whitening(groups, nominals, changes)
+    w = _whitening(groups, nominals, changes) if like is None else like.whitening
     means = [np.asarray(np.mean(group, axis=0)) for group in nominals]
     # the mean of so many simulations scatters too
     counts = [len(g) * len(m) / (len(g) + len(m)) if len(m) > 1 else float(len(g)) for g, m in zip(groups, nominals, strict=True)]
@@ -113,8 +116,8 @@ def gather(
 
     y = np.concatenate([np.sqrt(n) * np.mean(r, axis=0) for n, r in zip(counts, residuals, strict=True)])
     blocks, start = {}, 0
-    for i, mean in enumerate(means):
-        blocks[laboratory.conditions[i].name] = slice(start, start + mean.size)
+    for name, mean in zip(conditions, means, strict=True):
+        blocks[name] = slice(start, start + mean.size)
         start += mean.size
     raw = {a: white(change) for a, change in changes.items()}
     columns = {a: raw[a] * (scales[a] / sizes[a]) for a in scales if a in raw}

@@ -21,6 +21,8 @@ TURNED = 0.5
 """Cosine below which many sizes are tried."""
 NOMINAL = 8
 """Simulations of the nominal system with different noise, of each condition."""
+TOLERANCES = 3.0
+"""Standard deviations of a calibrated number that its column is simulated at."""
 POLISH, POLISHED = 6, 8
 """Simulations with different noise at the best values of a model, and how many models of each size get them."""
 SHARPENED, ROUGH = 2, 1.15
@@ -60,7 +62,7 @@ class Search:
         """Simulate every parameter at its prior scale; whiten; keep the candidates that change something."""
         scales = {a: c.prior.scale for c in self.catalogue.candidates for a in c.addresses}
         unknown = {n.address: n.scale for n in self.nuisances}
-        sizes = {**{a: 3.0 * s for a, s in unknown.items()}, **scales}
+        sizes = {**{a: TOLERANCES * s for a, s in unknown.items()}, **scales}
         tasks = [(i, self.simulator.seeded(setting({a: s}))) for a, s in sizes.items() for i in range(len(self.groups))]
         results = iter(self.simulator.many(tasks, "effects"))
         changes: dict[Address, list[FloatArray]] = {}
@@ -76,7 +78,8 @@ class Search:
             change = self._change([next(results) for _ in self.groups])
             if change is not None:
                 changes[a], sizes[a] = change, s
-        self.evidence = gather(self.simulator.laboratory, self.groups, self.nominals, changes, sizes, scales, unknown)
+        names = [c.name for c in self.simulator.laboratory.conditions[: len(self.groups)]]
+        self.evidence = gather(self.simulator.laboratory, names, self.groups, self.nominals, changes, sizes, scales, unknown)
         self._start_elsewhere()
         return [c for c in self.catalogue.candidates if all(a in self.evidence.columns for a in c.addresses)]
 

@@ -1,0 +1,81 @@
+"""Whether a model holds in conditions that it was not fitted to: a wrong one that fits a run does not fit the next.
+
+A model with fitted values promises a gain in log score in new conditions: that of its signature there. What it gains is how much
+better it predicts the measured runs than the nominal system does. Both are given what the diagnosed runs say about calibrated
+numbers: joint energy less theirs. If the model is right the two are equal but for noise; of what only looks like it in the
+diagnosed runs, the gain is a part of what was promised, or a loss.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.catalogue import Address
+from diagnosis.estimation import Space
+from diagnosis.evidence import gather
+from diagnosis.search import NOMINAL, POLISH, TOLERANCES, Search
+from diagnosis.simulation import setting
+from orchestration.slave import FloatArray
+
+TOLD = 5.0
+"""Gain [nats] from which what a model promises can be told from noise."""
+HOLDS = 0.5
+"""Part of the promised gain that a model must have."""
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """What a model gains in new conditions against the nominal system, and what it promised [nats]."""
+
+    gain: float
+    promised: float
+
+    @property
+    def fails(self) -> bool:
+        """Whether the model does not hold there; not if the effect would hardly show."""
+        return self.promised > TOLD and self.gain < HOLDS * self.promised
+
+
+def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Mapping[Address, float], doubt: float) -> Transfer | None:
+    """Of the model with these values; None where there is no new condition, or the system cannot run there.
+
+    `groups`: measured repeats of every condition of the laboratory, those that were diagnosed first; repeats of these that were
+    held out are not used. `doubt`: part by which what the model does may be too large or too small.
+    """
+    simulator = search.simulator
+    conditions = simulator.laboratory.conditions
+    diagnosed = len(search.groups)
+    names = [c.name for c in conditions]
+    every = [i for i, name in enumerate(names) if i < diagnosed or name not in names[:diagnosed]]
+    if len(every) == diagnosed:
+        return None
+    nominals = simulator.repeated(every, (), NOMINAL, "new conditions")
+    there = simulator.repeated(every, setting(values), POLISH, "new conditions")
+    sizes = {n.address: TOLERANCES * n.scale for n in search.nuisances}
+    results = iter(simulator.many([(i, simulator.seeded(setting({a: s}))) for a, s in sizes.items() for i in every], "new conditions"))
+    plain = [n for n in nominals if n is not None]
+    if len(plain) < len(every) or any(t is None for t in there):
+        return None
+    changes: dict[Address, list[FloatArray]] = {}
+    for a in sizes:
+        change = [r - n[0] for r, n in zip([next(results) for _ in every], plain, strict=True) if r is not None]
+        if len(change) == len(every):
+            changes[a] = change
+    scales = {n.address: n.scale for n in search.nuisances}
+    measured = [groups[i] for i in every]
+    e = gather(simulator.laboratory, [names[i] for i in every], measured, plain, changes, sizes, {}, scales, search.evidence)
+    signature = e.mean_signature(there)
+    assert signature is not None
+    known = list(e.space.blocks)[:diagnosed]
+    rows = e.space.rows(known)
+
+    def energy(space: Space, left: FloatArray) -> float:
+        """Of the new conditions, given the diagnosed ones."""
+        return float(space.dot(left, left)) - float(space.only(known).dot(left[rows], left[rows]))
+
+    uncertain = Space(e.space.y, e.space.blocks, np.column_stack([e.space.nuisances, doubt * signature]))
+    gain = 0.5 * (energy(e.space, e.space.y) - energy(uncertain, e.space.y - signature))
+    return Transfer(gain, 0.5 * energy(e.space, signature))

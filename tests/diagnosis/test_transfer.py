@@ -1,0 +1,49 @@
+"""An answer must hold in conditions that it was not fitted to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from diagnosis.engine import diagnose
+from diagnosis.transfer import HOLDS, TOLD, Transfer
+from orchestration.results import Run
+from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
+
+RUBBING = {"masses": {"friction[1]": 0.03}}
+
+
+def answer(folder: Path, held_out: list[Run]) -> dict[str, Any]:
+    return diagnose(SYSTEM, measure(RUBBING), catalogue(folder), held_out=held_out, resolver=resolve).result
+
+
+def test_what_is_right_gains_in_a_new_condition_what_it_promises(tmp_path: Path) -> None:
+    result = answer(tmp_path, measure(RUBBING, amplitude=0.6, repeats=2, seed=2))
+    assert result["verdict"] == "identified"
+    assert result["transfer"]["promised"] > 20.0 * TOLD
+    # a right model's gain scatters by the square root of twice the promise: 1 part in 10 here
+    assert result["transfer"]["gain"] == pytest.approx(result["transfer"]["promised"], rel=0.3)
+
+
+def test_what_is_not_there_in_a_new_condition_is_unknown(tmp_path: Path) -> None:
+    result = answer(tmp_path, measure(amplitude=0.6, repeats=2, seed=2))
+    assert result["verdict"] == "unknown"
+    assert result["transfer"]["gain"] < 0.0 < result["transfer"]["promised"]
+    assert result["unknown"]["nearest"] == "friction @ mass 1"
+
+
+@pytest.mark.parametrize("repeats", [0, 2])
+def test_more_of_the_same_is_no_new_condition(tmp_path: Path, repeats: int) -> None:
+    result = answer(tmp_path, measure(RUBBING, repeats=repeats, seed=2))
+    assert result["verdict"] == "identified"
+    assert "transfer" not in result
+
+
+@pytest.mark.parametrize(
+    ("gain", "promised", "fails"),
+    [(-3.0, 0.9 * TOLD, False), (-3.0, 1.1 * TOLD, True), (HOLDS * 99.0, 100.0, True), (HOLDS * 101.0, 100.0, False)],
+)
+def test_a_promise_too_small_to_be_told_from_noise_is_no_test(gain: float, promised: float, fails: bool) -> None:
+    assert Transfer(gain, promised).fails is fails
