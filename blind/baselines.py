@@ -11,9 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from blind.conditions import Condition
+from blind.case import Case
+from blind.conditions import Condition, from_truth
 from blind.effects import EFFECTS
-from blind.signatures import STRIDE, Library, floor
+from blind.signatures import STRIDE, Library, floor, library
+from blind.workers import Progress
 from blind.world import nominal
 from models.declaration import FloatArray
 from orchestration.results import Run
@@ -123,3 +125,17 @@ BASELINES: Mapping[str, Baseline] = {
     "bic": bic,
     "lasso": lasso,
 }
+
+
+def baseline_guesses(folder: Path, cases: Sequence[Case], tier: str, progress: Progress | None = None) -> dict[str, dict[int, Guess]]:
+    """Baseline -> number of the case -> what it says, from the runs and the signatures (kept in `oracle`) of a benchmark."""
+    guesses: dict[str, dict[int, Guess]] = {name: {} for name in BASELINES}
+    for i, c in enumerate(cases):
+        if progress is not None:
+            progress("baselines", i, len(cases))
+        condition = from_truth(c.truth["conditions"][0])
+        lib = library(condition, folder / "oracle").for_tier(tier)
+        r = residual(folder / "cases" / f"{c.number:04d}", condition, lib.columns)
+        for name, baseline in BASELINES.items():
+            guesses[name][c.number] = baseline(lib, r)
+    return guesses

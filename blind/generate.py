@@ -25,6 +25,7 @@ from blind.conditions import Condition, draw, known, planned
 from blind.effects import BY_KEY, EFFECTS, Instance
 from blind.effects import draw as draw_effect
 from blind.outside import Changes, Columns
+from blind.sealing import hashes
 from blind.signatures import ARRAYS, floor
 from blind.workers import Progress, work
 from blind.world import (
@@ -136,12 +137,6 @@ def write(file: Path, text: str) -> None:
     part = file.with_name(f".{file.name}.part")
     part.write_text(text, encoding="utf-8")
     part.replace(file)
-
-
-def hashes(folder: Path, exclude: Sequence[str] = ()) -> dict[str, str]:
-    """SHA-256 of every file below a folder, by relative path."""
-    files = sorted(f for f in folder.rglob("*") if f.is_file() and f.name not in exclude)
-    return {f.relative_to(folder).as_posix(): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
 
 
 def make_case(folder: Path, plan: Plan, seed: int, tier: str) -> None:

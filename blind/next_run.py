@@ -11,14 +11,11 @@ import numpy as np
 from blind import outside
 from blind.generate import detectability, switched_on
 from blind.outside import Changes, Columns
+from blind.prediction import LOGGING, ComponentValues
 from blind.world import Machine, simulate_menu
 
-Values = Mapping[str, Mapping[str, float]]
-"""Component -> parameter -> value; of the log: `lag PATTERN` -> s."""
-LOGGING = "logging"
 
-
-def separates(truth: Mapping[str, Any], kind: str, wrong: Sequence[Values], tier: str, limit: float) -> bool:
+def separates(truth: Mapping[str, Any], kind: str, wrong: Sequence[ComponentValues], tier: str, limit: float) -> bool:
     """Whether the run `kind` of the menu tells the effects of a truth from each of the other answers, on the same machine.
 
     It does where, in some window of 0.5 s, what they do differs by `limit` times what machines without effects leave.
@@ -30,7 +27,7 @@ def separates(truth: Mapping[str, Any], kind: str, wrong: Sequence[Values], tier
     return all(max(detectability(_said(kind, machine, values), true, true, tier).values()) >= limit for values in wrong)
 
 
-def _said(kind: str, machine: Machine, values: Values) -> Columns:
+def _said(kind: str, machine: Machine, values: ComponentValues) -> Columns:
     """What would be logged if an answer were true."""
     t, columns = simulate_menu(kind, machine, (), Changes(), values)
     for what, lag in values.get(LOGGING, {}).items():

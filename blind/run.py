@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from blind.score import BenchmarkError
+from blind.sealing import BenchmarkError
 from blind.workers import Progress, work
 
 Diagnose = Callable[[Path, Path], Any]

@@ -104,7 +104,7 @@ def blind(options: Namespace) -> int:
 def write_page(folders: Sequence[Path], output: Path) -> tuple[dict[str, Any], str]:
     """Write the page of results; returns what was done and says it. BenchmarkError where a folder has not been scored."""
     from blind.page import page
-    from blind.score import BenchmarkError
+    from blind.sealing import BenchmarkError
 
     for folder in folders:
         if not (folder / "score.json").is_file():

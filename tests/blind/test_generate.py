@@ -15,10 +15,11 @@ from blind.conditions import Condition, draw, planned
 from blind.effects import BY_KEY, EFFECTS
 from blind.effects import draw as draw_effect
 from blind.felt import felt
-from blind.generate import PROPORTIONS, closure, detectability, difference, hashes, make, make_case, plans
+from blind.generate import PROPORTIONS, closure, detectability, difference, make, make_case, plans
 from blind.outside import Changes
 from blind.run import run_cases
-from blind.score import BenchmarkError, score
+from blind.score import score
+from blind.sealing import BenchmarkError, hashes
 from blind.world import MEASURED, TRACKER, Machine, coloured, draw_machine, jittered, measure, nominal, simulate
 from fmus.components import COMPONENTS
 from fmus.instance import ComponentError

@@ -7,17 +7,16 @@ import json
 import pytest
 
 from blind.acceptance import bound
+from blind.figures import figures
 from blind.page import page
-from blind.score import Scorer
+from blind.tables import confusion, per_effect, strata
 from robomill.cli import main
-from tests.blind.test_score import GAIN, STIFF, cases, entry, said, truth
+from tests.blind.by_hand import GAIN, STIFF, cases, entry, said, truth
 
 
 def score(tier, **more):
     right = said("identified", entry("sensor", "sensor_gain_error", 0.9))
-    scorer = Scorer(
-        cases((truth("single", GAIN), right), (truth("single", STIFF), right), (truth("null", detectability=0.0), said("none"))), tier
-    )
+    listed = cases((truth("single", GAIN), right), (truth("single", STIFF), right), (truth("null", detectability=0.0), said("none")))
     found = {
         "tier": tier,
         "seed": 5,
@@ -28,7 +27,7 @@ def score(tier, **more):
         "isolability": True,
     }
     found |= {"date": "2026-01-02 03:04 UTC", "commit": "abc1234", "kinds": {"null": 1, "single": 2, "bad_log": 0}}
-    found |= {"scores": scorer.scores(), "strata": scorer.strata(), "per_effect": scorer.per_effect(), "confusion": scorer.confusion()}
+    found |= {"scores": figures(listed, tier), "strata": strata(listed), "per_effect": per_effect(listed), "confusion": confusion(listed)}
     return json.loads(
         json.dumps(found | {"baselines": {"lasso": {"effect_top1": {"value": 0.25, "count": 2, "interval": [0.1, 0.5]}}}} | more)
     )

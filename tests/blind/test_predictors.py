@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from blind.acceptance import BOUNDS, met
+from blind.case import Case, Cases
+from blind.criteria import location_names
 from blind.effects import BY_KEY
+from blind.figures import figures
 from blind.generate import _subject as subject
 from blind.generate import plans
-from blind.score import Case, Named, Prediction, Scorer, location_names
+from blind.prediction import Named, Prediction
 
 CATALOGUE = Path(__file__).parents[2] / "scenarios" / "catalogue.toml"
 LAG = ("lag sensor.*", "force sensor")
@@ -87,7 +90,7 @@ def scores(predict, count=240, seed=7):
         right = all(e["parameter"] in adopted.get(e["component"], {}) for e in true)
         return {name: (1.0, 1.0 - v["tool tip"] if right else 1.0) for name, v in CEILING.items()}
 
-    return Scorer(cases, "T1", closures, lambda number, i: [], lambda number, run, wrong: run["kind"] == "push").scores()
+    return figures(Cases(cases, lambda number, i: []), "T1", closures, lambda number, run, wrong: run["kind"] == "push")
 
 
 def test_who_knows_the_truth_meets_every_bound():

@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from blind.generate import hashes
+from blind.sealing import hashes
 from robomill.cli import main
 
 

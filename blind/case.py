@@ -1,0 +1,113 @@
+"""Cases: truth beside prediction, and what the data of a case can decide at all.
+
+Detectable: the oracle ratio of the generator (largest over measured arrays and windows of 0.5 s) is at least `DETECTABLE`.
+Isolable: no other catalogue candidate and no clock of the log explains the change that the true effect makes but for as much
+(`signatures.confusable`). Both are properties of the data, not of the prediction.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from blind.prediction import Named, Prediction
+
+DETECTABLE = 3.0
+"""Oracle ratio from which a case counts as detectable."""
+CATALOGUE = ("single", "double", "triple")
+"""Kinds of cases with effects of the catalogue."""
+REAL = (*CATALOGUE, "outside")
+"""Kinds of cases with something real and a good log."""
+KINDS = ("null", *REAL, "bad_log")
+
+Confusable = Callable[[int, int], Sequence[str]]
+"""(number of the case, index of its effect) -> other candidates (`component.parameter`) that the data cannot tell from that effect."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Truth and prediction of one case."""
+
+    number: int
+    kind: str
+    truth: Mapping[str, Any]
+    prediction: Prediction
+
+    @property
+    def effects(self) -> tuple[Named, ...]:
+        """True catalogue effects."""
+        return tuple(Named.of(e["component"], e["parameter"]) for e in self.truth["effects"])
+
+    @property
+    def keys(self) -> set[str]:
+        """True catalogue effects, as `component.effect`."""
+        return {e.key for e in self.effects}
+
+    @property
+    def ratio(self) -> float:
+        """Oracle ratio of all that is in it."""
+        return float(self.truth["detectability"])
+
+    @property
+    def detectable(self) -> bool:
+        """By the oracle: something in it; of a bad log its fault (a channel that stands still has no noise, which is always seen)."""
+        if self.kind == "bad_log":
+            fault = self.truth["bad_log"]
+            return fault["kind"] == "constant" or float(fault.get("detectability", math.inf)) >= DETECTABLE
+        return self.ratio >= DETECTABLE
+
+    def effect_detectable(self, i: int) -> bool:
+        """Whether effect `i` is, by itself."""
+        return float(self.truth["effects"][i].get("detectability", self.truth["detectability"])) >= DETECTABLE
+
+
+def load_cases(folder: Path, truths: Mapping[int, Mapping[str, Any]]) -> list[Case]:
+    """Truths with their predictions; one that is missing or unreadable has the verdict `missing`."""
+    cases = []
+    for number, truth in sorted(truths.items()):
+        file = folder / "predictions" / f"{number:04d}" / "diagnosis.json"
+        try:
+            prediction = Prediction.read(json.loads(file.read_text(encoding="utf-8")))
+        except (OSError, ValueError):
+            prediction = Prediction("missing")
+        cases.append(Case(number, str(truth["kind"]), truth, prediction))
+    return cases
+
+
+@dataclass
+class Cases:
+    """The cases of a benchmark, to be selected from. Without `confusable` all effects count as isolable."""
+
+    all: Sequence[Case]
+    confusable: Confusable | None = None
+    _isolable: dict[tuple[int, int], bool] = field(default_factory=dict)
+
+    def of(self, *kinds: str) -> list[Case]:
+        """Cases of those kinds."""
+        return [c for c in self.all if c.kind in kinds]
+
+    def detectable(self, *kinds: str) -> list[Case]:
+        """Those of these kinds that are detectable."""
+        return [c for c in self.of(*kinds) if c.detectable]
+
+    def isolable(self, c: Case, i: int) -> bool:
+        """Whether the data can tell effect `i` from every other candidate, the same effect elsewhere included."""
+        if self.confusable is None:
+            return True
+        key = (c.number, i)
+        if key not in self._isolable:
+            self._isolable[key] = not self.confusable(*key)
+        return self._isolable[key]
+
+    def decidable(self, c: Case) -> list[int]:
+        """Effects that are detectable and isolable."""
+        return [i for i in range(len(c.effects)) if c.effect_detectable(i) and self.isolable(c, i)]
+
+    @property
+    def singles(self) -> list[Case]:
+        """Singles whose effect is detectable and isolable."""
+        return [c for c in self.detectable("single") if self.decidable(c)]

@@ -1,0 +1,181 @@
+"""The figures of score.json, by what they measure (docs/blind.md says what each means)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from blind.baselines import Guess
+from blind.case import CATALOGUE, REAL, Case, Cases
+from blind.criteria import component_right, effect_in_top, estimate, location_right, named_exactly, set_holds_truth
+from blind.prediction import ComponentValues
+from blind.statistics import Figure, expected_calibration_error, proportion, quantile
+
+SquaredGaps = Callable[[int, ComponentValues], Mapping[str, tuple[float, float]]]
+"""(number of the case, claimed values) -> sum of squares of the true gap by held-out condition, before and after, of the array that
+counts at the tier."""
+Separates = Callable[[int, Mapping[str, Any], Sequence[ComponentValues]], bool]
+"""(number of the case, recommended run, values of the wrong candidates) -> whether the run tells all of them from the truth."""
+GAP_ARRAY = {"T1": ("compliance.p_BT_B", "tool tip"), "T0": ("sensor.f_T_T", "force")}
+"""Tier -> the array whose gap counts, and its name in the ceiling of a truth."""
+CLOSABLE = 0.5
+"""Closure by the truth itself from which a held-out condition counts."""
+
+
+def figures(
+    cases: Cases, tier: str = "T1", squared_gaps: SquaredGaps | None = None, separates: Separates | None = None
+) -> dict[str, Figure]:
+    """All of them. The callables may be left out: what needs them is then without cases."""
+    return {
+        **alarms(cases),
+        **naming(cases),
+        **ambiguity(cases, separates),
+        **open_set(cases),
+        **doubles(cases),
+        **parameters(cases),
+        **closures(cases, tier, squared_gaps),
+        "ece": calibration(cases),
+        **cpu_time(cases),
+    }
+
+
+def alarms(cases: Cases) -> dict[str, Figure]:
+    """Whether there is anything, and whether the log is at fault."""
+    return {
+        "null_false_alarm": proportion([c.prediction.verdict != "none" for c in cases.of("null")]),
+        "bad_log_stopped": proportion([c.prediction.stopped for c in cases.detectable("bad_log")]),
+        "bad_log_stopped_of_all": proportion([c.prediction.stopped for c in cases.of("bad_log")]),
+        "detection": proportion([c.prediction.found for c in cases.detectable(*REAL)]),
+        "good_log_stopped": proportion([c.prediction.stopped for c in cases.of("null", *REAL)]),
+    }
+
+
+def naming(cases: Cases) -> dict[str, Figure]:
+    """Component, place and effect of singles that the data can decide."""
+    singles = cases.singles
+    return {
+        "component_top1": proportion([component_right(c) for c in singles]),
+        "location_top1": proportion([location_right(c) for c in singles if c.effects[0].index]),
+        "effect_top1": proportion([effect_in_top(c, 1) for c in singles]),
+        "effect_top3": proportion([effect_in_top(c, 3) for c in singles]),
+        "effect_top1_of_detectable": proportion([effect_in_top(c, 1) for c in cases.detectable("single")]),
+    }
+
+
+def ambiguity(cases: Cases, separates: Separates | None = None) -> dict[str, Figure]:
+    """The sets of ambiguous answers to singles, and the runs recommended to decide them."""
+    ambiguous = [c for c in cases.detectable("single") if c.prediction.verdict == "ambiguous"]
+    return {
+        "ambiguity_holds_truth": proportion([set_holds_truth(c) for c in ambiguous]),
+        "ambiguity_median_size": quantile([float(len(c.prediction.listed)) for c in ambiguous]),
+        "next_run_separates": proportion(_separated(ambiguous, separates) if separates else []),
+    }
+
+
+def _separated(cases: Sequence[Case], separates: Separates) -> list[bool]:
+    """Of each case, whether the recommended run tells the truth from the likeliest wrong candidate; no run: no."""
+    found = []
+    for c in cases:
+        wrong = [e.values for e in c.prediction.listed if not e.is_exactly(c.effects[0])][:1]
+        recommended = c.prediction.next_run
+        if wrong and "machine" in c.truth:  # version 1 of the generator did not keep it
+            found.append(recommended is not None and separates(c.number, recommended, wrong))
+    return found
+
+
+def open_set(cases: Cases) -> dict[str, Figure]:
+    """Whether what is outside of the catalogue is told from what is in it."""
+    unknowns = cases.detectable("outside")
+    return {
+        "unknown_recall": proportion([c.prediction.verdict == "unknown" for c in unknowns]),
+        "false_unknown": proportion([c.prediction.verdict == "unknown" for c in cases.detectable(*CATALOGUE)]),
+        "confident_wrong_on_unknown": proportion([c.prediction.verdict == "identified" for c in unknowns]),
+    }
+
+
+def doubles(cases: Cases) -> dict[str, Figure]:
+    """What is claimed of two effects at once; each effect is looked at by itself."""
+    detectable = cases.detectable("double")
+    both = [c for c in detectable if len(cases.decidable(c)) == len(c.effects)]
+    some = [c for c in detectable if cases.decidable(c)]
+    told = [c for c in detectable if all(cases.isolable(c, i) for i in range(len(c.effects)) if c.effect_detectable(i))]
+    return {
+        "doubles_exact": proportion([c.prediction.claimed_keys == c.keys for c in both]),
+        "doubles_one_right": proportion([bool(c.prediction.claimed_keys & c.keys) for c in some]),
+        "doubles_nothing_invented": proportion([c.prediction.claimed_keys <= c.keys for c in told]),
+    }
+
+
+def parameters(cases: Cases) -> dict[str, Figure]:
+    """Relative errors of the parameters and coverage of their intervals, of singles that are named exactly."""
+    estimates = [e for c in cases.singles if named_exactly(c) and (e := estimate(c)) is not None]
+    errors = [error for error, _ in estimates]
+    return {
+        "parameter_error_median": quantile(errors),
+        "parameter_error_p90": quantile(errors, 0.9),
+        "interval_coverage": proportion([covered for _, covered in estimates if covered is not None]),
+    }
+
+
+def closures(cases: Cases, tier: str, squared_gaps: SquaredGaps | None = None) -> dict[str, Figure]:
+    """How far what is claimed closes the gap on held-out conditions, of singles that are named exactly."""
+    named = [c for c in cases.singles if named_exactly(c)]
+    found = [v for c in named if (v := _closure(c, tier, squared_gaps)) is not None] if squared_gaps else []
+    ratios = [ratio for ratio, _ in found]
+    return {
+        "closure_over_ceiling_median": quantile(ratios),
+        "closure_over_ceiling_p10": quantile(ratios, 0.1),
+        "claimed_closure_error_median": quantile([error for _, error in found if error is not None]),
+    }
+
+
+def _closure(c: Case, tier: str, squared_gaps: SquaredGaps) -> tuple[float, float | None] | None:
+    """True closure over ceiling, and |claimed - true| where there is a claim; None where even the truth closes no condition.
+
+    The former is a mean over the conditions that the truth closes (`CLOSABLE`), the latter is of all held-out conditions together,
+    as it is claimed.
+    """
+    array, quantity = GAP_ARRAY[tier]
+    ceilings = {name: float(v[quantity]) for name, v in c.truth.get("ceiling", {}).items() if v[quantity] >= CLOSABLE}
+    if not ceilings:
+        return None
+    gaps = squared_gaps(c.number, c.prediction.claimed_values)
+    ratio = float(np.mean([_closed(*gaps[name]) / ceiling for name, ceiling in ceilings.items()]))
+    claims = [
+        float(h["closure"])
+        for h in c.prediction.how_far
+        if h.get("on") == "held-out condition" and h.get("closure") is not None and h.get("channel", array) == array
+    ]
+    together = _closed(sum(before for before, _ in gaps.values()), sum(after for _, after in gaps.values()))
+    return ratio, abs(claims[0] - together) if claims else None
+
+
+def _closed(before: float, after: float) -> float:
+    return 0.0 if before == 0.0 else 1.0 - after / before
+
+
+def calibration(cases: Cases) -> Figure:
+    """Expected calibration error of the first candidate, wherever an effect is named; never right where there is none."""
+    answered = [c for c in cases.of("single", "null", "outside") if c.prediction.found and c.prediction.claimed]
+    return expected_calibration_error([c.prediction.claimed[0].probability for c in answered], [named_exactly(c) for c in answered])
+
+
+def cpu_time(cases: Cases) -> dict[str, Figure]:
+    """Of a diagnosis [s]."""
+    times = [c.prediction.cpu for c in cases.all if c.prediction.cpu is not None]
+    return {"cpu_time_median": quantile(times), "cpu_time_p90": quantile(times, 0.9)}
+
+
+def baseline_figures(cases: Cases, guesses: Mapping[int, Guess]) -> dict[str, Figure]:
+    """Those that a method has which only names one effect or none; guesses by number of the case."""
+    singles = [(guesses[c.number], c.effects[0]) for c in cases.singles]
+    return {
+        "null_false_alarm": proportion([guesses[c.number].key is not None for c in cases.of("null")]),
+        "detection": proportion([guesses[c.number].key is not None for c in cases.detectable(*REAL)]),
+        "component_top1": proportion([g.component == true.component for g, true in singles]),
+        "location_top1": proportion([(g.component, g.index) == (true.component, true.index) for g, true in singles if true.index]),
+        "effect_top1": proportion([g.key == true.key for g, true in singles]),
+        "confident_wrong_on_unknown": proportion([guesses[c.number].key is not None for c in cases.detectable("outside")]),
+    }

@@ -1,0 +1,32 @@
+"""Truths and predictions written by hand, whose scores can be counted."""
+
+from __future__ import annotations
+
+from blind.case import Case, Cases
+from blind.prediction import Named, Prediction
+
+
+def truth(kind, *effects, detectability=20.0, **more):
+    listed = [
+        {"component": c, "effect": p.partition("[")[0], "parameter": p, "index": Named.of(c, p).index, "value": v, "unit": "1"}
+        for c, p, v in effects
+    ]
+    return {"kind": kind, "effects": listed, "detectability": detectability, **more}
+
+
+def entry(component, parameter, probability, value=1.0, interval=(0.0, 2.0), confusable=()):
+    parameters = {parameter: {"value": value, "interval": list(interval), "unit": "1"}}
+    name = parameter.partition("[")[0]
+    return {"effect": name, "component": component, "probability": probability, "parameters": parameters, "confusable_with": confusable}
+
+
+def said(verdict, *which, **more):
+    return Prediction.read({"verdict": verdict, "which": list(which), **more})
+
+
+def cases(*pairs, **more):
+    return Cases([Case(i, t["kind"], t, p) for i, (t, p) in enumerate(pairs, 1)], **more)
+
+
+STIFF = ("compliance", "stiffness_error[2]", 0.2)
+GAIN = ("sensor", "sensor_gain_error", 0.1)
