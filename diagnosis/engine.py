@@ -21,6 +21,7 @@ from diagnosis.search import NOMINAL, Search, likely_count
 from diagnosis.simulation import Laboratory, Report, Setting, Simulator, decimate, setting
 from diagnosis.store import Store
 from diagnosis.transfer import Transfer, transfer
+from diagnosis.verdict import UNKNOWN, asks_new_conditions, judged, over_noise, unexplained
 from diagnosis.where import combined, direction_of, located
 from orchestration.assembly import Resolver, assemble, run
 from orchestration.parameters import Convert, same_unit_only
@@ -35,19 +36,6 @@ CLOSING = 4
 """Simulations with different noise that the closure is measured with."""
 ELSE = 0.03
 """Probability that an answer is of no model that was looked at: part of the clear answers that are wrong."""
-IDENTIFIED = 0.8
-"""Probability from which one answer is given."""
-UNEXPLAINED = 0.35
-"""Share of the energy beyond noise (calibration fitted) that an adequate model may leave."""
-LIKE_NOISE = 1.15
-"""Energy, over that of noise, that two systems which are the same but for calibration leave: machines without effects have 1.05 to 1.23."""
-UNKNOWN = 1.4
-"""Energy, over that of noise, from which there is a gap even if no candidate explains any of it."""
-TRANSFER = 0.4
-"""Part of its gain in evidence that a model must keep in parts of the time that it is not fitted to, where more than noise is left; and
-as much more as the share that it leaves."""
-WEAK, TRANSFER_OF_WEAK = 100.0, 0.5
-"""The same for gains in evidence [nats] of no more than this, whatever is left."""
 SAID = {
     "lag": "the clock of the {place} is late by {value:.1f} {unit}",
     "smooth": "the {place} was filtered before it was logged, with a time constant of {value:.1f} {unit}",
@@ -59,8 +47,6 @@ EXPLAINABLE = ("constant", "unit")
 """Kinds of findings that an effect may be the reason of: a clipped channel stands still. They are no fault if the best model does it."""
 FAULTS = {"smooth": "filter", "gain": "unit"}
 """Kinds of findings, where they are called otherwise than what is wrong with the log."""
-CLEAR = 8.0
-"""Log of the odds from which an effect is believed to be there at all."""
 WIDER, BIAS = 1.25, 0.04
 """Factor on the deviation of a fit, and part of the value that the form of an effect may put it off, in intervals."""
 LISTED = 0.01
@@ -140,8 +126,7 @@ def diagnose(
             fits = search.run()
             if fatal:  # is it the machine, after all?
                 best = fits[int(probabilities(fits, search.candidates).argmax())]
-                like_noise = best.energy < UNKNOWN * float(search.evidence.expected.sum())
-                if like_noise and not any(c.component == LOGGING for c in best.model):
+                if over_noise(search, best) < UNKNOWN and not any(c.component == LOGGING for c in best.model):
                     findings = _gate(laboratory, simulator, groups, n, channels, ranges, setting(best.values))
                     fatal = [f for f in findings if f.fatal]
         if fatal:
@@ -264,28 +249,11 @@ class _Conclusion:
         before, noise = self.search.gap(self.fits[0], calibrated=False)
         calibrated, _ = self.search.gap(self.fits[0])
         after, _ = self.search.gap(self.best)
-        search = self.search
-        expected = float(search.evidence.expected.sum())
-        usual = LIKE_NOISE * expected
-        share = max(self.best.energy - usual, 0.0) / max(self.fits[0].energy - usual, 1e-9 * usual)
+        search, nominal = self.search, self.fits[0]
         marginal = self.marginal()
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] > 0.5]
-        kept = search.kept(self.best) if self.best.model else 0.0
-        other = self.best.energy > usual and (share > UNEXPLAINED or kept < TRANSFER + share)
-        passing = self.best.log_evidence < WEAK and kept < TRANSFER_OF_WEAK
-        moved = None
-        if not self.best.model or self.best.log_evidence < CLEAR:
-            verdict = "unknown" if self.fits[0].energy > UNKNOWN * expected else "none"
-        elif other or passing:
-            verdict = "unknown"
-        elif clocks and not self.repair:
-            verdict = "bad_log"
-        elif (moved := self.transfer()) is not None and moved.fails:
-            verdict = "unknown"
-        elif all(marginal[c] >= IDENTIFIED for c in self.best.model):
-            verdict = "identified"
-        else:
-            verdict = "ambiguous"
+        moved = self.transfer() if asks_new_conditions(self.best) and not clocks else None
+        verdict = judged(search, nominal, self.best, moved, marginal, bool(clocks) and not self.repair)
         for c in clocks:
             value, (kind, _, pattern) = self.best.values[c.addresses[0]], c.parameters[0].partition(" ")
             text = SAID[kind].format(
@@ -302,7 +270,7 @@ class _Conclusion:
             "within_calibration": before - calibrated,
             "after": after,
             "noise": noise,
-            "unexplained": share,
+            "unexplained": unexplained(search, nominal, self.best),
             "noise_is_a_guess": self.search.evidence.whitening.guessed,
         }
         if moved is not None:
@@ -330,7 +298,7 @@ class _Conclusion:
         return Diagnosis(result, adopted, tuple(self.fits), tuple(self.laboratory.channels), self.curves(adopted))
 
     def transfer(self) -> Transfer | None:
-        """Whether the best model holds in conditions that were held out."""
+        """What the best model is worth in conditions that were held out."""
         fit = self.best
         doubt = max(math.hypot(BIAS, WIDER * fit.deviations[a] / (abs(v) + 1e-300)) for a, v in fit.values.items())
         return transfer(self.search, self.groups, fit.values, min(doubt, 1.0))

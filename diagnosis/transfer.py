@@ -34,9 +34,14 @@ class Transfer:
     promised: float
 
     @property
-    def fails(self) -> bool:
-        """Whether the model does not hold there; not if the effect would hardly show."""
-        return self.promised > TOLD and self.gain < HOLDS * self.promised
+    def tells(self) -> bool:
+        """Whether that is a test at all: not if the effect would hardly show."""
+        return self.promised > TOLD
+
+    @property
+    def holds(self) -> bool:
+        """Whether the model is worth there what it promised."""
+        return self.gain >= HOLDS * self.promised
 
 
 def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Mapping[Address, float], doubt: float) -> Transfer | None:

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from diagnosis.catalogue import Catalogue
-from diagnosis.engine import IDENTIFIED, Diagnosis
+from diagnosis.engine import Diagnosis
+from diagnosis.verdict import IDENTIFIED
 from orchestration.recorder import frame_of
 from orchestration.results import Run
 from orchestration.slave import FloatArray, base_name

@@ -1,4 +1,4 @@
-"""fmus.model_description, fmus.documentation, fmus.archive and fmus.probe: what stands in an FMU."""
+"""fmus.model_description, fmus.fmi2, fmus.documentation, fmus.archive and fmus.probe: what stands in an FMU."""
 
 from __future__ import annotations
 

@@ -1,0 +1,75 @@
+"""Which of the answers it is, from what the best model leaves and where it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from diagnosis.catalogue import Candidate
+from diagnosis.estimation import Fit
+from diagnosis.search import Search
+from diagnosis.transfer import Transfer
+
+Verdict = Literal["none", "identified", "ambiguous", "unknown", "bad_log"]
+
+CLEAR, FAINT = 8.0, 4.0
+"""Evidence [nats] from which an effect is believed to be there at all; and that from which new conditions are asked, whose gain counts."""
+LIKE_NOISE = 1.15
+"""Energy, over that of noise, that two systems which are the same but for calibration leave: machines without effects have 1.05 to 1.23."""
+UNKNOWN = 1.4
+"""Energy, over that of noise, from which there is a gap even if no candidate explains any of it."""
+UNEXPLAINED = 0.35
+"""Share of the energy beyond noise (calibration fitted) that an adequate model may leave."""
+KEPT = 0.4
+"""Part of its gain in evidence that a model must keep in parts of the time that it is not fitted to, where more than noise is left; and
+as much more as the share that it leaves. Where new conditions tell, they decide instead."""
+WEAK, KEPT_BY_WEAK = 100.0, 0.5
+"""The same for gains in evidence [nats] of no more than this, whatever is left."""
+IDENTIFIED = 0.8
+"""Probability from which one answer is given."""
+
+
+def over_noise(search: Search, fit: Fit) -> float:
+    """Energy that a model leaves, over that of noise."""
+    return fit.energy / float(search.evidence.expected.sum())
+
+
+def unexplained(search: Search, nominal: Fit, best: Fit) -> float:
+    """Share of the energy beyond that of a machine without effects that the best model leaves."""
+    return max(over_noise(search, best) - LIKE_NOISE, 0.0) / max(over_noise(search, nominal) - LIKE_NOISE, 1e-9)
+
+
+def asks_new_conditions(best: Fit) -> bool:
+    """Whether the best model has the evidence to be looked at in new conditions."""
+    return bool(best.model) and best.log_evidence > FAINT
+
+
+def judged(
+    search: Search, nominal: Fit, best: Fit, moved: Transfer | None, probabilities: Mapping[Candidate, float], faulty: bool
+) -> Verdict:
+    """The verdict; `moved`: what the best model is worth in new conditions, `faulty`: a fault of the log is part of it."""
+    share = unexplained(search, nominal, best)
+    if not _believed(best, moved):
+        return "unknown" if over_noise(search, nominal) > UNKNOWN else "none"
+    if (over_noise(search, best) > LIKE_NOISE and share > UNEXPLAINED) or not _holds(search, best, moved, share):
+        return "unknown"
+    if faulty:
+        return "bad_log"
+    return "identified" if all(probabilities[c] >= IDENTIFIED for c in best.model) else "ambiguous"
+
+
+def _believed(best: Fit, moved: Transfer | None) -> bool:
+    """Whether there is an effect at all: by the diagnosed runs alone, or together with new conditions."""
+    if best.model and best.log_evidence >= CLEAR:
+        return True
+    return moved is not None and moved.tells and moved.holds and best.log_evidence + moved.gain >= CLEAR
+
+
+def _holds(search: Search, best: Fit, moved: Transfer | None, share: float) -> bool:
+    """Whether the best model is the same everywhere: in new conditions, or, where these do not tell, all along the diagnosed runs."""
+    if moved is not None and moved.tells:
+        return moved.holds
+    kept = search.kept(best)
+    if best.log_evidence < WEAK and kept < KEPT_BY_WEAK:
+        return False
+    return over_noise(search, best) <= LIKE_NOISE or kept >= KEPT + share
