@@ -1,8 +1,8 @@
-"""modelDescription.xml of an FMI 2.0 co-simulation FMU, written from the interface of a model."""
+"""What a modelDescription.xml of FMI 2.0 (`fmus.fmi2`) and one of FMI 3.0 (`fmus.native.fmi3`) have in common."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -15,7 +15,6 @@ LOG_CATEGORIES = {
     "logStatusFatal": "The same, where the backend knows no other status",
     "logAll": "Everything else",
 }
-_TAGS = {"real": "Real", "integer": "Integer", "boolean": "Boolean", "string": "String"}
 
 
 @dataclass(frozen=True)
@@ -34,53 +33,24 @@ class Options:
     """canNotUseMemoryManagementFunctions."""
 
 
-def model_description(interface: Interface, options: Options) -> bytes:
-    """The file as UTF-8: no dates, nothing of this machine, so equal models give equal files."""
-    model = interface.model
-    root = Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=model.name,
-        guid=options.guid,
-        description=model.description,
-        author="robomill",
-        version=options.version,
-        license="MIT; see documentation/licenses",
-        generationTool=options.tool,
-        variableNamingConvention="structured",
-        numberOfEventIndicators="0",
-    )
-    SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=options.identifier,
-        needsExecutionTool="false",
-        canHandleVariableCommunicationStepSize=boolean(options.variable_step),
-        canInterpolateInputs="false",
-        maxOutputDerivativeOrder="0",
-        canRunAsynchronuously="false",
-        canBeInstantiatedOnlyOncePerProcess="false",
-        canNotUseMemoryManagementFunctions=boolean(options.no_memory_functions),
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
-        providesDirectionalDerivative="false",
-    )
-    unit_definitions(root, interface)
-    categories = SubElement(root, "LogCategories")
-    for name, description in LOG_CATEGORIES.items():
-        SubElement(categories, "Category", name=name, description=description)
-    SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(options.step))
-    variables = SubElement(root, "ModelVariables")
-    for port in interface.ports:
-        _variable(variables, port)
-    _structure(root, interface, options.initial_dependencies)
-    indent(root, "  ")
-    text: str = tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
+def root_element(interface: Interface, options: Options, fmi: str, token: str) -> Element:
+    """The root; `fmi` is the version of the standard, `token` the attribute in which it wants the GUID."""
+    attributes = {
+        "fmiVersion": fmi,
+        "modelName": interface.model.name,
+        token: options.guid,
+        "description": interface.model.description,
+        "author": "robomill",
+        "version": options.version,
+        "license": "MIT; see documentation/licenses",
+        "generationTool": options.tool,
+        "variableNamingConvention": "structured",
+    }
+    return Element("fmiModelDescription", attributes)
 
 
 def unit_definitions(root: Element, interface: Interface, others: tuple[str, ...] = ()) -> None:
-    """Add the units in use and `others`, in SI, each with the display units in use (the same in FMI 2.0 and 3.0)."""
+    """Add the units in use and `others`, in SI, each with the display units in use."""
     used = {p.unit for p in interface.ports if p.unit}.union(others)
     if not used:
         return
@@ -96,48 +66,55 @@ def unit_definitions(root: Element, interface: Interface, others: tuple[str, ...
             SubElement(unit, "DisplayUnit", attributes)
 
 
-def _variable(parent: Element, port: Port) -> None:
-    attributes = {"name": port.name, "valueReference": str(port.reference), "description": port.description, "causality": port.causality}
-    attributes["variability"] = port.variability
+def log_categories(root: Element, names: Iterable[str]) -> None:
+    """Add these of `LOG_CATEGORIES`."""
+    categories = SubElement(root, "LogCategories")
+    for name in names:
+        SubElement(categories, "Category", name=name, description=LOG_CATEGORIES[name])
+
+
+def default_experiment(root: Element, options: Options) -> None:
+    """Add start time and communication step."""
+    SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(options.step))
+
+
+def variable_attributes(name: str, port: Port) -> dict[str, str]:
+    """Of a variable of any type: name, value reference, description, causality, variability, initial."""
+    attributes = {"name": name, "valueReference": str(port.reference), "description": port.description}
+    attributes |= {"causality": port.causality, "variability": port.variability}
     if port.initial is not None:
         attributes["initial"] = port.initial
-    variable = SubElement(parent, "ScalarVariable", attributes)
-    typed: dict[str, str] = {}
+    return attributes
+
+
+def type_attributes(port: Port) -> dict[str, str]:
+    """Units and bounds, as far as it has any."""
+    attributes = {}
     if port.unit is not None:
-        typed["unit"] = port.unit
+        attributes["unit"] = port.unit
     if port.display_unit is not None:
-        typed["displayUnit"] = port.display_unit
+        attributes["displayUnit"] = port.display_unit
     if port.type in ("real", "integer"):
         for name, bound in (("min", port.minimum), ("max", port.maximum)):
             if bound is not None:
-                typed[name] = repr(float(bound)) if port.type == "real" else str(int(bound))
-    if port.initial != "calculated":
-        typed["start"] = boolean(port.start) if port.type == "boolean" else port.start if isinstance(port.start, str) else repr(port.start)
-    SubElement(variable, _TAGS[port.type], typed)
+                attributes[name] = repr(float(bound)) if port.type == "real" else str(int(bound))
+    return attributes
 
 
-def _structure(root: Element, interface: Interface, initial: Mapping[str, tuple[str, ...]]) -> None:
-    index = {p.name: str(i) for i, p in enumerate(interface.ports, start=1)}
-    structure = SubElement(root, "ModelStructure")
-    if not interface.outputs:
-        return
-    outputs = SubElement(structure, "Outputs")
-    for port in interface.outputs:
-        _unknown(outputs, index, port.name, port.dependencies)
-    unknowns = SubElement(structure, "InitialUnknowns")
-    parameters = tuple(p.name for p in interface.parameters)
-    for port in interface.outputs:
-        _unknown(unknowns, index, port.name, (*initial[port.name], *parameters))
-
-
-def _unknown(parent: Element, index: Mapping[str, str], name: str, dependencies: tuple[str, ...] | None) -> None:
-    """An entry without `dependencies` depends on everything; with an empty list on nothing."""
-    attributes = {"index": index[name]}
-    if dependencies is not None:
-        attributes["dependencies"] = " ".join(index[d] for d in dependencies)
-    SubElement(parent, "Unknown", attributes)
+def start_value(port: Port) -> str:
+    """As XML writes it."""
+    if isinstance(port.start, str):
+        return port.start
+    return boolean(port.start) if port.type == "boolean" else repr(port.start)
 
 
 def boolean(value: object) -> str:
     """As XML writes it."""
     return "true" if value else "false"
+
+
+def xml_file(root: Element) -> bytes:
+    """The file as UTF-8, indented."""
+    indent(root, "  ")
+    text: str = tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()

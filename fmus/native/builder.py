@@ -18,8 +18,9 @@ from uuid import UUID
 
 from fmus import archive
 from fmus.documentation import index_html, licences
+from fmus.fmi2 import model_description_2
 from fmus.interface import Interface
-from fmus.model_description import Options, model_description
+from fmus.model_description import Options
 from fmus.native.data import data_c
 from fmus.native.fmi3 import model_description_3, terminals_and_icons
 from fmus.native.lower import Lowered, Lowering, NativeBuildError
@@ -87,7 +88,7 @@ def _build(
     content |= {f"documentation/reference/{name}": data for name, data in reference.items()}
     content |= {f"resources/tables/{name}.npy": _npy(rows) for name, rows in model.default_tables.items()}
     if fmi == 2:
-        content["modelDescription.xml"] = model_description(interface, options)
+        content["modelDescription.xml"] = model_description_2(interface, options)
         content["model.png"] = ICON.read_bytes()
         for platform, slices in linked.items():
             library = fat(slices) if len(slices) > 1 else next(iter(slices.values()))
@@ -150,7 +151,7 @@ def c_sources(interface: Interface, lowered: Lowered) -> tuple[str, dict[str, by
     """
     sources = {f.name: f.read_bytes().replace(b"\r\n", b"\n") for f in sorted(SHIM.iterdir()) if f.suffix in (".c", ".h")}
     digest = hashlib.sha256(lowered.code.encode())
-    digest.update(model_description(interface, _options(interface.model, lowered, "", "")))
+    digest.update(model_description_2(interface, _options(interface.model, lowered, "", "")))
     digest.update(data_c(interface, "").encode())
     for content in sources.values():
         digest.update(content)

@@ -7,10 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Element, SubElement
 
 from fmus.interface import WORD, Interface, Port
-from fmus.model_description import LOG_CATEGORIES, Options, boolean, unit_definitions
+from fmus.model_description import (
+    Options,
+    boolean,
+    default_experiment,
+    log_categories,
+    root_element,
+    start_value,
+    type_attributes,
+    unit_definitions,
+    variable_attributes,
+    xml_file,
+)
 from models.declaration import Variable
 
 _TAGS = {"real": "Float64", "integer": "Int64", "boolean": "Boolean", "string": "String"}
@@ -28,19 +39,7 @@ class Terminal(NamedTuple):
 
 def model_description_3(interface: Interface, options: Options) -> bytes:
     """The file as UTF-8: no dates, nothing of this machine."""
-    model = interface.model
-    root = Element(
-        "fmiModelDescription",
-        fmiVersion="3.0",
-        modelName=model.name,
-        instantiationToken=options.guid,
-        description=model.description,
-        author="robomill",
-        version=options.version,
-        license="MIT; see documentation/licenses",
-        generationTool=options.tool,
-        variableNamingConvention="structured",
-    )
+    root = root_element(interface, options, "3.0", "instantiationToken")
     SubElement(
         root,
         "CoSimulation",
@@ -50,15 +49,14 @@ def model_description_3(interface: Interface, options: Options) -> bytes:
         canSerializeFMUState="true",
     )
     unit_definitions(root, interface, ("s",))
-    categories = SubElement(root, "LogCategories")
-    SubElement(categories, "Category", name="logStatusError", description=LOG_CATEGORIES["logStatusError"])
-    SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(options.step))
+    log_categories(root, ("logStatusError",))
+    default_experiment(root, options)
     variables = SubElement(root, "ModelVariables")
     SubElement(
         variables,
         "Float64",
         name=_time_name(interface),
-        valueReference=str(model.dtype.itemsize // WORD),
+        valueReference=str(interface.model.dtype.itemsize // WORD),
         description="Time",
         causality="independent",
         variability="continuous",
@@ -66,9 +64,9 @@ def model_description_3(interface: Interface, options: Options) -> bytes:
     )
     first = _first_ports(interface)
     for name, port in first.items():
-        _variable(variables, model.variable(name), port, [str(_start(p)) for p in interface.ports if p.variable == name])
+        _variable(variables, interface.model.variable(name), port, [start_value(p) for p in interface.ports if p.variable == name])
     _structure(root, interface, first, options.initial_dependencies)
-    return _file(root)
+    return xml_file(root)
 
 
 def _first_ports(interface: Interface) -> dict[str, Port]:
@@ -83,25 +81,9 @@ def _time_name(interface: Interface) -> str:
     return "time" if all(p.variable != "time" for p in interface.ports) else "simulation_time"
 
 
-def _start(port: Port) -> str:
-    return boolean(port.start) if port.type == "boolean" else port.start if isinstance(port.start, str) else repr(port.start)
-
-
 def _variable(parent: Element, v: Variable, port: Port, starts: list[str]) -> None:
-    attributes = {"name": v.name, "valueReference": str(port.reference), "description": port.description}
-    attributes |= {"causality": port.causality, "variability": port.variability}
-    if port.initial is not None:
-        attributes["initial"] = port.initial
-    if port.unit is not None:
-        attributes["unit"] = port.unit
-    if port.display_unit is not None:
-        attributes["displayUnit"] = port.display_unit
-    if port.type in ("real", "integer"):
-        for name, bound in (("min", port.minimum), ("max", port.maximum)):
-            if bound is not None:
-                attributes[name] = repr(float(bound)) if port.type == "real" else str(int(bound))
-    shown = port.initial != "calculated"
-    if shown and port.type != "string":
+    attributes = variable_attributes(v.name, port) | type_attributes(port)
+    if port.initial != "calculated" and port.type != "string":
         attributes["start"] = " ".join(starts)
     variable = SubElement(parent, _TAGS[port.type], attributes)
     if port.type == "string":
@@ -164,10 +146,4 @@ def terminals_and_icons(interface: Interface) -> bytes:
             element = SubElement(parent, "Terminal", {**attributes, "description": terminal.description})
             for member, variable in terminal.members:
                 SubElement(element, "TerminalMemberVariable", variableName=variable, memberName=member, variableKind="signal")
-    return _file(root)
-
-
-def _file(root: Element) -> bytes:
-    indent(root, "  ")
-    text: str = tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
+    return xml_file(root)

@@ -27,8 +27,9 @@ import numpy as np
 
 from fmus import archive, probe
 from fmus.documentation import index_html, licences, reference_files
+from fmus.fmi2 import model_description_2
 from fmus.interface import Interface
-from fmus.model_description import Options, model_description
+from fmus.model_description import Options
 from models.cache import source_files
 from models.declaration import FloatArray, Model
 from models.parameters import DATA
@@ -125,13 +126,13 @@ def build(model: Model, destination: str | Path, *, page: str | None = None, ref
         variable_step=probe.accepts_other_steps(interface),
         initial_dependencies=probe.initial_dependencies(interface),
     )
-    digest = hashlib.sha256(model_description(interface, options))
+    digest = hashlib.sha256(model_description_2(interface, options))
     for name, data in sorted({**content, **sources, **binaries, "__init__": init.encode(), "script": SCRIPT.encode()}.items()):
         digest.update(f"{name}\0{len(data)}\0".encode() + data)
     package = f"robomill_{digest.hexdigest()[:16]}"
 
     guid = f"{{{UUID(digest.hexdigest()[:32])}}}"
-    content["modelDescription.xml"] = model_description(interface, Options(**{**options.__dict__, "guid": guid}))
+    content["modelDescription.xml"] = model_description_2(interface, Options(**{**options.__dict__, "guid": guid}))
     content |= {f"binaries/{folder}/{model.name}{Path(library).suffix}": binaries[folder] for folder, library in PLATFORMS.items()}
     content["resources/slavemodule.txt"] = f"slave_{package}\n".encode()
     content[f"resources/slave_{package}.py"] = SCRIPT.replace("{package}", package).encode()
