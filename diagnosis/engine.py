@@ -270,7 +270,7 @@ class _Conclusion:
             "within_calibration": before - calibrated,
             "after": after,
             "noise": noise,
-            "unexplained": unexplained(search, nominal, self.best),
+            "unexplained": unexplained(over_noise(search, nominal), over_noise(search, self.best)),
             "noise_is_a_guess": self.search.evidence.whitening.guessed,
         }
         if moved is not None:

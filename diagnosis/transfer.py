@@ -28,10 +28,14 @@ HOLDS = 0.5
 
 @dataclass(frozen=True)
 class Transfer:
-    """What a model gains in new conditions against the nominal system, and what it promised [nats]."""
+    """What a model is worth in new conditions."""
 
+    before: float
+    after: float
+    """Energy that the nominal system, and that the model leaves there, over that of noise."""
     gain: float
     promised: float
+    """What the model gains against the nominal system, and what it would if it were right [nats]."""
 
     @property
     def tells(self) -> bool:
@@ -82,5 +86,6 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Map
         return float(space.dot(left, left)) - float(space.only(known).dot(left[rows], left[rows]))
 
     uncertain = Space(e.space.y, e.space.blocks, np.column_stack([e.space.nuisances, doubt * signature]))
-    gain = 0.5 * (energy(e.space, e.space.y) - energy(uncertain, e.space.y - signature))
-    return Transfer(gain, 0.5 * energy(e.space, signature))
+    before, after = energy(e.space, e.space.y), energy(uncertain, e.space.y - signature)
+    noise = float(e.expected.sum() - e.expected[rows].sum())
+    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * energy(e.space, signature))

@@ -17,9 +17,9 @@ CLEAR, FAINT = 8.0, 4.0
 LIKE_NOISE = 1.15
 """Energy, over that of noise, that two systems which are the same but for calibration leave: machines without effects have 1.05 to 1.23."""
 UNKNOWN = 1.4
-"""Energy, over that of noise, from which there is a gap even if no candidate explains any of it."""
+"""Energy, over that of noise, from which there is a gap even if no candidate explains any of it (in new conditions: any more of it)."""
 UNEXPLAINED = 0.35
-"""Share of the energy beyond noise (calibration fitted) that an adequate model may leave."""
+"""Share of the energy beyond noise (calibration fitted) that an adequate model may leave, in diagnosed runs and in new conditions."""
 KEPT = 0.4
 """Part of its gain in evidence that a model must keep in parts of the time that it is not fitted to, where more than noise is left; and
 as much more as the share that it leaves. Where new conditions tell, they decide instead."""
@@ -34,9 +34,9 @@ def over_noise(search: Search, fit: Fit) -> float:
     return fit.energy / float(search.evidence.expected.sum())
 
 
-def unexplained(search: Search, nominal: Fit, best: Fit) -> float:
-    """Share of the energy beyond that of a machine without effects that the best model leaves."""
-    return max(over_noise(search, best) - LIKE_NOISE, 0.0) / max(over_noise(search, nominal) - LIKE_NOISE, 1e-9)
+def unexplained(before: float, after: float) -> float:
+    """Share of the energy beyond that of a machine without effects that a model leaves; both over that of noise."""
+    return max(after - LIKE_NOISE, 0.0) / max(before - LIKE_NOISE, 1e-9)
 
 
 def asks_new_conditions(best: Fit) -> bool:
@@ -48,10 +48,10 @@ def judged(
     search: Search, nominal: Fit, best: Fit, moved: Transfer | None, probabilities: Mapping[Candidate, float], faulty: bool
 ) -> Verdict:
     """The verdict; `moved`: what the best model is worth in new conditions, `faulty`: a fault of the log is part of it."""
-    share = unexplained(search, nominal, best)
+    share = unexplained(over_noise(search, nominal), over_noise(search, best))
     if not _believed(best, moved):
         return "unknown" if over_noise(search, nominal) > UNKNOWN else "none"
-    if (over_noise(search, best) > LIKE_NOISE and share > UNEXPLAINED) or not _holds(search, best, moved, share):
+    if share > UNEXPLAINED or not _holds(search, best, moved, share):
         return "unknown"
     if faulty:
         return "bad_log"
@@ -68,7 +68,7 @@ def _believed(best: Fit, moved: Transfer | None) -> bool:
 def _holds(search: Search, best: Fit, moved: Transfer | None, share: float) -> bool:
     """Whether the best model is the same everywhere: in new conditions, or, where these do not tell, all along the diagnosed runs."""
     if moved is not None and moved.tells:
-        return moved.holds
+        return moved.holds and (moved.after <= UNKNOWN or unexplained(moved.before, moved.after) <= UNEXPLAINED)
     kept = search.kept(best)
     if best.log_evidence < WEAK and kept < KEPT_BY_WEAK:
         return False

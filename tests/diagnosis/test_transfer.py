@@ -31,6 +31,7 @@ def test_what_is_not_there_in_a_new_condition_is_unknown(tmp_path: Path) -> None
     result = answer(tmp_path, measure(amplitude=0.6, repeats=2, seed=2))
     assert result["verdict"] == "unknown"
     assert result["transfer"]["gain"] < 0.0 < result["transfer"]["promised"]
+    assert result["transfer"]["after"] > result["transfer"]["before"]
     assert result["unknown"]["nearest"] == "friction @ mass 1"
 
 
@@ -42,10 +43,10 @@ def test_more_of_the_same_is_no_new_condition(tmp_path: Path, repeats: int) -> N
 
 
 def test_a_promise_too_small_to_be_told_from_noise_is_no_test() -> None:
-    assert not Transfer(-3.0, 0.9 * TOLD).tells
-    assert Transfer(-3.0, 1.1 * TOLD).tells
+    assert not Transfer(2.0, 2.0, -3.0, 0.9 * TOLD).tells
+    assert Transfer(2.0, 2.0, -3.0, 1.1 * TOLD).tells
 
 
 def test_a_model_holds_that_gains_its_part_of_the_promise() -> None:
-    assert Transfer(HOLDS * 101.0, 100.0).holds
-    assert not Transfer(HOLDS * 99.0, 100.0).holds
+    assert Transfer(2.0, 1.0, HOLDS * 101.0, 100.0).holds
+    assert not Transfer(2.0, 1.0, HOLDS * 99.0, 100.0).holds
