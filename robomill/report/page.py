@@ -312,12 +312,23 @@ def _which(s: Subject) -> str:
         "none": "None is needed. These came closest:",
         "identified": "Every candidate of the catalogue was fitted in the closed loop, alone and together. These remain:",
         "ambiguous": "Every candidate of the catalogue was fitted in the closed loop, alone and together. These remain, and the runs cannot choose:",
-        "unknown": "None of the catalogue alone. These fit best, but leave too much; their values should not be believed:",
+        "unknown": "None of the catalogue alone. These fit best, but leave too much or do not hold; their values should not be believed:",
         "bad_log": "Candidates that fit what the log shows, among them its clocks. They are no findings as long as the log is wrong:",
     }[s.verdict]
     table = _table(("Probability", "Effect", "Value (90 % interval)", "Component", "Could be confused with"), rows)
     tested = f"{len(s.catalogue.candidates)} candidates ({len(s.catalogue.effects)} effects) were tried."
-    return _paragraph(intro) + table + _isolability(s) + _paragraph(tested) + _adopt(s)
+    return _paragraph(intro) + table + _transfer(s) + _isolability(s) + _paragraph(tested) + _adopt(s)
+
+
+def _transfer(s: Subject) -> str:
+    """What the model is worth in conditions that it was not fitted to."""
+    moved = s.result.get("transfer")
+    if moved is None:
+        return ""
+    return _paragraph(
+        f"In new conditions, fitted to none of them, the model gains {number(moved['gain'])} nats in log score; if it were right, it should gain about "
+        f"{number(moved['promised'])}. It leaves {number(moved['after'])} times the energy of noise there, the nominal system {number(moved['before'])}."
+    )
 
 
 def _isolability(s: Subject) -> str:

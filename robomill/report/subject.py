@@ -12,7 +12,7 @@ import numpy as np
 
 from diagnosis.catalogue import Catalogue
 from diagnosis.engine import Diagnosis
-from diagnosis.verdict import IDENTIFIED
+from diagnosis.verdict import IDENTIFIED, UNEXPLAINED
 from orchestration.recorder import frame_of
 from orchestration.results import Run
 from orchestration.slave import FloatArray, base_name
@@ -144,7 +144,8 @@ def verdict_sentence(s: Subject) -> str:
         known = result["unknown"]
         place = listed([listed([w["component"], *w["alternatives"]], "or") for w in s.blamed]) or known["component"]
         where = f"; it shows most in {s.label(known['channels'][0]['channel'])}" if known["channels"] else ""
-        return f"Something real that is not in the catalogue, in {place}: the best model leaves {percent(left)} of the gap{where}."
+        why = f"leaves {percent(left)} of the gap" if left > UNEXPLAINED or "transfer" not in result else "does not hold in new conditions"
+        return f"Something real that is not in the catalogue, in {place}: the best model {why}{where}."
     if s.verdict == "ambiguous":
         sure, open_ = s.sure, [w for w in result["which"] if w["probability"] < IDENTIFIED]
         first = f"The gap is caused by {listed([sized(w) for w in sure])}, together with one of" if sure else "The gap has one of"

@@ -75,6 +75,9 @@ def subject(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Subject
             return _subject(folder, measure(gain) + measure(gain, amplitude=0.6, seed=2), twin=True)
         if verdict == "unknown":
             return _subject(folder, changed(measure(), "sensors.y[1]", lambda t, y: y + 2e-3 * np.sin(9.0 * t) * (t > 5.0)))
+        if verdict == "unknown elsewhere":
+            rubbing = measure({"masses": {"friction[1]": 0.03}})
+            return _subject(folder, rubbing, held_out=measure(amplitude=0.6, repeats=2, seed=2))
         if verdict == "bad_log":
             return _subject(folder, changed(measure(STIFF), "sensors.y[2]", lambda t, y: -y))
         return _subject(folder, changed(measure(), "sensors.y[2]", lambda t, y: np.interp(t - 0.02, t, y)))
@@ -142,6 +145,12 @@ class TestContent:
         assert "it shows most in sensors.y[1]" not in text  # by its title
         assert "it shows most in displacement error, element 1." in text
         assert "values should not be believed" in text
+        assert "--adopt" not in text
+
+    def test_what_does_not_hold_in_new_conditions_is_said_so(self, page: Callable[[str], Path]) -> None:
+        text = _text(page("unknown elsewhere"))
+        assert "Something real that is not in the catalogue, in masses: the best model does not hold in new conditions" in text
+        assert re.search(r"the model gains −[\d.]+ nats in log score; if it were right, it should gain about [\d.]+", text)
         assert "--adopt" not in text
 
     def test_a_bad_log_is_shown_with_the_reason(self, page: Callable[[str], Path]) -> None:
