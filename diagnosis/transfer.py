@@ -20,8 +20,8 @@ from diagnosis.search import NOMINAL, POLISH, TOLERANCES, Search
 from diagnosis.simulation import setting
 from orchestration.slave import FloatArray
 
-TOLD = 5.0
-"""Gain [nats] from which what a model promises can be told from noise."""
+TOLD = 20.0
+"""Promised gain [nats] from which what a model gains can be told from noise: it scatters by the root of twice the promise."""
 HOLDS = 0.5
 """Part of the promised gain that a model must have."""
 

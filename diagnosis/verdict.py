@@ -14,17 +14,18 @@ Verdict = Literal["none", "identified", "ambiguous", "unknown", "bad_log"]
 
 CLEAR, FAINT = 8.0, 4.0
 """Evidence [nats] from which an effect is believed to be there at all; and that from which new conditions are asked, whose gain counts."""
-LIKE_NOISE = 1.15
-"""Energy, over that of noise, that two systems which are the same but for calibration leave: machines without effects have 1.05 to 1.23."""
+LIKE_NOISE, AT_MOST = 1.15, 1.23
+"""Energy, over that of noise, that two systems which are the same but for calibration leave: machines without effects have 1.05 to 1.23.
+Between the two new conditions decide, if they tell."""
 UNKNOWN = 1.4
 """Energy, over that of noise, from which there is a gap even if no candidate explains any of it (in new conditions: any more of it)."""
 UNEXPLAINED = 0.35
 """Share of the energy beyond noise (calibration fitted) that an adequate model may leave, in diagnosed runs and in new conditions."""
 KEPT = 0.4
 """Part of its gain in evidence that a model must keep in parts of the time that it is not fitted to, where more than noise is left; and
-as much more as the share that it leaves. Where new conditions tell, they decide instead."""
+as much more as the share that it leaves."""
 WEAK, KEPT_BY_WEAK = 100.0, 0.5
-"""The same for gains in evidence [nats] of no more than this, whatever is left."""
+"""The same for gains in evidence [nats] of no more than this, whatever is left, if new conditions do not tell."""
 IDENTIFIED = 0.8
 """Probability from which one answer is given."""
 
@@ -48,10 +49,9 @@ def judged(
     search: Search, nominal: Fit, best: Fit, moved: Transfer | None, probabilities: Mapping[Candidate, float], faulty: bool
 ) -> Verdict:
     """The verdict; `moved`: what the best model is worth in new conditions, `faulty`: a fault of the log is part of it."""
-    share = unexplained(over_noise(search, nominal), over_noise(search, best))
     if not _believed(best, moved):
         return "unknown" if over_noise(search, nominal) > UNKNOWN else "none"
-    if share > UNEXPLAINED or not _holds(search, best, moved, share):
+    if not _adequate(search, nominal, best, moved):
         return "unknown"
     if faulty:
         return "bad_log"
@@ -65,11 +65,15 @@ def _believed(best: Fit, moved: Transfer | None) -> bool:
     return moved is not None and moved.tells and moved.holds and best.log_evidence + moved.gain >= CLEAR
 
 
-def _holds(search: Search, best: Fit, moved: Transfer | None, share: float) -> bool:
-    """Whether the best model is the same everywhere: in new conditions, or, where these do not tell, all along the diagnosed runs."""
-    if moved is not None and moved.tells:
-        return moved.holds and (moved.after <= UNKNOWN or unexplained(moved.before, moved.after) <= UNEXPLAINED)
-    kept = search.kept(best)
-    if best.log_evidence < WEAK and kept < KEPT_BY_WEAK:
+def _adequate(search: Search, nominal: Fit, best: Fit, moved: Transfer | None) -> bool:
+    """Whether the best model leaves little, and is the same everywhere."""
+    before, after = over_noise(search, nominal), over_noise(search, best)
+    share, kept = unexplained(before, after), search.kept(best)
+    new = moved if moved is not None and moved.tells else None
+    if new is not None and after <= AT_MOST:
+        share = 0.0
+    if share > UNEXPLAINED or (after > LIKE_NOISE and kept < KEPT + share):
         return False
-    return over_noise(search, best) <= LIKE_NOISE or kept >= KEPT + share
+    if new is None:
+        return best.log_evidence >= WEAK or kept >= KEPT_BY_WEAK
+    return new.holds and (new.after <= UNKNOWN or unexplained(new.before, new.after) <= UNEXPLAINED)
