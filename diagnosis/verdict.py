@@ -62,7 +62,7 @@ def _believed(best: Fit, moved: Transfer | None) -> bool:
     """Whether there is an effect at all: by the diagnosed runs alone, or together with new conditions."""
     if best.model and best.log_evidence >= CLEAR:
         return True
-    return moved is not None and moved.tells and moved.holds and best.log_evidence + moved.gain >= CLEAR
+    return moved is not None and moved.holds and best.log_evidence + moved.gain >= CLEAR
 
 
 def _adequate(search: Search, nominal: Fit, best: Fit, moved: Transfer | None) -> bool:
