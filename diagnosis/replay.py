@@ -1,96 +1,39 @@
-"""Where: each component driven alone with measured inputs.
+"""Where: what is left when each component is driven with measured inputs, and which components could be to blame for it.
 
-The system is cut open wherever an output is measured: what is behind the cut gets the measured signal. What is left between cuts is a
-segment, all of whose components may be to blame for its output. Nothing that happens upstream of a cut, and no feedback through it, shows.
-
-Measured inputs scatter, and a component that is not linear makes an offset of that. So the same is done with signals that are
-right by construction (simulated ones with the scatter of the repeats), and what comes out of that is taken off.
-
-Changes by parameters are simulated for the component alone, and followed through connections that are not measured.
+What is left of an output is the fault of a component between it and the cuts before it (`bench`). Which of them is decided by the effects
+that the catalogue has in each, simulated in the component alone.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from diagnosis.bench import Bench
 from diagnosis.catalogue import LOGGING, Address, Catalogue, Nuisance
 from diagnosis.evidence import SUDDEN, TRUST
+from diagnosis.marginal import TEMPERATURE, MarginalLikelihood
 from diagnosis.measured import DataError
 from diagnosis.noise import whitening
-from diagnosis.simulation import Laboratory, Setting, decimate, refined, with_values
-from diagnosis.tape import Tape
-from orchestration.assembly import run
-from orchestration.errors import OrchestrationError
-from orchestration.results import Run
-from orchestration.slave import FloatArray, Slave, base_name
-from orchestration.system import Component, Connection, System
+from diagnosis.repeats import RESAMPLES, over_pairs
+from diagnosis.segments import array_of
+from diagnosis.simulation import Laboratory, decimate
+from orchestration.slave import FloatArray
 
-TAPE = "tape:"
-KNOWN = 1e-3
-"""Relative deviation up to which the signal of a component without inputs (a program) is taken as it is simulated."""
 LATENESS = 12.0**-0.5
 """Steps that the outputs of a component which is driven alone may be late: measured inputs reach it anywhere within a step."""
 SEEN, WEAK = 9.0, 1e-3
 """Whitened energy from which a change is seen at all, and part of that at its own outputs below which one further on does not count."""
 REACH = 0.05
 """Part of the whitened energy of an effect in an output from which a fault of the component may be looked for there."""
-TEMPERATURE = 2.0
-"""Variance of whitened noise: it is not exactly what it is taken for."""
 SIGNIFICANT = 6.0
 """Deviations of noise from which something is left."""
-RESAMPLES = 400
 MORE = 1.5
 """Variance, in that of noise, from which the effects do not explain what is there."""
-ROUNDS = 6
-"""In which the size of what no effect explains is found."""
-NULLS = 3
-"""Repeats that the replay of right signals is made for."""
-
-
-@dataclass(frozen=True)
-class Segment:
-    """A measured output, and the components between it and the cuts before it."""
-
-    output: str
-    """Array or scalar, `component.port`."""
-    components: tuple[str, ...]
-    """That of the output first."""
-
-
-def segments(system: System, measured: Sequence[str]) -> list[Segment]:
-    """One for each measured output; a component is in it that reaches the output without passing a measured one.
-
-    Structure only: every input of a component is taken to act on every output.
-    """
-    before: dict[str, list[str]] = {}
-    for c in system.connections:
-        if _array(c.source) not in measured:
-            before.setdefault(c.target.partition(".")[0], []).append(c.source.partition(".")[0])
-    found = []
-    for output in measured:
-        members = [output.partition(".")[0]]
-        for m in members:
-            members += [b for b in dict.fromkeys(before.get(m, ())) if b not in members]
-        found.append(Segment(output, tuple(members)))
-    return found
-
-
-def sets_alike(found: Sequence[Segment], components: Sequence[str]) -> list[tuple[str, ...]]:
-    """Components that are in the same segments, which no replay can tell apart; each component is in one set."""
-    groups: dict[tuple[str, ...], list[str]] = {}
-    for c in components:
-        groups.setdefault(tuple(s.output for s in found if c in s.components), []).append(c)
-    return [tuple(g) for seen, g in groups.items() if seen]
-
-
-def _array(port: str) -> str:
-    component, _, name = port.partition(".")
-    return f"{component}.{base_name(name)}"
 
 
 def intervals(on: npt.NDArray[np.bool_], grid: FloatArray, decimation: int) -> list[list[float]]:
@@ -104,212 +47,6 @@ def intervals(on: npt.NDArray[np.bool_], grid: FloatArray, decimation: int) -> l
         else:
             found.append([t, t + step])
     return [[round(float(a), 3), round(float(b), 3)] for a, b in found][:40]
-
-
-def over_pairs(products: FloatArray, weights: FloatArray) -> FloatArray:
-    """Mean over pairs of different repeats of their products [repeats, repeats], for each row of weights; of a single repeat its square."""
-    if len(products) == 1:
-        return np.full(len(weights), products[0, 0])
-    off = products - np.diag(np.diag(products))
-    total = np.einsum("ri,ij,rj->r", weights, off, weights)
-    count = weights.sum(axis=1) ** 2 - (weights**2).sum(axis=1)
-    out: FloatArray = np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan)
-    return out
-
-
-class Bench:
-    """Replays of one condition. `measured`: its repeats at the grid, all channels of the laboratory, [n, channels] each."""
-
-    def __init__(self, laboratory: Laboratory, index: int, measured: Sequence[FloatArray]) -> None:
-        self.laboratory, self.index = laboratory, index
-        self.grid = laboratory.conditions[index].grid
-        self.measured = measured
-        self.channels = list(laboratory.channels)
-        self.system = laboratory.configured(index)
-        arrays = dict.fromkeys(_array(c) for c in self.channels)
-        self.cut = {a: [i for i, c in enumerate(self.channels) if _array(c) == a] for a in arrays}
-        seeds = range(1, len(measured) + 1)
-        mean = np.mean(measured, axis=0)
-        self.closed = [self._run(self._changed((), s)) for s in seeds[:NULLS]]
-        self._ports = self.closed[0].ports
-        right = [self._matrix(r) for r in self.closed]
-        self._nominal = right[0]
-        self.scatter = np.var(np.stack(right), axis=0, ddof=1).mean(axis=0)
-        """Variance of a simulation by its own noise, per channel."""
-        self.known = self._known(mean)
-        bias = np.mean(
-            [z - self._matrix(self._open(z + x - mean, s)) for z, x, s in zip(right, measured, seeds, strict=False)],
-            axis=0,
-        )
-        self.residuals = [x - self._matrix(self._open(x, s)) - bias for x, s in zip(measured, seeds, strict=True)]
-        """Measured less replayed, per repeat, [n, channels]."""
-        self.coarse = self._coarse(bias)
-        self.base = self._open(mean, 1)
-        self.mean = mean
-        self._inputs = {c: self._sources(c) for c in (k.name for k in self.system.components)}
-        self._alone: dict[str, dict[str, FloatArray]] = {}
-
-    # Simulations
-
-    def _changed(self, changes: Setting, seed: int = 1) -> System:
-        system, nominal = self.system, self.laboratory.nominal
-        for (component, parameter), value in (*changes, *((a, float(seed)) for a in self.laboratory.seeds)):
-            system = with_values(system, component, {parameter: value + nominal.get((component, parameter), 0.0)})
-        return system
-
-    def _known(self, mean: FloatArray) -> npt.NDArray[np.bool_]:
-        """Channels of components that nothing goes into, and that are measured as they are simulated: noise of them is none."""
-        driven = {c.target.partition(".")[0] for c in self.system.connections}
-        small = np.sqrt(np.mean((mean - self._nominal) ** 2, axis=0)) <= KNOWN * np.sqrt(np.mean(self._nominal**2, axis=0))
-        return np.asarray([c.partition(".")[0] not in driven for c in self.channels] & small)
-
-    def _run(self, system: System, tapes: Sequence[Tape] = ()) -> Run:
-        slaves = {t.name: t for t in tapes}
-        others = self.laboratory.resolver
-
-        def resolve(source: str, name: str) -> Slave:
-            if source.startswith(TAPE):
-                return slaves[name]
-            if others is None:
-                raise LookupError(f"source {source!r}")
-            return others(source, name)
-
-        return run(system, None, stop=float(self.grid[-1]), resolver=resolve, convert=self.laboratory.convert)
-
-    def _coarse(self, bias: FloatArray) -> FloatArray | None:
-        """What would be left of signals that are right, but of a smaller communication step, [n, channels]."""
-        refinement = self.laboratory.refinement
-        if refinement is None:
-            return None
-        fine = self._matrix(self._run(refined(self._changed(()), refinement.divide, refinement.sampled)))
-        return np.asarray(fine - self._matrix(self._open(fine, 1)) - bias)
-
-    def _matrix(self, result: Run) -> FloatArray:
-        return np.stack([np.interp(self.grid, result.t, result.columns[c]) for c in self.channels], axis=1)
-
-    def _open(self, signals: FloatArray, seed: int) -> Run:
-        """Every connection from a measured output carries `signals` [n, channels] instead."""
-        system = self._changed((), seed)
-        signals = np.where(self.known, self._nominal, signals)
-        used: dict[str, list[int]] = {}
-        for c in system.connections:
-            if _array(c.source) in self.cut:
-                used.setdefault(c.source.partition(".")[0], []).extend(self.cut[_array(c.source)])
-        tapes = [self._tape(f"measured_{name}", {self.channels[i]: signals[:, i] for i in sorted(set(at))}) for name, at in used.items()]
-        connections = [replace(c, source=f"measured_{c.source}") if _array(c.source) in self.cut else c for c in system.connections]
-        parts = (*(Component(t.name, TAPE) for t in tapes), *system.components)
-        return self._run(replace(system, components=parts, connections=tuple(connections)), tapes)
-
-    def _tape(self, name: str, series: Mapping[str, FloatArray], adds: bool = False) -> Tape:
-        ports = [replace(self._ports[c], name=c.partition(".")[2]) for c in series]
-        return Tape(name, ports, {p.name: v for p, v in zip(ports, series.values(), strict=True)}, self.grid, adds)
-
-    def _sources(self, component: str) -> dict[str, FloatArray]:
-        """Columns that go into a component, as they are in the replay of the mean measured run."""
-        wanted = {_array(c.source) for c in self.system.connections if c.target.partition(".")[0] == component}
-        found = {}
-        for name in self.base.columns:
-            if _array(name) in wanted and not name.startswith("measured_"):
-                at = self.channels.index(name) if name in self.channels else -1
-                measured = at >= 0 and not self.known[at]
-                found[name] = self.mean[:, at] if measured else np.interp(self.grid, self.base.t, self.base.columns[name])
-        return found
-
-    def alone(self, component: str, changes: Setting = (), shifts: Mapping[str, FloatArray] | None = None) -> dict[str, FloatArray]:
-        """Outputs of a component alone, driven as in the replay plus `shifts` (column -> change, [n]); column -> [n]."""
-        system = self._changed(changes)
-        by_source: dict[str, dict[str, FloatArray]] = {}
-        for name, values in self._inputs[component].items():
-            shift = shifts.get(name) if shifts else None
-            by_source.setdefault(name.partition(".")[0], {})[name] = values if shift is None else values + shift
-        tapes = [self._tape(source, series) for source, series in by_source.items() if source != component]
-        connections = [c for c in system.connections if c.target.partition(".")[0] == component]
-        parts = (*(Component(t.name, TAPE) for t in tapes), system.component(component))
-        result = self._run(replace(system, components=parts, connections=tuple(connections), stop_when=None), tapes)
-        prefix = component + "."
-        return {k: np.interp(self.grid, result.t, v) for k, v in result.columns.items() if k.startswith(prefix)}
-
-    def swapped(self, components: frozenset[str]) -> FloatArray:
-        """The closed loop with what is left of the replay added to the outputs of these components; all channels, [n, channels]."""
-        if not components:
-            return self._nominal
-        system = self._changed(())
-        left = np.mean(self.residuals, axis=0)
-        taken = {_array(c.source) for c in system.connections}
-        inside = [i for i, c in enumerate(self.channels) if c.partition(".")[0] in components]
-        used: dict[str, list[int]] = {}
-        for i in inside:
-            if _array(self.channels[i]) in taken:
-                used.setdefault(self.channels[i].partition(".")[0], []).append(i)
-        tapes = [self._tape(f"swapped_{name}", {self.channels[i]: left[:, i] for i in at}, adds=True) for name, at in used.items()]
-        through = {_array(self.channels[i]) for at in used.values() for i in at}
-        connections = [replace(c, source=f"swapped_{c.source}") if _array(c.source) in through else c for c in system.connections]
-        for array in through:
-            connections.append(Connection(array, f"swapped_{array}_in"))
-        parts = (*system.components, *(Component(t.name, TAPE) for t in tapes))
-        out = self._matrix(self._run(replace(system, components=parts, connections=tuple(connections)), tapes))
-        out[:, inside] += left[:, inside]
-        return out
-
-    # What it knows
-
-    def inputs(self, component: str) -> dict[str, FloatArray]:
-        """Columns that go into a component, [n] each: measured where they are, else as replayed."""
-        return self._inputs[component]
-
-    def signals(self) -> dict[str, FloatArray]:
-        """The mean measured run: column -> [n]."""
-        return {c: self.mean[:, i] for i, c in enumerate(self.channels)}
-
-    def unit(self, column: str) -> str:
-        """Of a column."""
-        return self._ports[column].unit or ""
-
-    def units(self, columns: Iterable[str]) -> dict[str, str]:
-        """Of columns."""
-        return {c: self.unit(c) for c in columns}
-
-    def times(self) -> FloatArray:
-        """Of the samples [s]."""
-        return self.grid
-
-    def step(self) -> float:
-        """Between samples [s]."""
-        return float(self.grid[1] - self.grid[0])
-
-    # Changes by parameters
-
-    def hidden(self) -> list[tuple[str, str]]:
-        """Connections that are not measured: (output array, component that takes it)."""
-        pairs = [(_array(c.source), c.target.partition(".")[0]) for c in self.system.connections if _array(c.source) not in self.cut]
-        return [(o, d) for o, d in dict.fromkeys(pairs) if o.partition(".")[0] != d]
-
-    def change(self, component: str, changes: Setting) -> dict[str, FloatArray] | None:
-        """Change of all outputs of a component by parameters; None where it cannot run."""
-        if component not in self._alone:
-            self._alone[component] = self.alone(component)
-        before = self._alone[component]
-        try:
-            after = self.alone(component, changes)
-        except OrchestrationError:
-            return None
-        return {k: after[k] - before[k] for k in after}
-
-    def follow(self, moved: Mapping[str, FloatArray], arrays: Sequence[str], target: str) -> dict[str, FloatArray]:
-        """Change of the outputs of `target` when these outputs of another component change as they do in `moved`."""
-        if target not in self._alone:
-            self._alone[target] = self.alone(target)
-        shifts = {k: v for k, v in moved.items() if _array(k) in arrays}
-        after = self.alone(target, (), shifts)
-        return {k: after[k] - self._alone[target][k] for k in after}
-
-    def observed(self, moved: Mapping[str, FloatArray]) -> FloatArray:
-        """The measured channels among these changes, [n, channels]."""
-        out = np.zeros((len(self.grid), len(self.channels)))
-        for i, c in enumerate(self.channels):
-            if c in moved:
-                out[:, i] = moved[c]
-        return decimate(out, self.laboratory.decimation)
 
 
 @dataclass(frozen=True)
@@ -355,8 +92,8 @@ class Replay:
         # outputs that no parameter changes say nothing
         self.at = np.flatnonzero(np.any([np.any(x, axis=0) for parts in seen.values() for x in parts], axis=0))
         self.channels = [self.benches[0].channels[i] for i in self.at]
-        self.arrays = list(dict.fromkeys(_array(c) for c in self.channels))
-        self.of = np.array([self.arrays.index(_array(c)) for c in self.channels])
+        self.arrays = list(dict.fromkeys(array_of(c) for c in self.channels))
+        self.of = np.array([self.arrays.index(array_of(c)) for c in self.channels])
         """Array of each channel."""
         seen = {a: [x[:, self.at] for x in parts] for a, parts in seen.items()}
         self.groups = [[self._kept(r) for r in b.residuals] for b in self.benches]
@@ -406,7 +143,9 @@ class Replay:
             arrays = [o for o, d in bench.hidden() if d == target and o.partition(".")[0] == source]
             probes = set()
             for o in arrays:
-                sizes = {a: sum(float(np.sum(v**2)) for k, v in m[0].items() if _array(k) == o) for a, m in moved.items() if a[0] == source}
+                sizes = {
+                    a: sum(float(np.sum(v**2)) for k, v in m[0].items() if array_of(k) == o) for a, m in moved.items() if a[0] == source
+                }
                 if sizes and max(sizes.values()) > 0.0:
                     probes.add(max(sizes, key=lambda a: sizes[a]))
             for a in probes:
@@ -425,7 +164,7 @@ class Replay:
         found = []
         for target in [d for s, d in self.strong if s == source and d not in passed]:
             arrays = [o for o, d in bench.hidden() if d == target and o.partition(".")[0] == source]
-            if any(np.any(v) for k, v in moved.items() if _array(k) in arrays):
+            if any(np.any(v) for k, v in moved.items() if array_of(k) in arrays):
                 there = bench.follow(moved, arrays, target)
                 found += [there, *self._followed(bench, there, target, (*passed, source))]
         return found
@@ -450,16 +189,7 @@ class Replay:
         }
         """Columns of the effects in each component, at the size of their priors."""
         self.reach = {c: self._reach(c) for c in self.effects}
-        everything = np.concatenate([self.doubt, *self.effects.values()], axis=1)
-        rows = [self.row == k for k in range(len(self.arrays))]
-        self._grams = np.array([everything[r].T @ everything[r] for r in rows])
-        self._on_y = np.array([everything[r].T @ self.y[r] for r in rows])
-        self._energies = np.array([self.y[r] @ self.y[r] for r in rows])
-        self._counts = np.array([r.sum() for r in rows])
-        start, self._places = self.doubt.shape[1], dict[str, npt.NDArray[np.intp]]()
-        for c, columns in self.effects.items():
-            self._places[c] = np.arange(start, start + columns.shape[1])
-            start += columns.shape[1]
+        self._marginal = MarginalLikelihood(self.y, self.row, self.doubt, self.effects)
 
     def _reach(self, component: str) -> set[int]:
         """Arrays in which a fault of the component would show: its own, and those where an effect of it shows as well as anywhere."""
@@ -571,18 +301,5 @@ class Replay:
         return bool(max(variance[k] for k in self.reach[component]) > MORE * TEMPERATURE)
 
     def _explained(self, blamed: Sequence[str]) -> tuple[float, FloatArray]:
-        """Log evidence, and the variance of what is left in each output, where anything is allowed."""
-        at = np.concatenate([np.arange(self.doubt.shape[1]), *(self._places[c] for c in blamed)])
-        grams, on_y = self._grams[:, at[:, None], at], self._on_y[:, at]
-        free = sorted(set().union(*(self.reach[c] for c in blamed)))
-        variance, best = np.full(len(self.arrays), TEMPERATURE), -math.inf
-        for _ in range(ROUNDS):
-            inner = np.eye(len(at)) + np.tensordot(1.0 / variance, grams, 1)
-            x = np.linalg.solve(inner, (on_y / variance[:, None]).sum(axis=0))
-            energy = self._energies - 2.0 * on_y @ x + np.einsum("i,kij,j->k", x, grams, x)
-            size = (energy / variance).sum() + x @ x + np.linalg.slogdet(inner)[1] + (self._counts * np.log(variance)).sum()
-            wider = sum(math.log(self._counts[k]) for k in free if variance[k] > TEMPERATURE)
-            best = max(best, -0.5 * float(size + wider))
-            for k in free:
-                variance[k] = max(TEMPERATURE, energy[k] / self._counts[k])
-        return best, variance
+        """Log evidence, and the variance of what is left in each output, where anything is allowed in reach."""
+        return self._marginal.log(blamed, sorted(set().union(*(self.reach[c] for c in blamed))))

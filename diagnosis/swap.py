@@ -1,6 +1,6 @@
 """Where: the share that each component has in the gap, from the closed loop run again with components put right.
 
-A component is swapped for the measured one by adding, to its measured outputs, what is left when it is replayed (`diagnosis.replay`): so
+A component is swapped for the measured one by adding, to its measured outputs, what is left when it is replayed (`diagnosis.bench`): so
 it does in the loop what the measured one did, and hands on what reaches it. (Its measurement put there as it is would also bring in
 all errors from upstream: the last component of a chain would be given half of every error before it.) With all components
 swapped the loop is the measured one. The shares are Shapley values over all subsets: they add up to what all together close,
@@ -17,7 +17,8 @@ from itertools import combinations
 
 import numpy as np
 
-from diagnosis.replay import RESAMPLES, Bench, over_pairs
+from diagnosis.bench import Bench
+from diagnosis.repeats import RESAMPLES, over_pairs
 from orchestration.errors import OrchestrationError
 from orchestration.slave import FloatArray
 

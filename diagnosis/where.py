@@ -12,8 +12,9 @@ import numpy as np
 from diagnosis import localise
 from diagnosis.catalogue import Candidate, Catalogue, Nuisance
 from diagnosis.localise import Projection
+from diagnosis.marginal import TEMPERATURE
 from diagnosis.measured import DataError
-from diagnosis.replay import TEMPERATURE, Replay
+from diagnosis.replay import Replay
 from diagnosis.simulation import Laboratory
 from diagnosis.swap import PLAYERS, Share, shares
 from orchestration.errors import OrchestrationError

@@ -13,7 +13,8 @@ import pytest
 from diagnosis.engine import _nuisances, diagnose
 from diagnosis.localise import alignment, bands, dependences, discoveries, variables
 from diagnosis.measured import DataError, sort_by_condition
-from diagnosis.replay import Replay, Segment, segments, sets_alike
+from diagnosis.replay import Replay
+from diagnosis.segments import Segment, segments, sets_alike
 from diagnosis.simulation import Laboratory
 from diagnosis.swap import shapley
 from diagnosis.tape import Tape
