@@ -43,7 +43,7 @@ SAID = {
     "offset": "the {place} is off by {value:.4g} {unit}",
 }
 """What is wrong with the log, in words."""
-EXPLAINABLE = ("constant", "unit")
+EXPLAINABLE = ("constant", "unit", "rotation")
 """Kinds of findings that an effect may be the reason of: a clipped channel stands still. They are no fault if the best model does it."""
 FAULTS = {"smooth": "filter", "gain": "unit"}
 """Kinds of findings, where they are called otherwise than what is wrong with the log."""

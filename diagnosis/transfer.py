@@ -22,7 +22,7 @@ from orchestration.slave import FloatArray
 
 TOLD = 20.0
 """Promised gain [nats] from which what a model gains can be told from noise: it scatters by the root of twice the promise."""
-HOLDS = 0.5
+HOLDS = 0.6
 """Part of the promised gain that a model must have."""
 
 
