@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from orchestration.slave import base_name
 from orchestration.system import System
@@ -43,6 +44,16 @@ def sets_alike(found: Sequence[Segment], components: Sequence[str]) -> list[tupl
     for c in components:
         groups.setdefault(tuple(s.output for s in found if c in s.components), []).append(c)
     return [tuple(g) for seen, g in groups.items() if seen]
+
+
+def structure(system: System, measured: Sequence[str]) -> dict[str, Any]:
+    """What the connections alone say, as it stands in diagnosis.json; `measured`: outputs, `component.port`."""
+    found = segments(system, measured)
+    sets = sets_alike(found, [c.name for c in system.components])
+    return {
+        "segments": [{"output": s.output, "components": list(s.components)} for s in found],
+        "alike": [list(s) for s in sets if len(s) > 1],
+    }
 
 
 def array_of(port: str) -> str:

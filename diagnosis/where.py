@@ -15,6 +15,7 @@ from diagnosis.localise import Projection
 from diagnosis.marginal import TEMPERATURE
 from diagnosis.measured import DataError
 from diagnosis.replay import Replay
+from diagnosis.segments import array_of, structure
 from diagnosis.simulation import Laboratory
 from diagnosis.swap import PLAYERS, Share, shares
 from orchestration.errors import OrchestrationError
@@ -250,11 +251,12 @@ def located(
 ) -> dict[str, Any]:
     """`locate` on those of the first `n` conditions that the system itself made. Nothing is said where it cannot be replayed."""
     own = [i for i in range(n) if laboratory.conditions[i].system is None]
-    nothing: dict[str, Any] = {"where": [], "replay": [], "swap": []}
+    cuts = structure(laboratory.system, list(dict.fromkeys(map(array_of, laboratory.channels))))
+    nothing: dict[str, Any] = {"where": [], "replay": [], "swap": [], "structure": cuts}
     if not own:
         return nothing
     try:
-        return locate(Replay(laboratory, own, catalogue, nuisances), figures, projections)
+        return nothing | locate(Replay(laboratory, own, catalogue, nuisances), figures, projections)
     except (DataError, OrchestrationError) as error:
         return {**nothing, "not_replayed": str(error)}
 

@@ -237,9 +237,12 @@ def _replay(s: Subject) -> str:
                 number(r["unexplained"]),
             )
         )
-    text = (
-        "Each component was driven alone with measured inputs, so that nothing that happens before it can show in its outputs. "
-        f"Outputs that differ from the measurement by more than noise and the tolerances of calibrated numbers: {len(loud)} of {len(readings)}"
+    text = "Each component was driven alone with measured inputs, so that nothing that happens before it can show in its outputs."
+    alike = [listed(names, "and") for names in s.result["structure"]["alike"]]
+    if alike:
+        text += f" By the connections alone, what was measured cannot tell apart {'; '.join(alike)}: only the form of their effects can."
+    text += (
+        f" Outputs that differ from the measurement by more than noise and the tolerances of calibrated numbers: {len(loud)} of {len(readings)}"
         + (":" if loud else ".")
     )
     table = _table(("Output", "To blame", "Left, rms", "In noise", "Beyond tolerances"), rows, (2, 3, 4)) if rows else ""

@@ -14,7 +14,7 @@ from diagnosis.engine import _nuisances, diagnose
 from diagnosis.localise import alignment, bands, dependences, discoveries, variables
 from diagnosis.measured import DataError, sort_by_condition
 from diagnosis.replay import Replay
-from diagnosis.segments import Segment, segments, sets_alike
+from diagnosis.segments import Segment, segments, sets_alike, structure
 from diagnosis.simulation import Laboratory
 from diagnosis.swap import shapley
 from diagnosis.tape import Tape
@@ -61,6 +61,12 @@ class TestSegments:
         names = [c.name for c in SYSTEM.components]
         assert sets_alike(segments(SYSTEM, ["sensors.y"]), names) == [("force", "masses", "sensors")]
         assert sets_alike(segments(SYSTEM, BOTH), names) == [("force", "masses"), ("sensors",)]
+
+    def test_the_answer_has_the_sets_of_more_than_one(self) -> None:
+        assert structure(SYSTEM, BOTH) == {
+            "segments": [{"output": "masses.x", "components": ["masses", "force"]}, {"output": "sensors.y", "components": ["sensors"]}],
+            "alike": [["force", "masses"]],
+        }
 
     def test_a_loop_is_one_segment_until_it_is_cut(self) -> None:
         ring = System(

@@ -145,6 +145,7 @@ class TestContent:
         assert "it shows most in sensors.y[1]" not in text  # by its title
         assert "it shows most in displacement error, element 1." in text
         assert "values should not be believed" in text
+        assert "By the connections alone, what was measured cannot tell apart force, masses and sensors" in text
         assert "--adopt" not in text
 
     def test_what_does_not_hold_in_new_conditions_is_said_so(self, page: Callable[[str], Path]) -> None:
