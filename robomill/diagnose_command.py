@@ -12,8 +12,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from diagnosis import adopt
+from diagnosis.answer import Menu
 from diagnosis.catalogue import LOGGING, Catalogue
-from diagnosis.engine import Menu, diagnose
+from diagnosis.engine import diagnose
 from diagnosis.next_run import Offer
 from diagnosis.store import Store
 from orchestration.results import Run

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from diagnosis.answer import Diagnosis
 from diagnosis.catalogue import Catalogue
-from diagnosis.engine import Diagnosis
 from diagnosis.verdict import IDENTIFIED, UNEXPLAINED
 from orchestration.recorder import frame_of
 from orchestration.results import Run

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from diagnosis import gate
-from diagnosis.engine import Diagnosis, diagnose
+from diagnosis.answer import Diagnosis
+from diagnosis.engine import diagnose
 from diagnosis.measured import DataError, sort_by_condition
 from orchestration.results import Run
 from tests.diagnosis.demo import RANGE, SYSTEM, catalogue, changed, measure, resolve

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from diagnosis.answer import Menu
 from diagnosis.catalogue import Catalogue
-from diagnosis.engine import Menu, diagnose
+from diagnosis.engine import diagnose
 from diagnosis.estimation import Fit
 from diagnosis.isolability import CONFUSABLE
 from diagnosis.next_run import Offer, rivals

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from diagnosis.engine import Diagnosis, diagnose
+from diagnosis.answer import Diagnosis
+from diagnosis.engine import diagnose
 from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
 
 

@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from diagnosis.answer import Diagnosis, Menu
 from diagnosis.catalogue import Catalogue
-from diagnosis.engine import Diagnosis, Menu, diagnose
+from diagnosis.engine import diagnose
 from diagnosis.next_run import Offer
 from models.robots import forward
 from orchestration.results import Run
