@@ -137,13 +137,14 @@ class Recorder:
     def observe_columns(self, columns: FloatArray, count: int) -> None:
         """Keep many rows: the first `count` of float64[1 + n_outputs, capacity], t [s] and all outputs.
 
-        As many as make a chunk or more are written at once. The array may be filled anew after that.
+        As many as make a chunk or more, or are all of the array, are written at once. The array may be filled anew after that.
         """
         kept = range(-self._seen % self.every, count, self.every)
         self._seen += count
-        if self._count + len(kept) > self.chunk:
+        at_once = len(kept) > self.chunk or self._is_whole(columns, kept)  # of many columns there are few rows, and copying is dear
+        if at_once or self._count + len(kept) > self.chunk:
             self.flush()
-        if len(kept) > self.chunk:
+        if at_once:
             self._put_columns(columns, kept)
             self._flushed = time.monotonic()
         else:
@@ -167,7 +168,7 @@ class Recorder:
         if kept.step > 1:
             self._put(columns[self._taken, kept.start : kept.stop : kept.step])
             return
-        if len(kept) * len(self._kinds) == columns.size and not self._other:
+        if self._is_whole(columns, kept):
             self._put_whole(columns)
             return
         batch = self._wrap(columns).slice(kept.start, len(kept))
@@ -175,6 +176,10 @@ class Recorder:
             values = pa.array(_cast(columns[self._taken[i], kept.start : kept.stop], self._kinds[i]))
             batch = batch.set_column(i, self._schema.field(i), values)
         self._put_batch(batch)
+
+    def _is_whole(self, columns: FloatArray, kept: range) -> bool:
+        """Whether these rows are the array as it stands, and all of it real numbers."""
+        return len(kept) * len(self._kinds) == columns.size and not self._other
 
     def _put_whole(self, columns: FloatArray) -> None:
         """All of the array as a batch: its bytes are the body of the message as they stand, and are copied once less."""

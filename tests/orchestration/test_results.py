@@ -47,11 +47,12 @@ class TestManyRows:
     """Rows that come as whole arrays."""
 
     @pytest.mark.parametrize("every", [1, 3])
-    def test_what_is_on_disk_is_what_was_observed(self, tmp_path, every):
+    @pytest.mark.parametrize("chunk", [5, 100])
+    def test_what_is_on_disk_is_what_was_observed(self, tmp_path, every, chunk):
         """An array that is written as it stands, one that is full in part, another full one: the stream holds all of them at once."""
         slave = Mock("c", [PortData(name, "output") for name in ("y", "z")], lambda _, t: [t, t])
         wiring = wire(system([slave]), {"c": slave.ports})
-        recorder = Recorder(tmp_path, chunk=5, every=every)
+        recorder = Recorder(tmp_path, chunk=chunk, every=every)
         recorder.begin(wiring, 0.004)
         rows = np.random.default_rng(3).standard_normal((3, 56))
         rows[0] = np.arange(1, 57) * 0.004
