@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from diagnosis.catalogue import Address
 from diagnosis.estimation import Space
 from diagnosis.evidence import gather
@@ -79,13 +77,18 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Map
     signature = e.mean_signature(there)
     assert signature is not None
     known = list(e.space.blocks)[:diagnosed]
-    rows = e.space.rows(known)
+    rows, here = e.space.rows(known), e.space.only(known)
 
-    def energy(space: Space, left: FloatArray) -> float:
-        """Of the new conditions, given the diagnosed ones."""
-        return float(space.dot(left, left)) - float(space.only(known).dot(left[rows], left[rows]))
+    def energy(left: FloatArray, unsure: FloatArray) -> float:
+        """Of the new conditions, given the diagnosed ones; a part of `unsure`, of deviation 1, is free."""
+        return _energy(e.space, left, unsure) - _energy(here, left[rows], unsure[rows])
 
-    uncertain = Space(e.space.y, e.space.blocks, np.column_stack([e.space.nuisances, doubt * signature]))
-    before, after = energy(e.space, e.space.y), energy(uncertain, e.space.y - signature)
+    before, after = energy(e.space.y, 0.0 * signature), energy(e.space.y - signature, doubt * signature)
     noise = float(e.expected.sum() - e.expected[rows].sum())
-    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * energy(e.space, signature))
+    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * energy(signature, 0.0 * signature))
+
+
+def _energy(space: Space, left: FloatArray, unsure: FloatArray) -> float:
+    """Of a residual, with one more nuisance."""
+    product = float(space.dot(left, unsure))
+    return float(space.dot(left, left)) - product * product / (1.0 + float(space.dot(unsure, unsure)))
