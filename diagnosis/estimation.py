@@ -70,6 +70,14 @@ class Fit:
         return all(any(abs(self.values[a]) >= c.minimum for a in c.addresses) for c in self.model)
 
 
+@dataclass(frozen=True)
+class Gram:
+    """Products of columns with each other, [k, k], and with the nuisances, [m, k]."""
+
+    plain: FloatArray
+    projected: FloatArray
+
+
 class Space:
     """Whitened residual, columns of the candidates, and the inner product with the nuisances marginalised."""
 
@@ -118,8 +126,8 @@ class Space:
         """Note which nuisances have (nearly) the same column as a parameter; `columns` are per prior scale [unit of the parameter]."""
         sizes = np.sqrt(np.diag(self._products)) + 1e-300
         places = {name: i for i, name in enumerate(self.names)}
-        for a, c in columns.items():
-            products = self.nuisances.T @ c
+        projected = self.nuisances.T @ np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(sizes), 0))
+        for (a, c), products in zip(columns.items(), projected.T, strict=True):
             energy = float(c @ c) + 1e-300
             same = np.abs(products) / (sizes * math.sqrt(energy)) > ALIKE
             if a in places:
@@ -135,6 +143,15 @@ class Space:
         left = self.nuisances.T @ a
         right = left if b is a else self.nuisances.T @ b
         return np.asarray(a.T @ b - left.T @ (self._inner @ right))
+
+    def gram(self, matrix: FloatArray) -> Gram:
+        """Inner products of the columns of a matrix, for this space and those that are it `without` some nuisances."""
+        return Gram(matrix.T @ matrix, self.nuisances.T @ matrix)
+
+    def within(self, gram: Gram, chosen: Sequence[int]) -> FloatArray:
+        """The inner products of some of these columns, here."""
+        part = gram.projected[:, chosen]
+        return np.asarray(gram.plain[np.ix_(chosen, chosen)] - part.T @ (self._inner @ part))
 
     def energies(self, vectors: FloatArray) -> FloatArray:
         """Inner product of each column of [n, k] with itself, [k]."""
@@ -153,13 +170,15 @@ class Space:
 
 def quadratic_fit(model: Model, y: FloatArray, base: FloatArray, columns: FloatArray, start: FloatArray, space: Space) -> Fit:
     """The best x for the signature base + columns (x - start), with bounds and priors; float64[k] in prior scales."""
-    scales, low, high = scaled_bounds(model)
     own = space.without([a for c in model for a in c.addresses])
-    target = y - base + columns @ start
-    together = np.concatenate([columns, target[:, None]], axis=1)
-    products = own.dot(together, together)
+    together = np.column_stack([columns, y - base + columns @ start])
+    return solved(model, own.dot(together, together), space, own)
+
+
+def solved(model: Model, products: FloatArray, space: Space, own: Space) -> Fit:
+    """The same from the inner products of the columns and, last, of the residual at x = 0; `own`: `space` without what the model has."""
     hessian, gradient, constant = products[:-1, :-1], products[:-1, -1], float(products[-1, -1])
-    fit = solve(model, hessian, gradient, constant, space.energy, scales, low, high)
+    fit = solve(model, hessian, gradient, constant, space.energy, *scaled_bounds(model))
     fit.log_evidence += 0.5 * (space.log_determinant - own.log_determinant)
     return fit
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
-from diagnosis.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solve
+from diagnosis.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
 from diagnosis.evidence import DEPENDENCE, gather
 from diagnosis.simulation import Setting, Simulator, setting
 from orchestration.slave import FloatArray
@@ -145,9 +145,9 @@ class Search:
     def screen(self, bases: Sequence[Fit]) -> list[Fit]:
         """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion."""
         space = self.evidence.space
-        stacked = np.stack([self.evidence.columns[a] for a in self._order()], axis=1)
-        place = {a: i for i, a in enumerate(self._order())}
-        gram = self._gram(stacked)
+        order = list(dict.fromkeys(a for c in self.candidates for a in c.addresses))
+        stacked = np.stack([self.evidence.columns[a] for a in order], axis=1)
+        place = {a: i for i, a in enumerate(order)}
         found: dict[frozenset[str], Fit] = {}
         for base in bases:
             assert base.signature is not None
@@ -155,36 +155,22 @@ class Search:
             scales, _, _ = scaled_bounds(base.model)
             best = np.array([base.values[a] for c in base.model for a in c.addresses]) / (scales if len(scales) else 1.0)
             target = space.y - base.signature + base.columns @ best
-            own, cross, on_target = space.dot(base.columns, base.columns), space.dot(base.columns, stacked), space.dot(stacked, target)
-            base_target, constant = space.dot(base.columns, target), float(space.dot(target, target))
+            gram = space.gram(np.column_stack([base.columns, stacked, target]))
+            k = len(best)
             for c in self.candidates:
                 model = (*base.model, c)
                 key = frozenset(m.name for m in model)
                 if c in base.model or key in found or any(set(c.addresses) & set(m.addresses) for m in base.model):
                     continue
-                at = [place[a] for a in c.addresses]
                 there = self.starts.get(c.addresses[0])
                 if there is not None:
                     columns = np.concatenate([base.columns, there.column[:, None]], axis=1)
                     found[key] = quadratic_fit(model, space.y, base.signature + there.signature, columns, np.append(best, there.x), space)
                     continue
-                if space.without([a for m in model for a in m.addresses]) is not space:
-                    columns = np.concatenate([base.columns, stacked[:, at]], axis=1)
-                    start = np.concatenate([best, np.zeros(len(at))])
-                    found[key] = quadratic_fit(model, space.y, base.signature, columns, start, space)
-                    continue
-                hessian = np.block([[own, cross[:, at]], [cross[:, at].T, gram[np.ix_(at, at)]]])
-                gradient = np.concatenate([base_target, on_target[at]])
-                found[key] = solve(model, hessian, gradient, constant, space.energy, *scaled_bounds(model))
+                own = space.without([a for m in model for a in m.addresses])
+                products = own.within(gram, [*range(k), *(k + place[a] for a in c.addresses), k + len(order)])
+                found[key] = solved(model, products, space, own)
         return list(found.values())
-
-    def _order(self) -> list[Address]:
-        return list(dict.fromkeys(a for c in self.candidates for a in c.addresses))
-
-    def _gram(self, stacked: FloatArray) -> FloatArray:
-        if not hasattr(self, "_kept"):
-            self._kept = self.evidence.space.dot(stacked, stacked)
-        return self._kept
 
     def refine(self, fits: Sequence[Fit], rounds: int = 5) -> list[Fit]:
         """Gauss-Newton on real simulations, all models together (one simulation of each per round)."""
