@@ -9,7 +9,7 @@ import numpy as np
 
 from fmus.address import Addresses, Rollback
 from fmus.instance import ComponentError, Instance, State, all_finite
-from fmus.interface import Interface, Port
+from fmus.interface import Port, interface_of
 from models.declaration import FloatArray, Model
 
 
@@ -21,7 +21,7 @@ class InProcessSlave:
 
     def __init__(self, model: Model, name: str | None = None, plain: bool = False) -> None:
         self.name = name or model.name
-        self.interface = Interface(model)
+        self.interface = interface_of(model)
         self.ports: tuple[Port, ...] = self.interface.ports
         self._instance: Instance | None = Instance(self.interface, self.name, plain)
         self._bind(self._instance)

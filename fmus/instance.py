@@ -14,6 +14,9 @@ import numpy.typing as npt
 from fmus.interface import WORD, Interface, Port
 from models.declaration import FloatArray, Model, record
 
+_READY: set[tuple[Any, np.dtype[np.void]]] = set()
+"""Dispatchers and the records that they are compiled for: to ask Numba takes a millisecond."""
+
 
 class ComponentError(RuntimeError):
     """What a component refuses or cannot do; the text names component, variable or time, value and what is expected."""
@@ -76,8 +79,10 @@ class Instance:
         init, step = self.model.compiled_for_data()
         typeof: Any = numba.typeof
         dispatchers: tuple[Any, Any] = (init, step)
-        dispatchers[0].compile((typeof(self.data),))
-        dispatchers[1].compile((typeof(self.data), numba.float64, numba.float64))
+        if (init, self.data.dtype) not in _READY:
+            dispatchers[0].compile((typeof(self.data),))
+            dispatchers[1].compile((typeof(self.data), numba.float64, numba.float64))
+            _READY.add((init, self.data.dtype))
         return dispatchers
 
     # Values

@@ -86,6 +86,16 @@ class Interface:
         return min((fields[f"{name}_rows"][1] for name in names), default=self.model.dtype.itemsize)
 
 
+_KNOWN: dict[int, Interface] = {}
+
+
+def interface_of(model: Model) -> Interface:
+    """The interface of a model, made once: with hundreds of ports that takes longer than a short run."""
+    if id(model) not in _KNOWN:  # it holds its model, so the number stays that of this one
+        _KNOWN[id(model)] = Interface(model)
+    return _KNOWN[id(model)]
+
+
 def _ports(model: Model, v: Variable) -> list[Port]:
     """One port per element of a declared variable; one for a table."""
     fields: Any = model.dtype.fields

@@ -82,9 +82,10 @@ def wire(system: System, components: Mapping[str, Sequence[Port]]) -> Wiring:
     problems: list[str] = []
     pairs: list[_Pair] = []
     taken: dict[Element, Connection] = {}
+    named = {name: arrays(ports) for name, ports in components.items()}
     for c in system.connections:
         where = system.where(c.line)
-        found, said = _expand(c, components)
+        found, said = _expand(c, components, named)
         problems.extend(f"{where}{p}" for p in said)
         for pair in found:
             other = taken.setdefault(pair.target, c)
@@ -163,15 +164,17 @@ def _layout(
     )
 
 
-def _expand(c: Connection, components: Mapping[str, Sequence[Port]]) -> tuple[list[_Pair], list[str]]:
-    """The scalar connections of one connection, and what is wrong with it (then there are none)."""
+def _expand(
+    c: Connection, components: Mapping[str, Sequence[Port]], named: Mapping[str, Mapping[str, tuple[Port, ...]]]
+) -> tuple[list[_Pair], list[str]]:
+    """The scalar connections of one connection, and what is wrong with it (then there are none); `named`: arrays of each component."""
     ends = []
     for text, wanted, word in ((c.source, "output", "from"), (c.target, "input", "to")):
         name, _, port = text.partition(".")
         if name not in components:
             return [], [f"connection {c}: {unknown('component', name, components)}"]
         ports = components[name]
-        members = arrays(ports).get(port) or tuple(p for p in ports if p.name == port)
+        members = named[name].get(port) or tuple(p for p in ports if p.name == port)
         if not members:
             others = arrays([p for p in ports if p.causality == wanted])
             if base_name(port) in others:
