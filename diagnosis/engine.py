@@ -18,7 +18,7 @@ from diagnosis.measured import Condition, DataError, in_units, sort_by_condition
 from diagnosis.search import NOMINAL, Search, likely_count
 from diagnosis.simulation import Laboratory, Report, Setting, Simulator, decimate, setting
 from diagnosis.store import Store
-from diagnosis.verdict import UNKNOWN, over_noise
+from diagnosis.verdict import UNKNOWN, over_noise, unexplained
 from orchestration.assembly import Resolver, assemble, run
 from orchestration.parameters import Convert, same_unit_only
 from orchestration.results import Run
@@ -27,6 +27,8 @@ from orchestration.system import System
 
 ROWS = 1500
 """Samples that a diagnosis works on, over all conditions: longer logs are averaged in blocks."""
+LITTLE = 0.02
+"""Share of what is beyond noise that a model leaves which explains nearly all of a large gap."""
 EXPLAINABLE = ("constant", "unit", "rotation")
 """Kinds of findings that an effect may be the reason of: a clipped channel stands still. They are no fault if the best model does it."""
 
@@ -79,7 +81,9 @@ def diagnose(
             fits = search.run()
             if fatal:  # is it the machine, after all?
                 best = fits[int(probabilities(fits, search.candidates).argmax())]
-                if over_noise(search, best) < UNKNOWN and not any(c.component == LOGGING for c in best.model):
+                before, after = over_noise(search, fits[0]), over_noise(search, best)
+                little = after < UNKNOWN or unexplained(before, after) < LITTLE
+                if little and not any(c.component == LOGGING for c in best.model):
                     findings = _gate(laboratory, simulator, groups, n, channels, ranges, setting(best.values))
                     fatal = [f for f in findings if f.fatal]
         if fatal:

@@ -112,6 +112,9 @@ class Search:
                 if _gain(own, other[a], single[a]) > _gain(own, columns[a], single[a]):
                     columns[a] = other[a]
         sizes = {a: _sizes(single[a]) for a, cosine in alike.items() if cosine < TURNED}
+        scales = {a: single[a].prior.scale for a in alike}
+        # which nuisances these are like at one size says nothing of another
+        space.find_alike({a: np.zeros_like(columns[a]) for a in sizes}, scales)
         tried = self._signatures(sizes)
         tried |= self._signatures({a: _where_it_begins([(x, tried[a, x]) for x in xs if (a, x) in tried]) for a, xs in sizes.items()})
         for a in sizes:
@@ -125,7 +128,7 @@ class Search:
             (x, signature), (near, neighbour) = found[i], found[j]
             if energies[i] < space.energy:
                 self.starts[a] = _Start(x, signature, (signature - neighbour) / (x - near))
-        space.find_alike({a: columns[a] for a in alike}, {a: single[a].prior.scale for a in alike})
+        space.find_alike({a: self.starts[a].column if a in self.starts else columns[a] for a in alike}, scales)
 
     def _signatures(self, sizes: Mapping[Address, Sequence[float]]) -> dict[tuple[Address, float], FloatArray]:
         """Signatures at sizes [prior scales]: (address, size) -> whitened change; without those that cannot run."""
@@ -197,14 +200,18 @@ class Search:
         """Whitened change that these settings make, as a mean over noise; None where the system cannot run."""
         return self.evidence.mean_signature(self.simulator.repeated(range(len(self.groups)), changes, POLISH, "fits"))
 
-    def polish(self, fits: Sequence[Fit]) -> list[Fit]:
-        """The best of `fits` again, with simulations that are means over noise; a single one scatters as a measured run does."""
+    def polish(self, fits: Sequence[Fit], promised: Sequence[Fit]) -> list[Fit]:
+        """The best of `fits` again, with simulations that are means over noise; a single one scatters as a measured run does.
+
+        `promised`: the same models as columns have them. Where an effect takes the noise out, a single simulation looks worse than it is.
+        """
         if not self.simulator.laboratory.seeds:
             return list(fits)
         polished = []
         best = max((f.log_evidence for f in fits), default=0.0)
-        near = [f for f in fits if f.log_evidence > best - max(FAR, NEARBY * best)]
-        for f in sorted(near, key=lambda f: -f.log_evidence)[:POLISHED]:
+        hopes = {f.name: max(f.log_evidence, p.log_evidence) for f, p in zip(fits, promised, strict=True)}
+        near = [f for f in fits if hopes[f.name] > best - max(FAR, NEARBY * best)]
+        for f in sorted(near, key=lambda f: -hopes[f.name])[:POLISHED]:
             signature = self.mean_signature(setting(f.values))
             if signature is None:
                 continue
@@ -268,7 +275,7 @@ class Search:
         self.screened = screened
         gain = space.energy - min((f.energy for f in screened), default=space.energy)
         chosen = [f for f in screened if space.energy - f.energy > WORTH * gain][:SINGLES] or screened[:SINGLES]
-        level = self._sharpened(self.polish(self.refine(chosen)))
+        level = self._sharpened(self.polish(self.refine(chosen), chosen))
         fits += level
         for size in (2, 3):
             bases = sorted(level, key=lambda f: -f.log_evidence)[: BASES if size == 2 else 1]
@@ -277,7 +284,7 @@ class Search:
             promising = [f for f in grown if f.log_evidence > best + PROMISING][: EXTENSIONS * (BASES if size == 2 else 1)]
             if not promising:
                 break
-            level = [f for f in self._sharpened(self.polish(self.refine(promising))) if self._worth(f, fits)]
+            level = [f for f in self._sharpened(self.polish(self.refine(promising), promising)) if self._worth(f, fits)]
             fits += level
         fits = [f for f in fits if f.large_enough()]
         for f in sorted(fits[1:], key=lambda f: -f.log_evidence)[:3]:

@@ -70,9 +70,7 @@ def _adequate(search: Search, nominal: Fit, best: Fit, moved: Transfer | None) -
     before, after = over_noise(search, nominal), over_noise(search, best)
     share, kept = unexplained(before, after), search.kept(best)
     new = moved if moved is not None and moved.tells else None
-    if new is not None and after <= AT_MOST:
-        share = 0.0
-    if share > UNEXPLAINED or (after > LIKE_NOISE and kept < KEPT + share):
+    if after > (LIKE_NOISE if new is None else AT_MOST) and (share > UNEXPLAINED or kept < KEPT + share):
         return False
     if new is None:
         return best.log_evidence >= WEAK or kept >= KEPT_BY_WEAK
