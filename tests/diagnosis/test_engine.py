@@ -189,6 +189,16 @@ class TestGate:
         assert (result["verdict"], result["which"][0]["effect"]) == ("identified", "range")
         assert result["which"][0]["parameters"]["range_lost"]["value"] == pytest.approx(lost, abs=0.002)
 
+    def test_a_lost_range_is_found_beside_another_effect_though_the_most_of_it_looks_like_a_tolerance(self, tmp_path: Path) -> None:
+        """A sensor without any range differs from a sound one as a wrong scale does; one with a tenth of it does not."""
+        scale = '[[nuisance]]\ncomponent = "sensors"\nparameters = ["scale_error"]\nabsolute = 0.05\nsource = "made up"\n'
+        truth = {"sensors": {"range_lost": 0.9}, "masses": {"stiffness_error[1]": 0.3}}
+        result = diagnose(SYSTEM, measure(truth), catalogue(tmp_path, RANGE + scale), resolver=resolve).result
+        assert result["verdict"] == "identified"
+        values = {w["effect"]: next(iter(w["parameters"].values()))["value"] for w in result["which"] if w["probability"] > 0.9}
+        # columns of a chopped signal are no straight lines: a tenth of the value
+        assert values == {"range": pytest.approx(0.9, abs=0.01), "stiffness": pytest.approx(0.3, rel=0.1)}
+
     def test_what_jumps_at_the_same_time_in_every_repeat_is_the_machine(self) -> None:
         def jerk(t: Any, y: Any) -> Any:
             return y + 1.0 * (np.arange(len(t)) % 150 == 7)
