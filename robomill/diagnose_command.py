@@ -126,6 +126,10 @@ def lines(result: dict[str, Any]) -> list[str]:
             f"{k} = {v['value']:.4g} [{v['interval'][0]:.4g} .. {v['interval'][1]:.4g}] {v['unit']}" for k, v in w["parameters"].items()
         )
         out.append(f"which: {w['effect']} at {w['location']}, probability {w['probability']:.2f}, {values}")
+    if "transfer" in result:
+        t = result["transfer"]
+        gain = f"gains {t['gain']:.4g} nats of {t['promised']:.4g} promised"
+        out.append(f"new conditions: {gain}, leaves {t['after']:.2f} times the energy of noise, nominal {t['before']:.2f}")
     for h in result["how_far"]:
         if h["unit"] != "1":
             closed = "not measurable" if h["closure"] is None else f"closure {100 * h['closure']:.0f} %"
