@@ -26,6 +26,7 @@ from orchestration.results import Run
 from orchestration.system import System
 from robomill import report
 from robomill.binding import convert
+from robomill.diagnose_command import lines
 from robomill.report import robot, units
 from robomill.report.figures import draw_all
 from robomill.report.page import page as html
@@ -154,6 +155,14 @@ class TestContent:
         assert "Something real that is not in the catalogue, in masses: the best model does not hold in new conditions" in text
         assert re.search(r"the model gains −[\d.]+ nats in log score; if it were right, it should gain about [\d.]+", text)
         assert "--adopt" not in text
+
+    def test_the_answer_in_sentences_says_what_it_is_worth_in_new_conditions(self, subject: Callable[[str], Subject]) -> None:
+        said = [line for line in lines(subject("identified").result) if line.startswith("new conditions")]
+        assert len(said) == 1
+        assert re.fullmatch(
+            r"new conditions: gains \S+ nats of \S+ promised, leaves [\d.]+ times the energy of noise, nominal [\d.]+", said[0]
+        )
+        assert not [line for line in lines(subject("ambiguous").result) if line.startswith("new conditions")]  # nothing was held out
 
     def test_a_bad_log_is_shown_with_the_reason(self, page: Callable[[str], Path]) -> None:
         text = _text(page("bad_log"))
