@@ -90,10 +90,7 @@ def gather(
     `tolerances` the standard deviations of calibrated ones. `like`: channels and whitening are those of this one, so that
     energies can be compared. DataError if no parameter changes any channel.
     """
-    moved = np.array([np.any([np.any(c, axis=0) for c in change], axis=0) for change in changes.values()])
-    if not moved.any():
-        raise DataError("no parameter of the catalogue changes any of the measured channels: there is nothing to diagnose with")
-    active: npt.NDArray[np.bool_] = np.asarray(moved.any(axis=0)) if like is None else like.active
+    active = _moved(changes) if like is None else like.active
     groups = [[x[:, active] for x in g] for g in groups]
     nominals = [[b[:, active] for b in group] for group in nominals]
     changes = {a: [c[:, active] for c in change] for a, change in changes.items()}
@@ -139,6 +136,14 @@ def gather(
     space = Space(y, blocks, np.concatenate([np.stack(list(nuisances.values()), axis=1), *own], axis=1), doubtful)
     space.find_alike(columns, scales)
     return Evidence(space, w, active, nominals, sudden, residuals, columns, counts, expected, halves)
+
+
+def _moved(changes: Changes) -> npt.NDArray[np.bool_]:
+    """Which channels any parameter changes; DataError if there is none."""
+    moved = np.array([np.any([np.any(c, axis=0) for c in change], axis=0) for change in changes.values()])
+    if not moved.any():
+        raise DataError("no parameter of the catalogue changes any of the measured channels: there is nothing to diagnose with")
+    return np.asarray(moved.any(axis=0))
 
 
 def _whitening(groups: Sequence[Sequence[FloatArray]], nominals: Sequence[Sequence[FloatArray]], changes: Changes) -> Whitening:

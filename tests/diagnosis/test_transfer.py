@@ -7,10 +7,11 @@ from typing import Any
 
 import pytest
 
+from diagnosis.catalogue import Catalogue
 from diagnosis.engine import diagnose
 from diagnosis.transfer import HOLDS, TOLD, Transfer
 from orchestration.results import Run
-from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
+from tests.diagnosis.demo import CATALOGUE, SYSTEM, catalogue, measure, resolve
 
 RUBBING = {"masses": {"friction[1]": 0.03}}
 
@@ -33,6 +34,15 @@ def test_what_is_not_there_in_a_new_condition_is_unknown(tmp_path: Path) -> None
     assert result["transfer"]["gain"] < 0.0 < result["transfer"]["promised"]
     assert result["transfer"]["after"] > result["transfer"]["before"]
     assert result["unknown"]["nearest"] == "friction @ mass 1"
+
+
+def test_without_tolerances_the_nominal_numbers_count(tmp_path: Path) -> None:
+    (tmp_path / "catalogue.toml").write_text(CATALOGUE.partition("[[nuisance]]")[0])
+    held = measure(RUBBING, amplitude=0.6, repeats=2, seed=2)
+    found = Catalogue.load(tmp_path / "catalogue.toml")
+    result = diagnose(SYSTEM, measure(RUBBING), found, held_out=held, resolver=resolve).result
+    assert result["verdict"] == "identified"
+    assert result["transfer"]["gain"] == pytest.approx(result["transfer"]["promised"], rel=0.3)
 
 
 @pytest.mark.parametrize("repeats", [0, 2])
