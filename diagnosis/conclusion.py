@@ -19,7 +19,7 @@ from diagnosis.replay import intervals
 from diagnosis.search import Search
 from diagnosis.simulation import Laboratory, Simulator, setting
 from diagnosis.transfer import Transfer, transfer
-from diagnosis.verdict import asks_new_conditions, judged, over_noise, unexplained
+from diagnosis.verdict import asks_new_conditions, judged, over_noise, stands, unexplained
 from diagnosis.where import combined, direction_of, located
 from orchestration.slave import FloatArray, base_name
 
@@ -101,7 +101,7 @@ class Conclusion:
             "noise_is_a_guess": self.search.evidence.whitening.guessed,
         }
         if moved is not None:
-            result["transfer"] = asdict(moved)
+            result["transfer"] = {**asdict(moved), "stands": stands(moved) if moved.tells else None}
         adopted = dict(self.best.values) if verdict in ("identified", "ambiguous", "unknown") else {}
         if verdict == "none":
             result["smallest_visible"] = self.smallest()

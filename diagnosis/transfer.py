@@ -18,7 +18,7 @@ from diagnosis.search import NOMINAL, POLISH, TOLERANCES, Search
 from diagnosis.simulation import setting
 from orchestration.slave import FloatArray
 
-TOLD = 20.0
+TELLING = 20.0
 """Promised gain [nats] from which what a model gains can be told from noise: it scatters by the root of twice the promise."""
 HOLDS = 0.6
 """Part of the promised gain that a model must have."""
@@ -38,7 +38,7 @@ class Transfer:
     @property
     def tells(self) -> bool:
         """Whether that is a test at all: not if the effect would hardly show."""
-        return self.promised > TOLD
+        return self.promised > TELLING
 
     @property
     def holds(self) -> bool:

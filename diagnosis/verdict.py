@@ -74,4 +74,9 @@ def _adequate(search: Search, nominal: Fit, best: Fit, moved: Transfer | None) -
         return False
     if new is None:
         return best.log_evidence >= WEAK or kept >= KEPT_BY_WEAK
-    return new.holds and (new.after <= UNKNOWN or unexplained(new.before, new.after) <= UNEXPLAINED)
+    return stands(new)
+
+
+def stands(moved: Transfer) -> bool:
+    """Whether a model stands the test of new conditions: it gains there what it promised, and leaves no large share."""
+    return moved.holds and (moved.after <= UNKNOWN or unexplained(moved.before, moved.after) <= UNEXPLAINED)

@@ -9,7 +9,7 @@ import pytest
 
 from diagnosis.catalogue import Catalogue
 from diagnosis.engine import diagnose
-from diagnosis.transfer import HOLDS, TOLD, Transfer
+from diagnosis.transfer import HOLDS, TELLING, Transfer
 from orchestration.results import Run
 from tests.diagnosis.demo import CATALOGUE, SYSTEM, catalogue, measure, resolve
 
@@ -23,7 +23,7 @@ def answer(folder: Path, held_out: list[Run]) -> dict[str, Any]:
 def test_what_is_right_gains_in_a_new_condition_what_it_promises(tmp_path: Path) -> None:
     result = answer(tmp_path, measure(RUBBING, amplitude=0.6, repeats=2, seed=2))
     assert result["verdict"] == "identified"
-    assert result["transfer"]["promised"] > 20.0 * TOLD
+    assert result["transfer"]["promised"] > 20.0 * TELLING
     # a right model's gain scatters by the square root of twice the promise: 1 part in 10 here
     assert result["transfer"]["gain"] == pytest.approx(result["transfer"]["promised"], rel=0.3)
 
@@ -53,8 +53,8 @@ def test_more_of_the_same_is_no_new_condition(tmp_path: Path, repeats: int) -> N
 
 
 def test_a_promise_too_small_to_be_told_from_noise_is_no_test() -> None:
-    assert not Transfer(2.0, 2.0, -3.0, 0.9 * TOLD).tells
-    assert Transfer(2.0, 2.0, -3.0, 1.1 * TOLD).tells
+    assert not Transfer(2.0, 2.0, -3.0, 0.9 * TELLING).tells
+    assert Transfer(2.0, 2.0, -3.0, 1.1 * TELLING).tells
 
 
 def test_a_model_holds_that_gains_its_part_of_the_promise() -> None:

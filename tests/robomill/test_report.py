@@ -156,6 +156,13 @@ class TestContent:
         assert re.search(r"the model gains −[\d.]+ nats in log score; if it were right, it should gain about [\d.]+", text)
         assert "--adopt" not in text
 
+    def test_what_stands_in_new_conditions_but_not_all_along_is_said_so(self, subject: Callable[[str], Subject]) -> None:
+        s = subject("unknown elsewhere")
+        assert s.result["transfer"]["stands"] is False
+        result = {**s.result, "transfer": {**s.result["transfer"], "stands": True}}
+        other = replace(s, found=replace(s.found, result=result))
+        assert "the best model does not hold all along the runs" in verdict_sentence(other)
+
     def test_the_answer_in_sentences_says_what_it_is_worth_in_new_conditions(self, subject: Callable[[str], Subject]) -> None:
         said = [line for line in lines(subject("identified").result) if line.startswith("new conditions")]
         assert len(said) == 1
