@@ -111,6 +111,10 @@ class Candidate:
         """Component and parameter of each number that is fitted."""
         return tuple((self.component, p) for p in self.parameters)
 
+    def large_enough(self, values: Mapping[Address, float]) -> bool:
+        """Whether one of its numbers [unit] counts as a finding."""
+        return any(abs(values[a]) >= self.minimum for a in self.addresses)
+
     @property
     def bounds(self) -> tuple[float, float]:
         """Least and largest value of the parameters [unit]."""

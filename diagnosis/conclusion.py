@@ -19,7 +19,7 @@ from diagnosis.replay import intervals
 from diagnosis.search import Search
 from diagnosis.simulation import Laboratory, Simulator, setting
 from diagnosis.transfer import Transfer, transfer
-from diagnosis.verdict import asks_new_conditions, judged, over_noise, stands, unexplained
+from diagnosis.verdict import judged, over_noise, stands, unexplained
 from diagnosis.where import combined, direction_of, located
 from orchestration.slave import FloatArray, base_name
 
@@ -79,8 +79,8 @@ class Conclusion:
         search, nominal = self.search, self.fits[0]
         marginal = self.marginal()
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] > 0.5]
-        moved = self.transfer() if asks_new_conditions(self.best) and not clocks else None
-        verdict = judged(search, nominal, self.best, moved, marginal, bool(clocks) and not self.repair)
+        moved = self.transfer() if self.best.model and not clocks else None
+        verdict = judged(search, nominal, self.best, float(self.weights[0]), moved, marginal, bool(clocks) and not self.repair)
         for c in clocks:
             value, (kind, _, pattern) = self.best.values[c.addresses[0]], c.parameters[0].partition(" ")
             text = SAID[kind].format(

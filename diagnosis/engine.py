@@ -15,7 +15,8 @@ from diagnosis.catalogue import LOGGING, Catalogue, Nuisance
 from diagnosis.conclusion import CLOSING, Conclusion
 from diagnosis.estimation import probabilities
 from diagnosis.measured import Condition, DataError, in_units, sort_by_condition
-from diagnosis.search import NOMINAL, Search, likely_count
+from diagnosis.screening import NOMINAL
+from diagnosis.search import Search, likely_count
 from diagnosis.simulation import Laboratory, Report, Setting, Simulator, decimate, setting
 from diagnosis.store import Store
 from diagnosis.verdict import UNKNOWN, over_noise, unexplained
@@ -29,8 +30,9 @@ ROWS = 1500
 """Samples that a diagnosis works on, over all conditions: longer logs are averaged in blocks."""
 LITTLE = 0.02
 """Share of what is beyond noise that a model leaves which explains nearly all of a large gap."""
-EXPLAINABLE = ("constant", "unit", "rotation")
-"""Kinds of findings that an effect may be the reason of: a clipped channel stands still. They are no fault if the best model does it."""
+EXPLAINABLE = ("constant", "unit", "sign", "rotation")
+"""Kinds of findings that an effect may be the reason of: a clipped channel stands still, a small moment changes its sign with a gain.
+They are no fault if the best model does it."""
 
 
 def diagnose(

@@ -67,7 +67,7 @@ class Fit:
 
     def large_enough(self) -> bool:
         """Whether each effect has a number that counts as a finding."""
-        return all(any(abs(self.values[a]) >= c.minimum for a in c.addresses) for c in self.model)
+        return all(c.large_enough(self.values) for c in self.model)
 
 
 @dataclass(frozen=True)

@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
+from diagnosis.catalogue import LOGGING, Catalogue, Nuisance
 from diagnosis.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
-from diagnosis.evidence import DEPENDENCE, gather
+from diagnosis.evidence import DEPENDENCE
+from diagnosis.screening import NOMINAL, Screening
 from diagnosis.simulation import Setting, Simulator, setting
 from orchestration.slave import FloatArray
 
-BENT = 0.9
-"""Cosine of the columns at two sizes below which an effect is not taken as proportional to its size."""
-TURNED = 0.5
-"""Cosine below which many sizes are tried."""
-NOMINAL = 8
-"""Simulations of the nominal system with different noise, of each condition."""
-TOLERANCES = 3.0
-"""Standard deviations of a calibrated number that its column is simulated at."""
 POLISH, POLISHED = 6, 8
 """Simulations with different noise at the best values of a model, and how many models of each size get them."""
 SHARPENED, ROUGH = 2, 1.15
@@ -33,6 +24,8 @@ PROMISING = 12.0
 """Gain in evidence [nats] that columns must promise for a further effect to be looked at."""
 SUBSTANTIAL = 0.05
 """Part of what is left beyond noise that another effect must explain."""
+FAULT = 0.67
+"""The same for a fault of the log. It can be modelled exactly: what is left of something else is no reason to reject a log."""
 PARTS = 6
 """Parts of each condition for the test whether an effect is the same all along."""
 TOLD = 0.1
@@ -43,6 +36,8 @@ FAR, NEARBY = 50.0, 0.4
 """Log of the odds against a model, beside the best of its size, from which it is not looked at more closely; or that part of the gain."""
 SINGLES, BASES, EXTENSIONS = 10, 3, 4
 """How many single candidates are refined, how many of them grow, and by how many partners each."""
+LARGEST, GROWN = 3, 4
+"""Effects of the largest models, and how often models are grown: once more where the best one loses an effect that is too small."""
 
 
 class Search:
@@ -53,92 +48,8 @@ class Search:
     ) -> None:
         self.nuisances = nuisances
         self.catalogue, self.simulator, self.groups = catalogue, simulator, groups
-        nominal = simulator.repeated(range(len(groups)), (), NOMINAL, "nominal")
-        self.nominals = [b for b in nominal if b is not None]
-        self.starts: dict[Address, _Start] = {}
-        self.candidates = self._screened()
-
-    def _screened(self) -> list[Candidate]:
-        """Simulate every parameter at its prior scale; whiten; keep the candidates that change something."""
-        scales = {a: c.prior.scale for c in self.catalogue.candidates for a in c.addresses}
-        unknown = {n.address: n.scale for n in self.nuisances}
-        sizes = {**{a: TOLERANCES * s for a, s in unknown.items()}, **scales}
-        tasks = [(i, self.simulator.seeded(setting({a: s}))) for a, s in sizes.items() for i in range(len(self.groups))]
-        results = iter(self.simulator.many(tasks, "effects"))
-        changes: dict[Address, list[FloatArray]] = {}
-        for a in sizes:
-            change = self._change([next(results) for _ in self.groups])
-            if change is not None:
-                changes[a] = change
-        # a limit does nothing until it is reached
-        largest = {c.addresses[0]: c.maximum for c in self.catalogue.candidates if len(c.parameters) == 1 and c.addresses[0] not in changes}
-        tasks = [(i, self.simulator.seeded(setting({a: s}))) for a, s in largest.items() for i in range(len(self.groups))]
-        results = iter(self.simulator.many(tasks, "effects"))
-        for a, s in largest.items():
-            change = self._change([next(results) for _ in self.groups])
-            if change is not None:
-                changes[a], sizes[a] = change, s
-        names = [c.name for c in self.simulator.laboratory.conditions[: len(self.groups)]]
-        self.evidence = gather(self.simulator.laboratory, names, self.groups, self.nominals, changes, sizes, scales, unknown)
-        self._start_elsewhere()
-        return [c for c in self.catalogue.candidates if all(a in self.evidence.columns for a in c.addresses)]
-
-    def _change(self, results: Sequence[FloatArray | None]) -> list[FloatArray] | None:
-        """What simulations of all conditions differ by from the nominal ones; None where one cannot run, or nothing differs."""
-        change = [r - n[0] for r, n in zip(results, self.nominals, strict=True) if r is not None]
-        return change if len(change) == len(self.nominals) and any(np.any(c) for c in change) else None
-
-    def _start_elsewhere(self) -> None:
-        """Columns from another size, where one fits better, and starts from the best of many sizes for effects that turn with theirs.
-
-        A delay of 50 ms does not look like one of 25 ms, twice.
-        """
-        columns, space = self.evidence.columns, self.evidence.space
-        single = {c.addresses[0]: c for c in self.catalogue.candidates if len(c.parameters) == 1 and c.addresses[0] in columns}
-        smaller = {a: math.exp(-c.prior.spread) if c.prior.kind == "log-normal" else -0.5 for a, c in single.items()}
-        # the first place of an effect tells for the others whether they are to be tried, too
-        places: dict[str, list[Address]] = {}
-        for a, c in single.items():
-            places.setdefault(c.effect, []).append(a)
-        other: dict[Address, FloatArray] = {}
-        for some in ([p[0] for p in places.values()], [a for p in places.values() for a in p[1:]]):
-            wanted = [a for a in some if _bends(places[single[a].effect][0], other, columns)]
-            tried = self._signatures({a: [smaller[a]] for a in wanted})
-            other |= {a: tried[a, smaller[a]] / smaller[a] for a in wanted if (a, smaller[a]) in tried}
-        alike = {a: _cosine(column, columns[a]) for a, column in other.items()}
-        for a, cosine in alike.items():
-            if cosine < BENT:
-                own = space.without([a])
-                if _gain(own, other[a], single[a]) > _gain(own, columns[a], single[a]):
-                    columns[a] = other[a]
-        sizes = {a: _sizes(single[a]) for a, cosine in alike.items() if cosine < TURNED}
-        scales = {a: single[a].prior.scale for a in alike}
-        # which nuisances these are like at one size says nothing of another
-        space.find_alike({a: np.zeros_like(columns[a]) for a in sizes}, scales)
-        tried = self._signatures(sizes)
-        tried |= self._signatures({a: _where_it_begins([(x, tried[a, x]) for x in xs if (a, x) in tried]) for a, xs in sizes.items()})
-        for a in sizes:
-            found = sorted(((x, signature) for (b, x), signature in tried.items() if b == a), key=lambda pair: pair[0])
-            if len(found) < 2:
-                continue
-            own = space.without([a])
-            energies = own.energies(space.y[:, None] - np.stack([f for _, f in found], axis=1))
-            i = int(np.argmin(energies))
-            _, j = min((energies[k], k) for k in (i - 1, i + 1) if 0 <= k < len(found))
-            (x, signature), (near, neighbour) = found[i], found[j]
-            if energies[i] < space.energy:
-                self.starts[a] = _Start(x, signature, (signature - neighbour) / (x - near))
-        space.find_alike({a: self.starts[a].column if a in self.starts else columns[a] for a in alike}, scales)
-
-    def _signatures(self, sizes: Mapping[Address, Sequence[float]]) -> dict[tuple[Address, float], FloatArray]:
-        """Signatures at sizes [prior scales]: (address, size) -> whitened change; without those that cannot run."""
-        n = len(self.groups)
-        scales = {a: c.prior.scale for c in self.catalogue.candidates for a in c.addresses}
-        keys = [(a, x) for a, xs in sizes.items() for x in xs]
-        tasks = [(i, self.simulator.seeded(setting({a: x * scales[a]}))) for a, x in keys for i in range(n)]
-        results = self.simulator.many(tasks, "effects at other sizes")
-        found = {key: self.evidence.signature(results[k * n : (k + 1) * n]) for k, key in enumerate(keys)}
-        return {key: signature for key, signature in found.items() if signature is not None}
+        self.screening = Screening(catalogue, simulator, groups, nuisances)
+        self.evidence, self.candidates, self.starts = self.screening.evidence, self.screening.candidates, self.screening.starts
 
     def nominal(self) -> Fit:
         """No effect."""
@@ -264,32 +175,67 @@ class Search:
     def _sharpened(self, fits: Sequence[Fit]) -> list[Fit]:
         """The same, the best of them sharper where they leave more than noise."""
         noise = float(self.evidence.expected.sum())
-        best = sorted(fits, key=lambda f: -f.log_evidence)
+        best = sorted(fits, key=_evidence, reverse=True)
         return [self.sharpen(f) if k < SHARPENED and f.energy > ROUGH * noise else f for k, f in enumerate(best)]
 
     def run(self) -> list[Fit]:
         """All models looked at on real simulations, the nominal one first."""
         space = self.evidence.space
         fits = [self.nominal()]
-        screened = sorted(self.screen(fits), key=lambda f: -f.log_evidence)
+        screened = sorted(self.screen(fits), key=_evidence, reverse=True)
         self.screened = screened
         gain = space.energy - min((f.energy for f in screened), default=space.energy)
         chosen = [f for f in screened if space.energy - f.energy > WORTH * gain][:SINGLES] or screened[:SINGLES]
         level = self._sharpened(self.polish(self.refine(chosen), chosen))
         fits += level
-        for size in (2, 3):
-            bases = sorted(level, key=lambda f: -f.log_evidence)[: BASES if size == 2 else 1]
+        bases = self._best(level, BASES)
+        for _ in range(GROWN):
+            if not bases or len(bases[0].model) == LARGEST:
+                break
             best = max(f.log_evidence for f in fits)
-            grown = sorted(self.screen(bases), key=lambda f: -f.log_evidence)
-            promising = [f for f in grown if f.log_evidence > best + PROMISING][: EXTENSIONS * (BASES if size == 2 else 1)]
+            grown = sorted(self.screen(bases), key=_evidence, reverse=True)
+            promising = [f for f in grown if f.log_evidence > best + PROMISING][: EXTENSIONS * len(bases)]
             if not promising:
                 break
             level = [f for f in self._sharpened(self.polish(self.refine(promising), promising)) if self._worth(f, fits)]
-            fits += level
+            smaller = self._smaller(level, fits)
+            again = {frozenset(f.model) for f in smaller}
+            fits = [f for f in fits if frozenset(f.model) not in again] + level + smaller
+            bases = self._best(smaller, 1) if any(f is max(fits, key=_evidence) for f in smaller) else self._best(level, 1)
         fits = [f for f in fits if f.large_enough()]
-        for f in sorted(fits[1:], key=lambda f: -f.log_evidence)[:3]:
+        for f in sorted(fits[1:], key=_evidence, reverse=True)[:3]:
             f.predictive = {name: part.predicted for name, part in leave_one_out(f, space).items()}
         return fits
+
+    def _best(self, level: Sequence[Fit], count: int) -> list[Fit]:
+        return sorted(level, key=_evidence, reverse=True)[:count]
+
+    def _smaller(self, level: Sequence[Fit], known: Sequence[Fit]) -> list[Fit]:
+        """Models that are left of others when effects too small to count are out, where they beat all that is known of them.
+
+        A strong effect that its own column misses may come as the partner of what stood in for it.
+        """
+        found: list[Fit] = []
+        left = [f for f in level if not f.large_enough()]
+        while left:
+            fit = left.pop()
+            model = tuple(c for c in fit.model if c.large_enough(fit.values))
+            if not model:
+                continue
+            assert fit.columns is not None
+            addresses = [a for c in fit.model for a in c.addresses]
+            kept = [i for i, a in enumerate(addresses) if any(a in c.addresses for c in model)]
+            values = {addresses[i]: fit.values[addresses[i]] for i in kept}
+            signature = self.mean_signature(setting(values))
+            if signature is None:
+                continue
+            trial = Fit(model, values, {a: fit.deviations[a] for a in values}, 0.0, 0.0)
+            better = self.sharpen(self._about(trial, signature, fit.columns[:, kept]))
+            same = [f for f in (*known, *found) if set(f.model) == set(model)]
+            if all(better.log_evidence > f.log_evidence for f in same):
+                found = [f for f in found if f not in same] + [better]
+                left += [better] if not better.large_enough() else []
+        return found
 
     def _worth(self, fit: Fit, fits: Sequence[Fit]) -> bool:
         """Whether the effects of a model explain enough of what is left without one of them.
@@ -297,8 +243,12 @@ class Search:
         What is left of a strong effect that is modelled a little otherwise would else be given to one small effect after the other.
         """
         noise = float(self.evidence.expected.sum())
-        without = min(f.energy for f in fits if set(f.model) < set(fit.model)) - noise
-        return without > 0.0 and fit.energy - noise < (1.0 - SUBSTANTIAL) * without
+
+        def part(known: Fit) -> float:
+            return FAULT if any(c.component == LOGGING for c in fit.model if c not in known.model) else SUBSTANTIAL
+
+        without = [f for f in fits if set(f.model) < set(fit.model)]
+        return all(f.energy > noise and fit.energy - noise < (1.0 - part(f)) * (f.energy - noise) for f in without)
 
     def kept(self, fit: Fit) -> float:
         """Part of the gain in evidence that stays when parts of the time are predicted from the others: an effect is the same all along.
@@ -345,46 +295,8 @@ def likely_count(catalogue: Catalogue, nuisances: Sequence[Nuisance], conditions
     return conditions * (NOMINAL + len(addresses) + 2 * SINGLES + POLISH * POLISHED)
 
 
-def _sizes(candidate: Candidate) -> list[float]:
-    """Sizes to start from [prior scales], in order: a quarter apart from each other, closer to a bound that is near."""
-    scale, largest = candidate.prior.scale, candidate.maximum
-    sizes = [scale * math.exp(0.25 * k) for k in range(-10, 7)]
-    if largest < sizes[-1]:
-        sizes = [x for x in sizes if x <= scale] + [largest - (largest - scale) * math.exp(-0.35 * k) for k in range(1, 9)]
-    found = [x / scale for x in sizes if candidate.minimum <= x <= largest]
-    return [-x for x in reversed(found)] + found if candidate.both_signs else found
-
-
-def _where_it_begins(found: Sequence[tuple[float, FloatArray]]) -> list[float]:
-    """Sizes between the last one that does nothing and the first one that does something: a limit may cut off everything from there."""
-    for (x, signature), (after, following) in itertools.pairwise(found):
-        if not np.any(signature) and np.any(following):
-            return [x + (after - x) * k / 8 for k in range(1, 8)]
-    return []
-
-
-def _bends(first: Address, other: Mapping[Address, FloatArray], columns: Mapping[Address, FloatArray]) -> bool:
-    """Whether the column at another size is another one, or not known yet."""
-    return first not in other or _cosine(other[first], columns[first]) < BENT
-
-
-def _cosine(a: FloatArray, b: FloatArray) -> float:
-    return float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-300))
-
-
-def _gain(space: Space, column: FloatArray, candidate: Candidate) -> float:
-    """Energy that the column takes away at its best size."""
-    product, energy = float(space.dot(column, space.y)), float(space.dot(column, column))
-    return product * product / (energy + 1e-300) if product > 0.0 or candidate.both_signs else 0.0
-
-
-@dataclass(frozen=True)
-class _Start:
-    """A size from which an effect is fitted [prior scales], its signature, and the change of that per prior scale."""
-
-    x: float
-    signature: FloatArray
-    column: FloatArray
+def _evidence(fit: Fit) -> float:
+    return fit.log_evidence
 
 
 class _State:

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from diagnosis.catalogue import Address
 from diagnosis.estimation import Space
 from diagnosis.evidence import gather
-from diagnosis.search import NOMINAL, POLISH, TOLERANCES, Search
+from diagnosis.screening import NOMINAL, TOLERANCES, changed
+from diagnosis.search import POLISH, Search
 from diagnosis.simulation import setting
 from orchestration.slave import FloatArray
 
@@ -62,15 +63,10 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Map
     nominals = simulator.repeated(every, (), NOMINAL, "new conditions")
     there = simulator.repeated(every, setting(values), POLISH, "new conditions")
     sizes = {n.address: TOLERANCES * n.scale for n in search.nuisances}
-    results = iter(simulator.many([(i, simulator.seeded(setting({a: s}))) for a, s in sizes.items() for i in every], "new conditions"))
     plain = [n for n in nominals if n is not None]
     if len(plain) < len(every) or any(t is None for t in there):
         return None
-    changes: dict[Address, list[FloatArray]] = {}
-    for a in sizes:
-        change = [r - n[0] for r, n in zip([next(results) for _ in every], plain, strict=True) if r is not None]
-        if len(change) == len(every):
-            changes[a] = change
+    changes = changed(simulator, every, sizes, plain, "new conditions")
     scales = {n.address: n.scale for n in search.nuisances}
     measured = [groups[i] for i in every]
     e = gather(simulator.laboratory, [names[i] for i in every], measured, plain, changes, sizes, {}, scales, search.evidence)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Literal
 
@@ -12,12 +13,12 @@ from diagnosis.transfer import Transfer
 
 Verdict = Literal["none", "identified", "ambiguous", "unknown", "bad_log"]
 
-CLEAR, FAINT = 8.0, 4.0
-"""Evidence [nats] from which an effect is believed to be there at all; and that from which new conditions are asked, whose gain counts."""
+CLEAR, FIRM = 3.0, 8.0
+"""Log of the odds that there is an effect at all, from which that is believed; below FIRM what new conditions gain or lose counts."""
 LIKE_NOISE, AT_MOST = 1.15, 1.23
-"""Energy, over that of noise, that two systems which are the same but for calibration leave: machines without effects have 1.05 to 1.23.
-Between the two new conditions decide, if they tell."""
-UNKNOWN = 1.4
+"""Energy, over that of noise, that two systems which are the same but for calibration usually leave, and that a model may leave
+whatever its share is."""
+UNKNOWN = 1.5
 """Energy, over that of noise, from which there is a gap even if no candidate explains any of it (in new conditions: any more of it)."""
 UNEXPLAINED = 0.35
 """Share of the energy beyond noise (calibration fitted) that an adequate model may leave, in diagnosed runs and in new conditions."""
@@ -40,16 +41,20 @@ def unexplained(before: float, after: float) -> float:
     return max(after - LIKE_NOISE, 0.0) / max(before - LIKE_NOISE, 1e-9)
 
 
-def asks_new_conditions(best: Fit) -> bool:
-    """Whether the best model has the evidence to be looked at in new conditions."""
-    return bool(best.model) and best.log_evidence > FAINT
-
-
 def judged(
-    search: Search, nominal: Fit, best: Fit, moved: Transfer | None, probabilities: Mapping[Candidate, float], faulty: bool
+    search: Search,
+    nominal: Fit,
+    best: Fit,
+    nothing: float,
+    moved: Transfer | None,
+    probabilities: Mapping[Candidate, float],
+    faulty: bool,
 ) -> Verdict:
-    """The verdict; `moved`: what the best model is worth in new conditions, `faulty`: a fault of the log is part of it."""
-    if not _believed(best, moved):
+    """The verdict; `nothing`: probability of the nominal model, `moved`: what the best one is worth in new conditions.
+
+    `faulty`: a fault of the log is part of the best one.
+    """
+    if not best.model or not believed(nothing, moved):
         return "unknown" if over_noise(search, nominal) > UNKNOWN else "none"
     if not _adequate(search, nominal, best, moved):
         return "unknown"
@@ -58,11 +63,10 @@ def judged(
     return "identified" if all(probabilities[c] >= IDENTIFIED for c in best.model) else "ambiguous"
 
 
-def _believed(best: Fit, moved: Transfer | None) -> bool:
-    """Whether there is an effect at all: by the diagnosed runs alone, or together with new conditions."""
-    if best.model and best.log_evidence >= CLEAR:
-        return True
-    return moved is not None and moved.holds and best.log_evidence + moved.gain >= CLEAR
+def believed(nothing: float, moved: Transfer | None) -> bool:
+    """Whether there is an effect at all: by the diagnosed runs, if that is not much together with new conditions."""
+    odds = math.log((1.0 - nothing) / nothing) if nothing > 0.0 else math.inf
+    return odds + (moved.gain if moved is not None and odds < FIRM else 0.0) >= CLEAR
 
 
 def _adequate(search: Search, nominal: Fit, best: Fit, moved: Transfer | None) -> bool:
@@ -70,7 +74,7 @@ def _adequate(search: Search, nominal: Fit, best: Fit, moved: Transfer | None) -
     before, after = over_noise(search, nominal), over_noise(search, best)
     share, kept = unexplained(before, after), search.kept(best)
     new = moved if moved is not None and moved.tells else None
-    if after > (LIKE_NOISE if new is None else AT_MOST) and (share > UNEXPLAINED or kept < KEPT + share):
+    if after > AT_MOST and (share > UNEXPLAINED or kept < KEPT + share):
         return False
     if new is None:
         return best.log_evidence >= WEAK or kept >= KEPT_BY_WEAK

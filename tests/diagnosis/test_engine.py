@@ -13,6 +13,7 @@ import pytest
 
 from diagnosis import gate
 from diagnosis.answer import Diagnosis
+from diagnosis.catalogue import Catalogue
 from diagnosis.engine import diagnose
 from diagnosis.measured import DataError, sort_by_condition
 from orchestration.results import Run
@@ -87,8 +88,6 @@ class TestVerdict:
         entry = (tmp_path / "catalogue.toml").read_text()
         twin = entry.split("[[effect]]")[3].replace('"gain"', '"scale"')
         text.write_text(f"{entry}\n[[effect]]{twin}")
-        from diagnosis.catalogue import Catalogue
-
         runs = two_conditions({"sensors": {"gain_error[1]": 0.04}})
         result = diagnose(SYSTEM, runs, Catalogue.load(text), resolver=resolve).result
         assert result["verdict"] == "ambiguous"
@@ -177,6 +176,16 @@ class TestGate:
         assert result["verdict"] == "bad_log"
         assert not result["gate"]["usable"]
         assert (kind, "sensors.y[2]") in {(f["kind"], f["channel"]) for f in result["gate"]["findings"]}
+
+    def test_a_sign_that_an_effect_turns_is_no_fault_of_the_log(self, tmp_path: Path) -> None:
+        """A moment that is small beside what a wrong gain takes off changes its sign; so does a channel with a gain of -1."""
+        catalogue(tmp_path)
+        text = (tmp_path / "catalogue.toml").read_text().replace("maximum = 0.5", "maximum = 3.0").replace("scale = 0.05}", "scale = 1.0}")
+        (tmp_path / "wide.toml").write_text(text)
+        runs = measure({"sensors": {"gain_error[2]": -2.0}})
+        result = diagnose(SYSTEM, runs, Catalogue.load(tmp_path / "wide.toml"), resolver=resolve).result
+        assert result["gate"]["findings"] == []
+        assert (result["verdict"], result["which"][0]["location"]) == ("identified", "sensor 2")
 
     @pytest.mark.parametrize("lost", [0.8, 0.98])
     def test_a_range_that_is_too_small_is_an_effect_and_no_standstill(self, tmp_path: Path, lost: float) -> None:

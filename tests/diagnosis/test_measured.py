@@ -1,0 +1,64 @@
+"""Measured runs on the time grid of the simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diagnosis import gate
+from diagnosis.measured import sort_by_condition
+from orchestration.results import Run
+from orchestration.slave import FloatArray
+from tests.diagnosis.demo import STEP, SYSTEM, measure
+
+CHANNEL = "sensors.y[1]"
+
+
+def stamped(run: Run, t: FloatArray) -> Run:
+    """The run with an alternating signal, which interpolation would take a part of, and these stamps."""
+    return replace(run, t=t, columns={**run.columns, CHANNEL: np.where(np.arange(len(t)) % 2, 1.0, -1.0)})
+
+
+def on_grid(run: Run) -> FloatArray:
+    (condition,) = sort_by_condition([run], SYSTEM)
+    return condition.matrix(run, [CHANNEL])[:, 0]
+
+
+def test_samples_at_communication_points_stay_what_they_are_though_their_stamps_jitter() -> None:
+    (run,) = measure(repeats=1)
+    rng = np.random.default_rng(1)
+    jitter = np.clip(0.015 * STEP * rng.normal(size=len(run.t)), -0.1 * STEP, 0.1 * STEP)
+    drift = 1.0 + 5e-6
+    signal = on_grid(stamped(run, run.t * drift + jitter))
+    assert np.all(np.abs(signal) == 1.0)
+    assert np.all(np.diff(signal[:50]) != 0.0)
+
+
+@pytest.mark.parametrize("late", [0.1, 0.5])
+def test_samples_between_communication_points_are_interpolated(late: float) -> None:
+    (run,) = measure(repeats=1)
+    signal = on_grid(stamped(run, run.t + late * STEP))
+    assert np.abs(signal[2:-2]) == pytest.approx(1.0 - 2.0 * late)
+
+
+def test_a_stamp_that_is_missing_is_no_jitter() -> None:
+    (run,) = measure(repeats=1)
+    kept = np.delete(np.arange(len(run.t)), 100)
+    short = replace(run, t=run.t[kept], columns={c: v[kept] for c, v in run.columns.items()})
+    (condition,) = sort_by_condition([short], SYSTEM)
+    there = condition.matrix(short, [CHANNEL])[:, 0]
+    assert there[100] == pytest.approx(0.5 * (run.columns[CHANNEL][99] + run.columns[CHANNEL][101]))
+    assert np.delete(there, 100) == pytest.approx(np.delete(run.columns[CHANNEL], 100)[: len(there) - 1], rel=1e-12)
+
+
+def test_repeats_that_are_equal_do_not_make_one_an_outlier_that_differs_by_rounding() -> None:
+    runs = measure(repeats=4)
+    exact = [replace(r, columns={CHANNEL: r.t + (1e-9 if k == 2 else 0.0)}) for k, r in enumerate(runs)]
+    (condition,) = sort_by_condition(exact, SYSTEM)
+    assert gate.repeats(condition, [condition.matrix(r, [CHANNEL]) for r in exact], [CHANNEL]) == []
+    off = [replace(r, columns={CHANNEL: r.t + (0.01 if k == 2 else 0.0)}) for k, r in enumerate(runs)]
+    (condition,) = sort_by_condition(off, SYSTEM)
+    (finding,) = gate.repeats(condition, [condition.matrix(r, [CHANNEL]) for r in off], [CHANNEL])
+    assert (finding.kind, finding.fatal) == ("repeat", True)
