@@ -9,8 +9,8 @@ run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictu
 	$(BIN)/robomill build
 	$(BIN)/robomill run scenarios/test_part.toml --fmus
 
-test: $(READY) ## every test, the slow ones too
-	$(BIN)/python -m pytest -m "slow or not slow"
+test: $(READY) ## every test, the slow ones too, on all cores
+	$(BIN)/python -m pytest -m "slow or not slow" --numprocesses auto --dist loadfile
 
 quick: $(READY) ## the short tests only
 	$(BIN)/python -m pytest

@@ -2,7 +2,8 @@
 
 G = mean over pairs of repeats a != b of r_a' W r_b: noise cancels. With a single run: r' W r less what noise is expected to give.
 Closure = 1 - G_after / G_before. Intervals: bootstrap over blocks of time. Ceiling: the closure of what is the same in every repeat
-(path-locked mean), cross-fitted: the mean that a repeat is compared with does not hold that repeat.
+(path-locked mean), cross-fitted: the mean that a repeat is compared with does not hold that repeat. Of a condition that was measured
+once: what a regression closes (`ceiling`).
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ class Products:
     before: FloatArray
     after: FloatArray
     noise: FloatArray
-    floor: FloatArray | None
+    floor: FloatArray
+    regressed: bool
+    """Whether the floor is that of a regression."""
     samples: FloatArray
 
 
@@ -35,12 +38,18 @@ Halves = tuple[FloatArray, FloatArray]
 
 
 def products(
-    measured: Sequence[FloatArray], before: Halves, after: Halves, variance: FloatArray, others: Sequence[FloatArray] = ()
+    measured: Sequence[FloatArray],
+    before: Halves,
+    after: Halves,
+    variance: FloatArray,
+    others: Sequence[FloatArray] = (),
+    predicted: FloatArray | None = None,
 ) -> Products:
     """Sums over blocks; `measured` repeats [samples, channels], simulated `before` and `after`, `variance` of noise per channel.
 
     `others`: repeats of the same condition that were diagnosed; their mean is what a perfect model would know. Without them each repeat is
     compared with the mean of the rest of `measured`: what is left beyond noise does not come again, and no model can have it.
+    A single repeat is compared with what is `predicted` of its gap, [samples, channels].
     """
     rows = min(len(x) for x in (*measured, *before, *after, *others))
     edges = np.linspace(0, rows, min(BLOCKS, max(2, rows // 4)) + 1).astype(int)
@@ -53,17 +62,21 @@ def products(
         per_sample = ((a.sum(axis=0) * b.sum(axis=0)).sum(axis=1) - same) / (n * (n - 1)) if n > 1 else same - variance.sum()
         return np.array([per_sample[i:j].sum() - known * (j - i) for i, j in itertools.pairwise(edges)])
 
-    floor = None
-    if not others and n > 1:
+    if others:
+        mean = np.mean([o[:rows] for o in others], axis=0)
+        floor = pairs(mean, mean, float(variance.sum()) / len(others))
+    elif n > 1:
         rest = (stack.sum(axis=0) - stack) / (n - 1)
         unlike = ((stack - rest) ** 2).mean(axis=0).sum(axis=1)
         known = float(variance.sum()) * n / (n - 1)
         floor = np.array([(unlike[i:j] - known).sum() for i, j in itertools.pairwise(edges)])
-    if others:
-        mean = np.mean([o[:rows] for o in others], axis=0)
-        floor = pairs(mean, mean, float(variance.sum()) / len(others))
+    else:
+        assert predicted is not None, "a single repeat has no ceiling but what is predicted"
+        simulated = 0.5 * (before[0][:rows] + before[1][:rows]) + predicted[:rows]
+        floor = pairs(simulated, simulated, 0.0)
+    regressed = not others and n == 1
     lengths = np.diff(edges).astype(np.float64)
-    return Products(pairs(*before, 0.0), pairs(*after, 0.0), lengths * float(variance.sum()), floor, lengths)
+    return Products(pairs(*before, 0.0), pairs(*after, 0.0), lengths * float(variance.sum()), floor, regressed, lengths)
 
 
 def figures(parts: Sequence[Products], seed: int = 0) -> dict[str, Any]:
@@ -84,20 +97,19 @@ def figures(parts: Sequence[Products], seed: int = 0) -> dict[str, Any]:
         "closure": None,
         "interval": None,
         "ceiling": None,
+        "ceiling_by": None,
         "ratio": None,
         "measurable": measurable,
-        "why_no_ceiling": None,
+        "why_no_ceiling": None if measurable else "the gap before is not measurable: its interval includes 0",
     }
-    floors = [p.floor for p in parts if p.floor is not None]
-    if not measurable:
-        result["why_no_ceiling"] = "the gap before is not measurable: its interval includes 0"
-    elif len(floors) < len(parts):
-        result["why_no_ceiling"] = "a condition has one repeat only; its ceiling takes two"
     if measurable:
         ratio = 1.0 - a / np.maximum(b, 1e-300)
         result["closure"] = float(1.0 - after.sum() / before.sum())
         result["interval"] = [float(np.quantile(ratio, q)) for q in (0.05, 0.95)]
-        if result["why_no_ceiling"] is None:
-            ceiling = min(1.0, 1.0 - sum(float(f.sum()) for f in floors) / float(before.sum()))
-            result["ceiling"], result["ratio"] = ceiling, result["closure"] / ceiling if ceiling > 0.0 else None
+        by_regression = any(p.regressed for p in parts)
+        ceiling = min(1.0, 1.0 - sum(float(p.floor.sum()) for p in parts) / float(before.sum()))
+        if by_regression:  # what is closed can be closed
+            ceiling = max(ceiling, result["closure"])
+        result["ceiling"], result["ceiling_by"] = ceiling, "regression" if by_regression else "repeats"
+        result["ratio"] = result["closure"] / ceiling if ceiling > 0.0 else None
     return result

@@ -14,6 +14,7 @@ import numpy as np
 from diagnosis import closure, gate, isolability, next_run
 from diagnosis.answer import Diagnosis, Menu, curves_of, result_of
 from diagnosis.catalogue import LOGGING, Address, Candidate
+from diagnosis.ceiling import predicted_gap
 from diagnosis.estimation import Fit, probabilities
 from diagnosis.replay import intervals
 from diagnosis.search import Search
@@ -242,7 +243,7 @@ class Conclusion:
         kinds: dict[str, list[int]] = {"diagnosed runs": list(range(self.n))}
         for i in range(self.n, len(conditions)):
             kinds.setdefault("held-out repeat" if conditions[i].name in seen else "held-out condition", []).append(i)
-        spread = self._spread()
+        spread, predicted = self._spread(), self._predicted(before)
         listed: list[dict[str, Any]] = []
         active = np.flatnonzero(self.search.evidence.active)
         scale = np.zeros(len(self.laboratory.channels))
@@ -263,11 +264,25 @@ class Conclusion:
                         others = [(x * weight)[:, index] for x in self.groups[k]]
                     measured = [(x * weight)[:, index] for x in self.groups[i]]
                     variance = ((spread * weight) ** 2)[index]
-                    parts.append(closure.products(measured, _halves(b, weight, index), _halves(a, weight, index), variance, others))
+                    gap = (predicted[i] * weight)[:, index] if i in predicted else None
+                    halves = _halves(b, weight, index), _halves(a, weight, index)
+                    parts.append(closure.products(measured, *halves, variance, others, gap))
                 if parts:
                     title = self.menu.titles.get(name, name)
                     listed.append({"metric": f"{title} rms", "channel": name, "unit": unit, "on": kind, **closure.figures(parts)})
         return listed
+
+    def _predicted(self, simulated: Sequence[Sequence[FloatArray] | None]) -> dict[int, FloatArray]:
+        """What a regression predicts of the gap in conditions that were measured once, [samples, channels]."""
+        active = self.search.evidence.active
+        means = {i: np.mean(group, axis=0) for i, group in enumerate(simulated) if group is not None}
+        gaps = {i: np.mean(self.groups[i], axis=0)[: len(mean)] - mean for i, mean in means.items()}
+        known = {i: (means[i][:, active], gaps[i]) for i in range(self.n) if i in means}
+        return {
+            i: predicted_gap(means[i][:, active], gaps[i], [pair for k, pair in known.items() if k != i])
+            for i in means
+            if len(self.groups[i]) == 1
+        }
 
     def _unit(self, name: str) -> str:
         return self.laboratory.conditions[0].runs[0].unit(name)

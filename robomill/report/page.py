@@ -130,7 +130,7 @@ def _tiles(s: Subject) -> str:
     for kind in KINDS:
         h = s.far(kind, WHITENED)
         if h is not None and h["closure"] is not None:
-            ceiling = f", ceiling {percent(h['ceiling'])}" if h["ceiling"] is not None else ""
+            ceiling = f", ceiling {_ceiling(h)}" if h["ceiling"] is not None else ""
             tiles.append((f"Gap closed, {kind}", percent(h["closure"]), f"{percent_interval(h['interval'])}{ceiling}"))
             break
     used = [c for c in s.conditions if not c.endswith(HELD_OUT)]
@@ -409,19 +409,26 @@ def _far(s: Subject, figures: Mapping[str, str]) -> str:
             else:
                 closed = f"{percent(h['closure'])}<small>{percent_interval(h['interval'])}</small>"
                 ratio = f"{percent(h['closure'] / h['ceiling'])}" if h["ceiling"] else ""
-            ceiling = percent(h["ceiling"]) if h["ceiling"] is not None else "–"
-            rows.append((escape(title), *sizes, closed, ceiling, ratio or "–"))
+            rows.append((escape(title), *sizes, closed, _ceiling(h), ratio or "–"))
     table = _table(("Rms of", "Before", "After", "Noise", "Closed (90 %)", "Ceiling", "Closed / ceiling"), rows, (1, 2, 3, 4, 5, 6))
     claim = "" if s.verdict != "unknown" else " The model is not adequate: this is what it closes nevertheless."
     return (
         _paragraph(
             "After: the closed loop simulated again with the fitted values. Rms is without noise (products of different repeats); closed is the share of the squares. "
+            "The ceiling is what repeats share; where a condition was measured once (≥), what a regression on the simulated signals closes. "
             f"Not measurable: no gap is left beside the noise.{claim}"
         )
         + _figure(figures, "overlay", "Measured minus simulated, before and after, on the diagnosed run and on runs that were held out.")
         + _figure(figures, "closure", "Closed share of the gap, with its 90 % interval, against the ceiling where it could be measured.")
         + table
     )
+
+
+def _ceiling(h: Mapping[str, Any]) -> str:
+    """A regression shows what can be closed at least."""
+    if h["ceiling"] is None:
+        return "–"
+    return f"{'≥ ' if h.get('ceiling_by') == 'regression' else ''}{percent(h['ceiling'])}"
 
 
 def _next(s: Subject) -> str:
