@@ -21,6 +21,8 @@ TURNED = 0.5
 """Cosine below which many sizes are tried."""
 SMALLER, NOTED = 0.2, 8.0
 """Part of its prior scale below which an effect that seems to explain this much [nats] is tried at sizes in between, too."""
+WORTH = 0.2
+"""Part of the best candidate's gain (as columns have it) from which a candidate is looked at on more simulations."""
 NOMINAL = 8
 """Simulations of the nominal system with different noise, of each condition."""
 TOLERANCES = 3.0
@@ -86,7 +88,7 @@ class Screening:
             if cosine < BENT:
                 self._take_if_better(a, other[a])
         sizes = {a: _sizes(single[a]) for a, cosine in alike.items() if cosine < TURNED}
-        sizes |= {a: small for a in single if a not in sizes and (small := self._much_smaller(a))}
+        sizes = {**self._much_smaller(), **sizes}
         # which nuisances these are like at one size says nothing of another
         space.find_alike({a: np.zeros_like(columns[a]) for a in sizes}, self.scales)
         tried = self._signatures(sizes)
@@ -104,13 +106,17 @@ class Screening:
                 self.starts[a] = Start(x, signature, (signature - neighbour) / (x - near))
         space.find_alike({a: self.starts[a].column if a in self.starts else columns[a] for a in {**alike, **sizes}}, self.scales)
 
-    def _much_smaller(self, address: Address) -> list[float]:
+    def _much_smaller(self) -> dict[Address, list[float]]:
         """Sizes between where an effect fits and where it was simulated, if these are far apart: large, it may hide how it begins."""
-        own, column = self.evidence.space.without([address]), self.evidence.columns[address]
-        x = float(own.dot(column, own.y) / (own.dot(column, column) + 1e-300))
-        if abs(x) > SMALLER or 0.5 * _gain(own, column, self.single[address]) < NOTED:
-            return []
-        return [x * 1.6**k for k in range(math.ceil(math.log(SMALLER / abs(x), 1.6)) + 1)]
+        found, gains = {}, {}
+        for a, c in self.single.items():
+            own, column = self.evidence.space.without([a]), self.evidence.columns[a]
+            x = float(own.dot(column, own.y) / (own.dot(column, column) + 1e-300))
+            gains[a] = self.evidence.space.energy - own.energy + _gain(own, column, c)
+            if abs(x) < SMALLER and 0.5 * gains[a] > NOTED:
+                found[a] = [x * 1.6**k for k in range(math.ceil(math.log(SMALLER / abs(x), 1.6)) + 1)]
+        best = max(gains.values(), default=0.0)
+        return {a: sizes for a, sizes in found.items() if gains[a] > WORTH * best}
 
     def _take_if_better(self, address: Address, column: FloatArray) -> None:
         """Another column, if it takes away more energy."""

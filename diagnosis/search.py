@@ -10,7 +10,7 @@ import numpy as np
 from diagnosis.catalogue import LOGGING, Catalogue, Nuisance
 from diagnosis.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
 from diagnosis.evidence import DEPENDENCE
-from diagnosis.screening import NOMINAL, Screening
+from diagnosis.screening import NOMINAL, WORTH, Screening
 from diagnosis.simulation import Setting, Simulator, setting
 from orchestration.slave import FloatArray
 
@@ -30,8 +30,6 @@ PARTS = 6
 """Parts of each condition for the test whether an effect is the same all along."""
 TOLD = 0.1
 """Part of the gain that must be where the other parts say how large an effect is, for that to be a test."""
-WORTH = 0.2
-"""Part of the best candidate's gain (as columns have it) from which a candidate is looked at on real simulations."""
 FAR, NEARBY = 50.0, 0.4
 """Log of the odds against a model, beside the best of its size, from which it is not looked at more closely; or that part of the gain."""
 SINGLES, BASES, EXTENSIONS = 10, 3, 4
