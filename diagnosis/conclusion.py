@@ -11,21 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis import closure, gate, isolability, next_run
+from diagnosis import gate, isolability, next_run
 from diagnosis.answer import Diagnosis, Menu, curves_of, result_of
 from diagnosis.catalogue import LOGGING, Address, Candidate
-from diagnosis.ceiling import predicted_gap
 from diagnosis.estimation import Fit, probabilities
+from diagnosis.how_far import CLOSING, how_far, metrics
 from diagnosis.replay import intervals
 from diagnosis.search import Search
 from diagnosis.simulation import Laboratory, Simulator, setting
 from diagnosis.transfer import Transfer, transfer
 from diagnosis.verdict import judged, over_noise, stands, unexplained
 from diagnosis.where import combined, direction_of, located
-from orchestration.slave import FloatArray, base_name
+from orchestration.slave import FloatArray
 
-CLOSING = 4
-"""Simulations with different noise that the closure is measured with."""
 ELSE = 0.03
 """Probability that an answer is of no model that was looked at: part of the clear answers that are wrong."""
 SAID = {
@@ -112,7 +110,7 @@ class Conclusion:
             result["which"] = self.which(marginal)
             found = located(self.laboratory, self.n, self.search.catalogue, self.search.nuisances, self.figures(), self.menu.projections)
             result |= found | {"where": combined(verdict, self.where(), found["where"])}
-            result["how_far"] = self.how_far(adopted) if adopted else []
+            result["how_far"] = how_far(self.search, self.groups, adopted, self.menu.titles) if adopted else []
             result["next_run"] = self.next_run(verdict) if verdict in ("identified", "ambiguous", "unknown") else None
             result["predictive"] = {f.name: f.predictive for f in self.fits if f.predictive}
         if verdict == "unknown":
@@ -219,79 +217,10 @@ class Conclusion:
         strongest = names[int(total.argmax())]
         return {"direction": direction_of(strongest), "channel": strongest, "regime": regime}
 
-    def metrics(self) -> dict[str, list[int]]:
-        """Arrays of channels that count as one figure."""
-        groups: dict[str, list[int]] = {}
-        for i, name in enumerate(self.laboratory.channels):
-            if self.search.evidence.active[i]:
-                groups.setdefault(base_name(name), []).append(i)
-        wanted = [g for g in groups if g in self.menu.titles] or list(groups)
-        return {g: groups[g] for g in wanted}
-
     def figures(self) -> dict[str, FloatArray]:
         """Weights of the channels in each figure."""
         every = np.arange(len(self.laboratory.channels))
-        return {name: np.isin(every, members).astype(np.float64) for name, members in self.metrics().items()}
-
-    def how_far(self, adopted: Mapping[Address, float]) -> list[dict[str, Any]]:
-        """Closure per figure, on the diagnosed runs, held-out repeats and held-out conditions."""
-        conditions = self.laboratory.conditions
-        changes = setting(adopted)
-        after = self.simulator.repeated(range(len(conditions)), changes, CLOSING, "closure")
-        before = self.simulator.repeated(range(len(conditions)), (), CLOSING, "closure")
-        seen = {c.name: i for i, c in enumerate(conditions[: self.n])}
-        kinds: dict[str, list[int]] = {"diagnosed runs": list(range(self.n))}
-        for i in range(self.n, len(conditions)):
-            kinds.setdefault("held-out repeat" if conditions[i].name in seen else "held-out condition", []).append(i)
-        spread, predicted = self._spread(), self._predicted(before)
-        listed: list[dict[str, Any]] = []
-        active = np.flatnonzero(self.search.evidence.active)
-        scale = np.zeros(len(self.laboratory.channels))
-        floor = np.sqrt(np.diag(self.search.evidence.whitening.factor @ self.search.evidence.whitening.factor.T))
-        scale[active] = 1.0 / floor
-        for kind, members in kinds.items():
-            figures = [("all channels, whitened", "1", active, scale)]
-            figures += [(g, self._unit(g), np.array(i), np.ones(len(scale))) for g, i in self.metrics().items()]
-            for name, unit, index, weight in figures:
-                parts = []
-                for i in members:
-                    b, a = before[i], after[i]
-                    if b is None or a is None:
-                        continue
-                    others = []
-                    if kind == "held-out repeat":
-                        k = seen[conditions[i].name]
-                        others = [(x * weight)[:, index] for x in self.groups[k]]
-                    measured = [(x * weight)[:, index] for x in self.groups[i]]
-                    variance = ((spread * weight) ** 2)[index]
-                    gap = (predicted[i] * weight)[:, index] if i in predicted else None
-                    halves = _halves(b, weight, index), _halves(a, weight, index)
-                    parts.append(closure.products(measured, *halves, variance, others, gap))
-                if parts:
-                    title = self.menu.titles.get(name, name)
-                    listed.append({"metric": f"{title} rms", "channel": name, "unit": unit, "on": kind, **closure.figures(parts)})
-        return listed
-
-    def _predicted(self, simulated: Sequence[Sequence[FloatArray] | None]) -> dict[int, FloatArray]:
-        """What a regression predicts of the gap in conditions that were measured once, [samples, channels]."""
-        active = self.search.evidence.active
-        means = {i: np.mean(group, axis=0) for i, group in enumerate(simulated) if group is not None}
-        gaps = {i: np.mean(self.groups[i], axis=0)[: len(mean)] - mean for i, mean in means.items()}
-        known = {i: (means[i][:, active], gaps[i]) for i in range(self.n) if i in means}
-        return {
-            i: predicted_gap(means[i][:, active], gaps[i], [pair for k, pair in known.items() if k != i])
-            for i in means
-            if len(self.groups[i]) == 1
-        }
-
-    def _unit(self, name: str) -> str:
-        return self.laboratory.conditions[0].runs[0].unit(name)
-
-    def _spread(self) -> FloatArray:
-        """Standard deviation of a single decimated run about its mean, all channels."""
-        spread = np.zeros(len(self.laboratory.channels))
-        spread[self.search.evidence.active] = self.search.evidence.whitening.deviation
-        return spread
+        return {name: np.isin(every, members).astype(np.float64) for name, members in metrics(self.search, self.menu.titles).items()}
 
     def smallest(self) -> list[dict[str, Any]]:
         """What would have been seen: 5 deviations of the fit, by candidate."""
@@ -347,8 +276,3 @@ class Conclusion:
         everywhere = range(len(self.laboratory.conditions))
         before, after = (self.simulator.repeated(everywhere, changes, CLOSING) for changes in ((), setting(adopted)))
         return curves_of(self.laboratory, self.groups, before, after)
-
-
-def _halves(group: Sequence[FloatArray], weight: FloatArray, index: Any) -> tuple[FloatArray, FloatArray]:
-    """Two independent means of simulations (the same one twice where there is only one)."""
-    return (np.mean(group[::2], axis=0) * weight)[:, index], (np.mean(group[1::2] or group, axis=0) * weight)[:, index]

@@ -12,8 +12,9 @@ import numpy as np
 from diagnosis import gate
 from diagnosis.answer import Diagnosis, Menu, curves_of, result_of
 from diagnosis.catalogue import LOGGING, Catalogue, Nuisance
-from diagnosis.conclusion import CLOSING, Conclusion
+from diagnosis.conclusion import Conclusion
 from diagnosis.estimation import probabilities
+from diagnosis.how_far import CLOSING
 from diagnosis.measured import Condition, DataError, in_units, sort_by_condition
 from diagnosis.screening import NOMINAL
 from diagnosis.search import Search, likely_count

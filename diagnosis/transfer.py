@@ -75,16 +75,20 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Map
     known = list(e.space.blocks)[:diagnosed]
     rows, here = e.space.rows(known), e.space.only(known)
 
-    def energy(left: FloatArray, unsure: FloatArray) -> float:
+    def energy(left: FloatArray, unsure: FloatArray | None = None) -> float:
         """Of the new conditions, given the diagnosed ones; a part of `unsure`, of deviation 1, is free."""
-        return _energy(e.space, left, unsure) - _energy(here, left[rows], unsure[rows])
+        before = _energy(here, left[rows], None if unsure is None else unsure[rows])
+        return _energy(e.space, left, unsure) - before
 
-    before, after = energy(e.space.y, 0.0 * signature), energy(e.space.y - signature, doubt * signature)
+    before, after = energy(e.space.y), energy(e.space.y - signature, doubt * signature)
     noise = float(e.expected.sum() - e.expected[rows].sum())
-    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * energy(signature, 0.0 * signature))
+    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * energy(signature))
 
 
-def _energy(space: Space, left: FloatArray, unsure: FloatArray) -> float:
+def _energy(space: Space, left: FloatArray, unsure: FloatArray | None) -> float:
     """Of a residual, with one more nuisance."""
+    energy = float(space.dot(left, left))
+    if unsure is None:
+        return energy
     product = float(space.dot(left, unsure))
-    return float(space.dot(left, left)) - product * product / (1.0 + float(space.dot(unsure, unsure)))
+    return energy - product * product / (1.0 + float(space.dot(unsure, unsure)))
