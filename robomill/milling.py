@@ -111,7 +111,14 @@ def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool
     """
     system = replace(with_parameters(job.system, variant.parameters), name=f"{job.scenario.name}/{variant.name}")
     system = replace(system, recording=replace(system.recording, csv=csv))
-    labels = {"program": job.plan.name, "robot": "KUKA KR 300 R2500 ultra", "condition": variant.name}
+    block = " x ".join(f"{1e3 * length:g}" for length in job.workpiece.size)
+    labels = {
+        "program": job.plan.name,
+        "robot": "KUKA KR 300 R2500 ultra",
+        "tool": _tool(system),
+        "workpiece": f"block {block} mm",
+        "condition": variant.name,
+    }
     watch = _Stopwatch()
     result = run(
         system,
@@ -126,6 +133,15 @@ def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool
         resume=job.resume,
     )
     return result, watch.factor
+
+
+def _tool(system: System) -> str:
+    """The cutter as the milling component has it; empty where that does not say."""
+    with assemble(system, resolve, convert) as assembly:
+        starts = {p.name: p.start for p in assembly.slaves["milling"].ports if p.causality == "parameter"}
+        given = {**starts, **assembly.parameters.get("milling", {})}
+    diameter, teeth = given.get("diameter"), given.get("teeth")
+    return f"end mill D{1e3 * diameter:g} z{teeth:g}" if isinstance(diameter, float) and isinstance(teeth, int | float) else ""
 
 
 def check_variants(job: Job, variants: Sequence[Variant]) -> None:

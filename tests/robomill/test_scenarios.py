@@ -85,6 +85,11 @@ class TestSwapping:
         for name, result in runs.results("groove").items():
             assert_equal(result.run, fmus[name].run)
 
+    def test_the_run_says_with_which_tool_what_was_cut(self, job):
+        large = replace(job, system=job.system.with_parameters("milling", {"diameter": 0.02, "teeth": 3}))
+        result, _ = milling.mill(large, job.scenario.variants[1])
+        assert (result.info["tool"], result.info["workpiece"]) == ("end mill D20 z3", "block 10 x 60 x 30 mm")
+
     def test_the_same_scenario_again_gives_the_same_bits(self, job):
         first, _ = milling.mill(job, job.scenario.variants[1])
         again, _ = milling.mill(job, job.scenario.variants[1])
