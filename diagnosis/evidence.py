@@ -6,6 +6,7 @@ numbers within their tolerances, channels that are a part of a step late, own no
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -25,6 +26,8 @@ DEPENDENCE = 10.0
 """Samples that are worth one: what two systems that are not quite the same leave is no noise, it goes in one direction for a while."""
 LATENESS = 0.2
 """Communication steps that the channels of a component may be late: outputs hold for a step, and a step later others see them."""
+BEGINNING = 0.1
+"""Time [s] at the beginning of a run that does not count: a simulation begins with its initial values, and settles."""
 SUDDEN = 0.25
 """Communication steps, at random, that a change may come early or late: what happens within a step is not modelled."""
 
@@ -94,7 +97,8 @@ def gather(
     groups = [[x[:, active] for x in g] for g in groups]
     nominals = [[b[:, active] for b in group] for group in nominals]
     changes = {a: [c[:, active] for c in change] for a, change in changes.items()}
-    w = _whitening(groups, nominals, changes) if like is None else like.whitening
+    begin = math.ceil(BEGINNING / (laboratory.system.step * laboratory.decimation))
+    w = _whitening(groups, nominals, changes, begin) if like is None else like.whitening
     means = [np.asarray(np.mean(group, axis=0)) for group in nominals]
     # the mean of so many simulations scatters too
     counts = [len(g) * len(m) / (len(g) + len(m)) if len(m) > 1 else float(len(g)) for g, m in zip(groups, nominals, strict=True)]
@@ -146,12 +150,12 @@ def _moved(changes: Changes) -> npt.NDArray[np.bool_]:
     return np.asarray(moved.any(axis=0))
 
 
-def _whitening(groups: Sequence[Sequence[FloatArray]], nominals: Sequence[Sequence[FloatArray]], changes: Changes) -> Whitening:
+def _whitening(groups: Sequence[Sequence[FloatArray]], nominals: Sequence[Sequence[FloatArray]], changes: Changes, begin: int) -> Whitening:
     """From the repeats, above a floor of TRUST of what effects of typical size do to a channel."""
     rms = np.array([np.sqrt(np.mean(np.concatenate([c * c for c in change]), axis=0)) for change in changes.values()])
     floor = np.array([TRUST * np.median(r[r > 1e-3 * r.max()]) if r.max() > 0.0 else 0.0 for r in rms.T])
     least = np.where(floor > 0.0, 0.0, 1e-9 + 1e-6 * np.abs(np.concatenate([n[0] for n in nominals])).max(axis=0))
-    return whitening(groups, floor + least)
+    return whitening(groups, floor + least, begin)
 
 
 def _scatter(group: Sequence[FloatArray], channels: int) -> FloatArray:

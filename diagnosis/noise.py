@@ -41,6 +41,8 @@ class Whitening:
     """Standard deviation of a single run about its mean, per channel [unit of the channel]."""
     guessed: bool
     """Whether there were no repeats, so that only the fast part of the residual could be used."""
+    begin: int = ORDER
+    """Samples at the beginning of each run that do not count."""
 
     def apply(self, residual: FloatArray, repeats: float = 1.0, sudden: FloatArray | None = None) -> FloatArray:
         """White, flat; `residual` [samples, channels] is a mean over so many repeats.
@@ -50,7 +52,7 @@ class Whitening:
         e = residual.copy()
         for k in range(self.coefficients.shape[1]):
             e[k + 1 :] -= self.coefficients[:, k] * residual[: -k - 1]
-        e[: self.coefficients.shape[1]] = 0.0  # nothing comes before these: their innovations are not known
+        e[: self.begin] = 0.0
         if sudden is not None:
             own = np.sqrt((self.factor**2).sum(axis=1))
             e /= np.hypot(1.0, sudden / own)
@@ -58,8 +60,11 @@ class Whitening:
         return white.ravel()
 
 
-def whitening(groups: Sequence[Sequence[FloatArray]], floor: FloatArray) -> Whitening:
-    """From the repeats [samples, channels] of each condition; `floor` [unit] per channel is added as white noise."""
+def whitening(groups: Sequence[Sequence[FloatArray]], floor: FloatArray, begin: int = ORDER) -> Whitening:
+    """From the repeats [samples, channels] of each condition; `floor` [unit] per channel is added as white noise.
+
+    The first `begin` samples of a run do not count, nor the first ORDER ones: what comes before these is not known.
+    """
     deviations, freedom, total = [], 0.0, 0
     guessed = all(len(g) < 2 for g in groups)
     for group in groups:
@@ -93,7 +98,7 @@ def whitening(groups: Sequence[Sequence[FloatArray]], floor: FloatArray) -> Whit
     s += np.diag(floor**2 * (1.0 + (coefficients**2).sum(axis=1)) + 1e-30)
     size = np.sqrt(np.diag(s))
     factor = np.linalg.cholesky(s / np.outer(size, size) + 1e-9 * np.eye(channels)) * size[:, None]
-    return Whitening(coefficients, factor, deviation, guessed)
+    return Whitening(coefficients, factor, deviation, guessed, max(begin, ORDER))
 
 
 def own_noise(groups: Sequence[Sequence[FloatArray]], channels: int, rows_of_a_spell: int) -> FloatArray:

@@ -23,6 +23,10 @@ SMALLER, NOTED = 0.2, 8.0
 """Part of its prior scale below which an effect that seems to explain this much [nats] is tried at sizes in between, too."""
 WORTH = 0.2
 """Part of the best candidate's gain (as columns have it) from which a candidate is looked at on more simulations."""
+LARGE, LOST = 10.0, 0.5
+"""Energy over that of noise, and the part of it that the best candidate leaves, from which effects that turn are tried at EVENLY sizes."""
+EVENLY = 64
+"""Sizes up to the largest one: in a loop that begins to swing, a delay must be right to a part of the period."""
 NOMINAL = 8
 """Simulations of the nominal system with different noise, of each condition."""
 TOLERANCES = 3.0
@@ -87,24 +91,44 @@ class Screening:
         for a, cosine in alike.items():
             if cosine < BENT:
                 self._take_if_better(a, other[a])
-        sizes = {a: _sizes(single[a]) for a, cosine in alike.items() if cosine < TURNED}
-        sizes = {**self._much_smaller(), **sizes}
+        # what is wrong with the log alone takes no further simulation
+        turned = [a for a, cosine in alike.items() if cosine < TURNED]
+        sizes = {**self._much_smaller(), **{a: _sizes(single[a]) for a in turned}}
         # which nuisances these are like at one size says nothing of another
         space.find_alike({a: np.zeros_like(columns[a]) for a in sizes}, self.scales)
+        self._start_from(sizes)
+        if space.energy > LARGE * float(self.evidence.expected.sum()) and self._least() > LOST * space.energy:
+            self._start_from({a: _evenly(single[a]) for a in turned})
+        space.find_alike({a: self.starts[a].column if a in self.starts else columns[a] for a in {**alike, **sizes}}, self.scales)
+
+    def _start_from(self, sizes: Mapping[Address, Sequence[float]]) -> None:
+        """The best of these sizes [prior scales], and between the last that does nothing and the next one."""
         tried = self._signatures(sizes)
         tried |= self._signatures({a: _where_it_begins([(x, tried[a, x]) for x in xs if (a, x) in tried]) for a, xs in sizes.items()})
         for a in sizes:
             found = sorted(((x, signature) for (b, x), signature in tried.items() if b == a), key=lambda pair: pair[0])
             if len(found) < 2:
                 continue
-            own = space.without([a])
-            energies = own.energies(space.y[:, None] - np.stack([f for _, f in found], axis=1))
+            own = self.evidence.space.without([a])
+            energies = own.energies(own.y[:, None] - np.stack([f for _, f in found], axis=1))
             i = int(np.argmin(energies))
             _, j = min((energies[k], k) for k in (i - 1, i + 1) if 0 <= k < len(found))
             (x, signature), (near, neighbour) = found[i], found[j]
-            if energies[i] < space.energy:
+            if energies[i] < self._energy(a, self.evidence.space.energy):
                 self.starts[a] = Start(x, signature, (signature - neighbour) / (x - near))
-        space.find_alike({a: self.starts[a].column if a in self.starts else columns[a] for a in {**alike, **sizes}}, self.scales)
+
+    def _energy(self, address: Address, otherwise: float) -> float:
+        """What is left where the fit of an effect starts."""
+        start, own = self.starts.get(address), self.evidence.space.without([address])
+        return otherwise if start is None else float(own.dot(own.y - start.signature, own.y - start.signature))
+
+    def _least(self) -> float:
+        """Energy that the best candidate leaves, by columns or where its fit starts."""
+        left = [self.evidence.space.energy]
+        for a, c in self.single.items():
+            own = self.evidence.space.without([a])
+            left.append(self._energy(a, own.energy - _gain(own, self.evidence.columns[a], c)))
+        return min(left)
 
     def _much_smaller(self) -> dict[Address, list[float]]:
         """Sizes between where an effect fits and where it was simulated, if these are far apart: large, it may hide how it begins."""
@@ -162,6 +186,12 @@ def _sizes(candidate: Candidate) -> list[float]:
         sizes = [x for x in sizes if x <= scale] + [largest - (largest - scale) * math.exp(-0.35 * k) for k in range(1, 9)]
     found = [x / scale for x in sizes if candidate.minimum <= x <= largest]
     return [-x for x in reversed(found)] + found if candidate.both_signs else found
+
+
+def _evenly(candidate: Candidate) -> list[float]:
+    """Sizes up to the largest one [prior scales]."""
+    low = -candidate.maximum if candidate.both_signs else 0.0
+    return [float(x) / candidate.prior.scale for x in np.linspace(low, candidate.maximum, EVENLY + 1)[1:-1] if abs(x) >= candidate.minimum]
 
 
 def _where_it_begins(found: Sequence[tuple[float, FloatArray]]) -> list[float]:

@@ -18,7 +18,7 @@ CLEAR, FIRM = 3.0, 8.0
 LIKE_NOISE, AT_MOST = 1.15, 1.23
 """Energy, over that of noise, that two systems which are the same but for calibration usually leave, and that a model may leave
 whatever its share is."""
-UNKNOWN = 1.5
+UNKNOWN = 1.4
 """Energy, over that of noise, from which there is a gap even if no candidate explains any of it (in new conditions: any more of it)."""
 UNEXPLAINED = 0.35
 """Share of the energy beyond noise (calibration fitted) that an adequate model may leave, in diagnosed runs and in new conditions."""
