@@ -17,7 +17,7 @@ from diagnosis.catalogue import Catalogue
 from diagnosis.engine import diagnose
 from diagnosis.measured import DataError, sort_by_condition
 from orchestration.results import Run
-from tests.diagnosis.demo import RANGE, SYSTEM, catalogue, changed, measure, resolve
+from tests.diagnosis.demo import NOISE, RANGE, SYSTEM, catalogue, changed, measure, resolve
 
 REPEAT = itertools.count()
 """Numbers the repeats: a logger fails elsewhere in each."""
@@ -40,6 +40,17 @@ class TestVerdict:
         assert result["which"] == [] or result["which"][0]["probability"] < 0.5
         seen = {(s["effect"], s["location"]): s["value"] for s in result["smallest_visible"]}
         assert 0.0 < seen["gain", "sensor 1"] < 0.01
+
+    def test_how_a_run_begins_is_no_gap(self, tmp_path: Path) -> None:
+        """A simulation begins with its initial values, and settles."""
+
+        def settling(t: Any, y: Any) -> Any:
+            return y + 50.0 * NOISE * np.exp(-t / 0.02) * (t < 0.09)
+
+        result = answer(tmp_path, changed(measure(seed=100), "sensors.y[1]", settling)).result
+        assert result["verdict"] == "none"
+        later = answer(tmp_path, changed(measure(seed=100), "sensors.y[1]", lambda t, y: settling(np.abs(t - 4.0), y))).result
+        assert later["verdict"] != "none"
 
     @pytest.mark.parametrize(
         ("component", "parameter", "value", "effect", "location"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,15 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.catalogue import Address, Candidate
+from diagnosis.catalogue import Address, Candidate, Catalogue
 from diagnosis.engine import diagnose
 from diagnosis.estimation import Fit
 from diagnosis.measured import sort_by_condition
 from diagnosis.search import FAULT, SUBSTANTIAL, Search
 from diagnosis.simulation import Laboratory, Simulator
+from orchestration.assembly import run
 from orchestration.results import Run
 from orchestration.slave import FloatArray
-from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
+from orchestration.system import Component, System
+from tests.diagnosis.demo import SYSTEM, Part, catalogue, measure, real, resolve
 
 GAIN, RUBBING, CLOCK = ("sensors", "gain_error[1]"), ("masses", "friction[1]"), ("logging", "lag sensors.*")
 
@@ -74,3 +77,44 @@ def test_a_fault_of_the_log_must_explain_most_of_what_is_left_and_an_effect_a_pa
             assert not s._worth(fit(s, values, left=1.0 - share + 0.01), [alone])
         # of two clocks beside each other, each counts
         assert s._worth(fit(s, {GAIN: 0.04, CLOCK: 0.02}, left=0.9), [fit(s, {CLOCK: 0.02}, left=1.0)])
+
+
+class Swing(Part):
+    """Swings late by its delay, and the more the later."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, [real("delay", "parameter", "s"), real("y", "output", "m", dependencies=())])
+
+    def advance(self, t: float, h: float) -> None:
+        delay = self.p["delay"]
+        self.y[0] = math.sin(60.0 * (t - delay)) * math.exp(40.0 * delay)
+
+
+SWING = System("swing", 0.004, (Component("swing", "swing"),), ())
+DELAY = """
+[[effect]]
+name = "delay"
+component = "swing"
+description = "late"
+source = "made up"
+unit = "s"
+minimum = 0.002
+maximum = 0.19
+sign = "positive"
+prior = {kind = "log-normal", scale = 0.05, spread = 0.7}
+locations = [{name = "swing", parameters = ["delay"]}]
+"""
+
+
+def test_a_delay_of_what_swings_is_found_though_it_must_be_right_to_a_part_of_the_period(tmp_path: Path) -> None:
+    """The period is 105 ms: among sizes a quarter apart, the best is another swing."""
+    clean = run(SWING.with_parameters("swing", {"delay": 0.1337}), None, stop=4.0, resolver=lambda *_: Swing("swing"))
+    noise = np.random.default_rng(4)
+    made = []
+    for repeat in range(4):
+        columns = {"swing.y": clean["swing.y"] + 1e-3 * noise.normal(size=len(clean.t))}
+        made.append(Run(Path(f"run{repeat}"), clean.t, columns, clean.ports, {"labels": {"condition": "one", "repeat": repeat}}))
+    (tmp_path / "delay.toml").write_text(DELAY)
+    result = diagnose(SWING, made, Catalogue.load(tmp_path / "delay.toml"), resolver=lambda *_: Swing("swing")).result
+    assert result["verdict"] == "identified"
+    assert result["which"][0]["parameters"]["delay"]["value"] == pytest.approx(0.1337, abs=2e-4)
