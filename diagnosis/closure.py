@@ -106,10 +106,8 @@ def figures(parts: Sequence[Products], seed: int = 0) -> dict[str, Any]:
         ratio = 1.0 - a / np.maximum(b, 1e-300)
         result["closure"] = float(1.0 - after.sum() / before.sum())
         result["interval"] = [float(np.quantile(ratio, q)) for q in (0.05, 0.95)]
-        by_regression = any(p.regressed for p in parts)
         ceiling = min(1.0, 1.0 - sum(float(p.floor.sum()) for p in parts) / float(before.sum()))
-        if by_regression:  # what is closed can be closed
-            ceiling = max(ceiling, result["closure"])
-        result["ceiling"], result["ceiling_by"] = ceiling, "regression" if by_regression else "repeats"
-        result["ratio"] = result["closure"] / ceiling if ceiling > 0.0 else None
+        result["ceiling"] = max(ceiling, min(result["closure"], 1.0))  # what is closed can be closed
+        result["ceiling_by"] = "regression" if any(p.regressed for p in parts) else "repeats"
+        result["ratio"] = result["closure"] / result["ceiling"] if result["ceiling"] > 0.0 else None
     return result

@@ -35,9 +35,18 @@ def test_closure_of_a_model_that_explains_a_known_part(part: float) -> None:
 def test_what_does_not_come_again_lowers_the_ceiling() -> None:
     signal, made = repeats(2, 0.4, count=40)
     zero = np.zeros_like(signal)
-    found = figures([products(made, (zero, zero), (signal, signal), np.full(2, NOISE**2))])
+    found = figures([products(made, (zero, zero), (0.3 * signal, 0.3 * signal), np.full(2, NOISE**2))])
     # per channel 0.5 comes again and 0.16 does not; the mean of the others has 1/39 of the latter
     assert found["ceiling"] == pytest.approx(1.0 - 0.16 * (1.0 + 1.0 / 39.0) / 0.5, abs=physics(1.0, absolute=0.03))
+
+
+def test_what_is_closed_can_be_closed() -> None:
+    """The ceiling of few repeats scatters: it is not below what a model has shown."""
+    signal, made = repeats(2, 0.8, count=2)
+    zero = np.zeros_like(signal)
+    found = figures([products(made, (zero, zero), (signal, signal), np.full(2, NOISE**2))])
+    assert found["ceiling"] == min(found["closure"], 1.0)
+    assert found["ratio"] >= 1.0
 
 
 def test_noise_alone_is_not_measurable() -> None:
