@@ -91,7 +91,6 @@ class Screening:
         for a, cosine in alike.items():
             if cosine < BENT:
                 self._take_if_better(a, other[a])
-        # what is wrong with the log alone takes no further simulation
         turned = [a for a, cosine in alike.items() if cosine < TURNED]
         sizes = {**self._much_smaller(), **{a: _sizes(single[a]) for a in turned}}
         # which nuisances these are like at one size says nothing of another

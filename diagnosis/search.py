@@ -46,8 +46,8 @@ class Search:
     ) -> None:
         self.nuisances = nuisances
         self.catalogue, self.simulator, self.groups = catalogue, simulator, groups
-        self.screening = Screening(catalogue, simulator, groups, nuisances)
-        self.evidence, self.candidates, self.starts = self.screening.evidence, self.screening.candidates, self.screening.starts
+        screening = Screening(catalogue, simulator, groups, nuisances)
+        self.evidence, self.candidates, self.starts = screening.evidence, screening.candidates, screening.starts
 
     def nominal(self) -> Fit:
         """No effect."""

@@ -75,7 +75,7 @@ def test_a_fault_of_the_log_must_explain_most_of_what_is_left_and_an_effect_a_pa
             values = {GAIN: 0.04, partner: 0.02}
             assert s._worth(fit(s, values, left=1.0 - share - 0.01), [alone])
             assert not s._worth(fit(s, values, left=1.0 - share + 0.01), [alone])
-        # of two clocks beside each other, each counts
+        # beside a clock that is there already, an effect is asked for its part only
         assert s._worth(fit(s, {GAIN: 0.04, CLOCK: 0.02}, left=0.9), [fit(s, {CLOCK: 0.02}, left=1.0)])
 
 
