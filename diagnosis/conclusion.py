@@ -100,7 +100,7 @@ class Conclusion:
             "noise_is_a_guess": self.search.evidence.whitening.guessed,
         }
         if moved is not None:
-            result["transfer"] = {**asdict(moved), "stands": stands(moved) if moved.tells else None}
+            result["transfer"] = {**asdict(moved), "stands": stands(moved)}
         adopted = dict(self.best.values) if verdict in ("identified", "ambiguous", "unknown") else {}
         if verdict == "none":
             result["smallest_visible"] = self.smallest()

@@ -107,8 +107,11 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
         limited = ((x[:, i] == x[:, i].max()) & over) | ((x[:, i] == x[:, i].min()) & under)
         moving = (x[:, i] != 0.0) & ~limited
         single = 2.0**-22 * float(np.abs(s[:, i]).max())  # a log in single precision stands still where a simulation creeps
-        still, longest = _still(x[moving, i]), _still(s[:, i], single)
-        if still * step > 0.5 and still > 3 * longest + 10 and still > 0.1 * len(x):
+        stretch = _still(x[moving, i])
+        still, longest = len(stretch), len(_still(s[:, i], single))
+        there = s[moving, i][stretch]
+        passed = np.ptp(there) > max(LIMIT * spread, 20.0 * noise[i]) if still else False
+        if still * step > 0.5 and still > 0.1 * len(x) and (still > 3 * longest + 10 or passed):
             found.append(Finding(name, "constant", still * step, "s", f"stands still for {still * step:.2f} s"))
             suspects.add(name)
             continue
@@ -136,13 +139,14 @@ def _visible(energy: float, noise: float, n: int) -> bool:
     return bool(energy > 25.0 * noise * noise * n and energy > 0.0)
 
 
-def _still(x: FloatArray, tolerance: float = 0.0) -> int:
+def _still(x: FloatArray, tolerance: float = 0.0) -> range:
     """Longest stretch of samples that are equal to the next one."""
     if not len(x):
-        return 0
+        return range(0)
     changes = np.flatnonzero(np.abs(np.diff(x)) > tolerance)
-    edges = np.concatenate([[-1], changes, [len(x) - 1]])
-    return int(np.diff(edges).max())
+    edges = np.concatenate([[0], changes + 1, [len(x)]])
+    longest = int(np.diff(edges).argmax())
+    return range(int(edges[longest]), int(edges[longest + 1]))
 
 
 def spikes(condition: Condition, channels: Sequence[str]) -> list[Finding]:

@@ -8,6 +8,7 @@ diagnosed runs, the gain is a part of what was promised, or a loss.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -20,9 +21,13 @@ from diagnosis.simulation import setting
 from orchestration.slave import FloatArray
 
 TELLING = 20.0
-"""Promised gain [nats] from which what a model gains can be told from noise: it scatters by the root of twice the promise."""
+"""Promised gain [nats] from which having it says that a model is right: it scatters by the root of twice the promise."""
 HOLDS = 0.6
-"""Part of the promised gain that a model must have."""
+"""Part of the promised gain that a model must have, if that is not chance."""
+CHANCE = 3.0
+"""Deviations by which the gain of a right model may be short of the promise."""
+SURPLUS, BY_FAR = 2.0, 8.0
+"""The promise is exceeded by something else that grows there, not by another effect beside: as a factor and in deviations."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +43,16 @@ class Transfer:
 
     @property
     def tells(self) -> bool:
-        """Whether that is a test at all: not if the effect would hardly show."""
+        """Whether a model that holds is right there: not if the effect would hardly show."""
         return self.promised > TELLING
 
     @property
     def holds(self) -> bool:
-        """Whether the model is worth there what it promised."""
-        return self.gain >= HOLDS * self.promised
+        """Whether the model is worth there what it promised, or may be but for chance."""
+        deviation = math.sqrt(2.0 * max(self.promised, 0.0))
+        short = self.gain < HOLDS * self.promised and self.promised - self.gain > CHANCE * deviation
+        beyond = self.gain > SURPLUS * self.promised and self.gain - self.promised > BY_FAR * deviation
+        return not short and not beyond
 
 
 def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Mapping[Address, float], doubt: float) -> Transfer | None:

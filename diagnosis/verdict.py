@@ -73,14 +73,19 @@ def _adequate(search: Search, nominal: Fit, best: Fit, moved: Transfer | None) -
     """Whether the best model leaves little, and is the same everywhere."""
     before, after = over_noise(search, nominal), over_noise(search, best)
     share, kept = unexplained(before, after), search.kept(best)
-    new = moved if moved is not None and moved.tells else None
     if after > AT_MOST and (share > UNEXPLAINED or kept < KEPT + share):
         return False
-    if new is None:
-        return best.log_evidence >= WEAK or kept >= KEPT_BY_WEAK
-    return stands(new)
+    stood = None if moved is None else stands(moved)
+    return stood if stood is not None else best.log_evidence >= WEAK or kept >= KEPT_BY_WEAK
 
 
-def stands(moved: Transfer) -> bool:
-    """Whether a model stands the test of new conditions: it gains there what it promised, and leaves no large share."""
-    return moved.holds and (moved.after <= UNKNOWN or unexplained(moved.before, moved.after) <= UNEXPLAINED)
+def stands(moved: Transfer) -> bool | None:
+    """Whether a model stands the test of new conditions: it gains there what it promised, and leaves no large share.
+
+    None where the effect would hardly show there: too little for a yes, but what is lost can still be a no.
+    """
+    if not moved.holds:
+        return False
+    if not moved.tells:
+        return None
+    return moved.after <= UNKNOWN or unexplained(moved.before, moved.after) <= UNEXPLAINED

@@ -188,6 +188,20 @@ class TestGate:
         assert not result["gate"]["usable"]
         assert (kind, "sensors.y[2]") in {(f["kind"], f["channel"]) for f in result["gate"]["findings"]}
 
+    def test_a_channel_that_stands_still_where_its_simulation_moves_is_stopped_though_that_rests_for_long_before(self) -> None:
+        (run,) = measure(repeats=1)
+        random = np.random.default_rng(1)
+        simulated = np.maximum(run.t - 0.7 * run.t[-1], 0.0)[:, None]
+        noisy = simulated[:, 0] + 1e-3 * random.standard_normal(len(run.t))
+        stuck = np.where(np.arange(len(noisy)) < 0.4 * len(noisy), noisy, noisy[int(0.4 * len(noisy))])
+
+        def kinds(measured: Any) -> list[str]:
+            told = replace(run, columns={**run.columns, "sensors.y[2]": measured})
+            return [f.kind for f in gate.against_simulation(told, measured[:, None], simulated, ["sensors.y[2]"], 0.01, np.array([1e-3]))]
+
+        assert kinds(noisy) == []
+        assert kinds(stuck) == ["constant"]
+
     def test_a_sign_that_an_effect_turns_is_no_fault_of_the_log(self, tmp_path: Path) -> None:
         """A moment that is small beside what a wrong gain takes off changes its sign; so does a channel with a gain of -1."""
         catalogue(tmp_path)
