@@ -40,7 +40,7 @@ class Chunk:
     made: int
     """Steps."""
     columns: FloatArray
-    """t [s] and all outputs after each of them, float64[1 + n_outputs, capacity], until the next chunk."""
+    """t [s] and all outputs after each of them, float64[1 + n_outputs, capacity], until the next chunk, unless it is kept."""
     failed: tuple[str, Exception] | None = None
     """Component and its error, in the step after those made."""
     in_range: bool = True
@@ -60,7 +60,8 @@ class Chunk:
 class CompiledLoop:
     """Steps the slaves of a master on its bus. They have made their first step in Python, which leaves initialisation.
 
-    `bounds` of all outputs; `observed`: whether rows are wanted; about `capacity` steps per chunk at most.
+    `bounds` of all outputs; `observed`: whether rows are wanted; `kept`: whether an observer keeps the array that it is shown, so that
+    each chunk needs one of its own; about `capacity` steps per chunk at most.
     """
 
     def __init__(
@@ -71,18 +72,17 @@ class CompiledLoop:
         bus: FloatArray,
         bounds: tuple[FloatArray, FloatArray],
         observed: bool = True,
+        kept: bool = False,
         capacity: int | None = None,
         iteration: Iteration | None = None,
     ) -> None:
         self._slaves, self._wiring, self._bus, self._bounds = slaves, wiring, bus, bounds
         self._natives = [face_of(slave) for slave in slaves.values()]
         capacity = capacity or (min(max(_ROW_BYTES // (8 + 8 * wiring.n_outputs), 16), _MOST_STEPS) if observed else _MOST_STEPS)
-        # One column per signal, as they are written.
-        # An odd number of cache lines each keeps the columns from falling on the same places of the cache.
-        # A full chunk is all of the array, which the recorder writes as it stands.
-        length = 8 * (-(-capacity // 8) | 1)
-        self.capacity, self._steps = length if observed else capacity, _FIRST_CHUNK
-        self._columns = zeros_on_lines(1 + wiring.n_outputs if observed else 0, length)
+        # a full chunk is all of the array, which the recorder writes as it stands
+        self.capacity, self._steps = _length(capacity) if observed else capacity, _FIRST_CHUNK
+        self._width, self._kept = 1 + wiring.n_outputs if observed else 0, kept
+        self._columns: FloatArray | None = None
         self._report, self._ticks = np.zeros(3, np.int64), np.zeros(3, np.int64)
         phases: list[list[_Call]] = [[], [], []]
         for c, native in enumerate(self._natives):
@@ -118,6 +118,8 @@ class CompiledLoop:
         for c, slave in self._rated:
             self._clocks[c, [compiled.COUNT, compiled.BEGAN]] = slave.count, round(slave.began * TICK)
         most, rates = int(min(steps, self._steps)), bool(self._rated)
+        if self._columns is None or self._kept:
+            self._columns = zeros_on_lines(self._width, _length(most if self._kept else self.capacity))
         tables = self._operations, self._clocks, self._places, self._bus, *self._bounds, self._columns, self._report
         if self._loops is None:
             made = compiled.advance(most, self._ticks, rates, self._wiring.any_delayed, watched, *tables)
@@ -141,8 +143,8 @@ class CompiledLoop:
         """Longer or shorter chunks from now on: the last one, with all that belongs to it, took `elapsed` s of wall clock."""
         if elapsed > 2.0 * _CHUNK_TIME:
             self._steps = max(self._steps // 2, 1)
-        elif elapsed < _CHUNK_TIME:
-            self._steps = min(2 * self._steps, self.capacity)
+        elif elapsed < 0.5 * _CHUNK_TIME:
+            self._steps = min(4 * self._steps, self.capacity)
 
     def _prepare(self, gather: Gather) -> None:
         """Write the table of operations, at first and when an override has moved inputs since the last chunk."""
@@ -171,6 +173,11 @@ class CompiledLoop:
             row[compiled.OPERATION] = compiled.CALL if direct else through
             row[compiled.BUFFER] = self._bus.ctypes.data + 8 * int(places[0]) if direct else block.buffer
             row[[compiled.FUNCTION, compiled.REFERENCES, compiled.N]] = block.function, block.references, len(places)
+
+
+def _length(steps: int) -> int:
+    """Of the columns of an array for so many steps: an odd number of cache lines keeps them off each other's places in the cache."""
+    return 8 * (-(-steps // 8) | 1)
 
 
 @dataclass(frozen=True)

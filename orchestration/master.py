@@ -50,7 +50,8 @@ class Observer(Protocol):
         """All outputs at time `t` [s], in the order of the bus. The array is reused: copy what is kept.
 
         An observer may also have `observe_columns(columns, count)`, called instead for many steps at once: the first `count`
-        rows of float64[1 + n_outputs, capacity], t [s] and all outputs. That array, too, is reused.
+        steps of float64[1 + n_outputs, capacity], t [s] and all outputs. That array, too, is reused, unless `keeps_columns` is set:
+        then each is the observer's own.
         """
         ...
 
@@ -307,8 +308,9 @@ class Master:
 
             jacobi, settings = self.algorithm == "jacobi", None if self._iterated is None else self._iterated.settings
             self._compiled = CompiledLoop(
-                self._slaves, self.wiring, jacobi, self._bus, self._guard.bounds, bool(self._observers), iteration=settings
-            )
+                self._slaves, self.wiring, jacobi, self._bus, self._guard.bounds, bool(self._observers),
+                any(getattr(o, "keeps_columns", False) for o in self._observers), iteration=settings,
+            )  # fmt: skip
         k = -1 if watched is None else watched
         chunk = self._compiled.advance(room, self._start_ticks, self._step_ticks, self._done, k, self._gather)
         self._done += chunk.made

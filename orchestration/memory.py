@@ -19,11 +19,12 @@ class Memory:
     """Observer that keeps every row; `run()` gives them as a `Run` at any time."""
 
     about: Mapping[str, Any] = field(default_factory=dict)
+    keeps_columns = True
 
     def begin(self, wiring: Wiring, step: float) -> None:
         """Forget what was there before."""
         self._wiring = wiring
-        self._blocks: list[FloatArray] = []  # rows of t and the outputs
+        self._blocks: list[FloatArray] = []  # t and the outputs, a row each
         self._t: list[float] = []  # rows that came one by one since the last block
         self._rows: list[FloatArray] = []
         self._outcome, self._message = "running", ""
@@ -34,14 +35,14 @@ class Memory:
         self._rows.append(outputs.copy())
 
     def observe_columns(self, columns: FloatArray, count: int) -> None:
-        """Keep a copy of many rows at once: the first `count` of t [s] and the outputs."""
+        """Keep many steps at once, as they stand: the first `count` of t [s] and the outputs."""
         self._gather()
-        self._blocks.append(columns[:, :count].copy().T)
+        self._blocks.append(columns[:, :count])
 
     def _gather(self) -> None:
         if self._t:
-            data = np.array(self._rows).reshape(len(self._rows), self._wiring.n_outputs)
-            self._blocks.append(np.column_stack([np.array(self._t), data]))
+            rows = np.array(self._rows).reshape(len(self._rows), self._wiring.n_outputs)
+            self._blocks.append(np.vstack([self._t, rows.T]))
             self._t, self._rows = [], []
 
     def end(self, outcome: str, message: str) -> None:
@@ -51,9 +52,8 @@ class Memory:
     def run(self) -> Run:
         """What has been observed so far."""
         self._gather()
-        data = np.concatenate([np.empty((0, 1 + self._wiring.n_outputs)), *self._blocks])
-        t, data = data[:, 0].copy(), data[:, 1:]
-        columns = {f"{c}.{p.name}": np.ascontiguousarray(data[:, i]) for i, (c, p) in enumerate(self._wiring.outputs)}
+        t, *data = np.concatenate([np.empty((1 + self._wiring.n_outputs, 0)), *self._blocks], axis=1)
+        columns = {f"{c}.{p.name}": column for (c, p), column in zip(self._wiring.outputs, data, strict=True)}
         ports = {f"{c}.{p.name}": _plain(p) for c, p in self._wiring.outputs}
         info = {**self.about, "outcome": self._outcome, "message": self._message}
         return Run(Path(), t, columns, ports, info)

@@ -66,6 +66,23 @@ class TestManyRows:
         for run_ in (live, Run.load(tmp_path)):
             assert np.array_equal([run_.t, run_["c.y"], run_["c.z"]], rows[:, ::every])
 
+    def test_rows_that_are_much_are_not_kept_for_later(self, tmp_path, monkeypatch):
+        """Of very many columns: what was kept before goes first, less than that is kept as ever."""
+        slave = Mock("c", [PortData("y", "output")], lambda _, t: [t])
+        recorder = Recorder(tmp_path)
+        recorder.begin(wire(system([slave]), {"c": slave.ports}), 0.004)
+        monkeypatch.setattr("orchestration.recorder._MUCH", 8 * 7 * 2)
+        recorder.observe(0.0, np.array([1.0]))
+        columns = np.arange(1.0, 17.0).reshape(2, 8)
+        lengths = []
+        for count in (7, 6):
+            recorder.observe_columns(columns, count)
+            columns += 8.0
+            lengths.append(len(Run.load(tmp_path)))
+        recorder.end("finished", "")
+        assert lengths == [8, 8]
+        assert np.array_equal(Run.load(tmp_path)["c.y"], [1.0, *columns[1, :7] - 16.0, *columns[1, :6] - 8.0])
+
     def test_arrays_written_as_they_stand_begin_with_a_line_of_the_cache(self, tmp_path):
         """Wherever the messages before them end, and in memory as in the file; foreign readers do not mind the longer heads."""
         slave = Mock("c", [PortData(name, "output") for name in ("y", "z")], lambda _, t: [t, t])
