@@ -13,7 +13,7 @@ from diagnosis import gate
 from diagnosis.answer import Diagnosis, Menu, curves_of, result_of
 from diagnosis.catalogue import LOGGING, Catalogue, Nuisance
 from diagnosis.conclusion import Conclusion
-from diagnosis.estimation import probabilities
+from diagnosis.estimation import Fit, probabilities
 from diagnosis.how_far import CLOSING
 from diagnosis.measured import Condition, DataError, in_units, sort_by_condition
 from diagnosis.screening import NOMINAL
@@ -34,6 +34,8 @@ LITTLE = 0.02
 EXPLAINABLE = ("constant", "unit", "sign", "rotation")
 """Kinds of findings that an effect may be the reason of: a clipped channel stands still, a small moment changes its sign with a gain.
 They are no fault if the best model does it."""
+DOMINANT = 0.8
+"""Share of one channel in what the best model leaves from which its other sign is tried."""
 
 
 def diagnose(
@@ -83,17 +85,49 @@ def diagnose(
             search = Search(catalogue, simulator, groups[:n], nuisances)
             fits = search.run()
             if fatal:  # is it the machine, after all?
-                best = fits[int(probabilities(fits, search.candidates).argmax())]
+                best = _best(search, fits)
                 before, after = over_noise(search, fits[0]), over_noise(search, best)
                 little = after < UNKNOWN or unexplained(before, after) < LITTLE
                 if little and not any(c.component == LOGGING for c in best.model):
                     findings = _gate(laboratory, simulator, groups, n, channels, ranges, setting(best.values))
                     fatal = [f for f in findings if f.fatal]
+            elif (finding := _wrong_sign(catalogue, search, fits, groups[:n], nuisances)) is not None:
+                findings.append(finding)
+                fatal = [finding]
         if fatal:
             result = result_of("bad_log", findings, began, simulator.count)
             curves = curves_of(laboratory, groups, simulator.repeated(range(n), (), NOMINAL))
             return Diagnosis(result, {}, channels=tuple(channels), curves=curves)
         return Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, began).diagnosis()
+
+
+def _best(search: Search, fits: Sequence[Fit]) -> Fit:
+    """The most likely model."""
+    return fits[int(probabilities(fits, search.candidates).argmax())]
+
+
+def _wrong_sign(
+    catalogue: Catalogue, search: Search, fits: Sequence[Fit], groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
+) -> gate.Finding | None:
+    """The channel that has nearly all of what the best model leaves, if a model explains the log with its sign turned.
+
+    The gate sees a wrong sign by the nominal signal. Where an effect is much larger than that, only both together say so.
+    """
+    best = _best(search, fits)
+    if over_noise(search, best) < UNKNOWN:
+        return None
+    names = [c for c, on in zip(search.simulator.laboratory.channels, search.evidence.active, strict=True) if on]
+    left = search.evidence.space.y if best.signature is None else search.evidence.space.y - best.signature
+    energy = ((left - search.evidence.space.explained(left)) ** 2).reshape(-1, len(names)).sum(axis=0)
+    if energy.max() < DOMINANT * energy.sum():
+        return None
+    name = names[int(energy.argmax())]
+    sign = np.where(np.array(search.simulator.laboratory.channels) == name, -1.0, 1.0)
+    turned = Search(catalogue, search.simulator, [[sign * x for x in group] for group in groups], nuisances)
+    other = _best(turned, turned.run())
+    if over_noise(turned, other) >= UNKNOWN and unexplained(over_noise(search, fits[0]), over_noise(turned, other)) >= LITTLE:
+        return None
+    return gate.Finding(name, "sign", -1.0, "1", f"has the wrong sign: with the other one, {other.name} explains the log")
 
 
 def _ports(

@@ -202,15 +202,32 @@ class TestGate:
         assert kinds(noisy) == []
         assert kinds(stuck) == ["constant"]
 
+    def wide(self, folder: Path) -> Path:
+        """A catalogue with gains of any size."""
+        catalogue(folder)
+        text = (folder / "catalogue.toml").read_text().replace("maximum = 0.5", "maximum = 3.0").replace("scale = 0.05}", "scale = 1.0}")
+        (folder / "wide.toml").write_text(text)
+        return folder / "wide.toml"
+
     def test_a_sign_that_an_effect_turns_is_no_fault_of_the_log(self, tmp_path: Path) -> None:
         """A moment that is small beside what a wrong gain takes off changes its sign; so does a channel with a gain of -1."""
-        catalogue(tmp_path)
-        text = (tmp_path / "catalogue.toml").read_text().replace("maximum = 0.5", "maximum = 3.0").replace("scale = 0.05}", "scale = 1.0}")
-        (tmp_path / "wide.toml").write_text(text)
         runs = measure({"sensors": {"gain_error[2]": -2.0}})
-        result = diagnose(SYSTEM, runs, Catalogue.load(tmp_path / "wide.toml"), resolver=resolve).result
+        result = diagnose(SYSTEM, runs, Catalogue.load(self.wide(tmp_path)), resolver=resolve).result
         assert result["gate"]["findings"] == []
         assert (result["verdict"], result["which"][0]["location"]) == ("identified", "sensor 2")
+
+    def test_a_wrong_sign_is_seen_where_an_effect_is_larger_than_the_signal(self, tmp_path: Path) -> None:
+        """Neither the sign alone nor a gain above one alone says what was measured: three times as much, the other way round."""
+        wide = self.wide(tmp_path).read_text()
+        before, gain, after = wide.partition('name = "gain"')
+        after = after.replace('sign = "both"', 'sign = "positive"', 1).replace('kind = "normal"', 'kind = "log-normal", spread = 0.8', 1)
+        (tmp_path / "larger.toml").write_text(before + gain + after)
+        runs = changed(measure({"sensors": {"gain_error[2]": 2.0}}), "sensors.y[2]", lambda t, y: -y)
+        result = diagnose(SYSTEM, runs, Catalogue.load(tmp_path / "larger.toml"), resolver=resolve).result
+        assert result["verdict"] == "bad_log"
+        (finding,) = result["gate"]["findings"]
+        assert (finding["kind"], finding["channel"]) == ("sign", "sensors.y[2]")
+        assert finding["text"] == "has the wrong sign: with the other one, gain @ sensor 2 explains the log"
 
     @pytest.mark.parametrize("lost", [0.8, 0.98])
     def test_a_range_that_is_too_small_is_an_effect_and_no_standstill(self, tmp_path: Path, lost: float) -> None:
