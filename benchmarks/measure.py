@@ -21,7 +21,7 @@ from benchmarks.runners import MasterError, Runner
 MOST = 25_000_000  # numbers that are kept in memory as results: 200 MB
 FIRST = 240.0  # s; Python FMUs may have to be compiled
 FEWEST = 60  # steps of a run
-PATIENCE = 4.0  # s that runs of one size may take, after which none is begun
+PATIENCE = 12.0  # s that runs of one size may take, after which none is begun
 Say = Callable[[str], object]
 
 
@@ -148,18 +148,18 @@ class Point:
     problem: str = ""
 
 
-def with_results(c: Contender) -> str:
-    """Where a contender's results go in the scaling, memory and duration measurements: to disk if it can, else to memory."""
-    return c.results[-1]
+def with_results(contenders: Sequence[Contender]) -> list[tuple[Contender, str]]:
+    """Every contender with every place that it can put results in, so that scaling, memory and duration compare like with like."""
+    return [(c, results) for c in contenders for results in c.results if results != "none"]
 
 
-def point(c: Contender, x: float, outputs: int, slice_: float, repeat: int, limit: float) -> Point:
-    """One contender of a size, in a fresh process, with results; `limit` [s] for setting up and running once.
+def point(c: Contender, results: str, x: float, outputs: int, slice_: float, repeat: int, limit: float) -> Point:
+    """One contender of a size, in a fresh process; `limit` [s] for setting up and running once.
 
     The first run also warms up and is not counted, unless it alone has worn out the patience: setting up, or completing the
     results, of tens of thousands of signals takes that long, the steps do not.
     """
-    made = Point(c.name, with_results(c), x)
+    made = Point(c.name, results, x)
     runner: Runner | None = None
     try:
         runner = c.start(None)
@@ -182,13 +182,13 @@ def point(c: Contender, x: float, outputs: int, slice_: float, repeat: int, limi
 
 
 def durations(contenders: Sequence[Contender], steps: Sequence[int], limit: float, say: Say) -> list[Point]:
-    """One run of each length per contender, each in a fresh process, with results; none that would take longer than `limit` [s]."""
+    """One run of each length per contender and place of results, each in a fresh process; none that would take longer than `limit` [s]."""
     points = []
-    for c in contenders:
-        say(f"durations: {c.name}")
+    for c, results in with_results(contenders):
+        say(f"durations: {c.name} ({results})")
         per_step = 0.0
         for n in steps:
-            made = Point(c.name, with_results(c), n, n)
+            made = Point(c.name, results, n, n)
             if n * per_step > limit:
                 break
             runner: Runner | None = None

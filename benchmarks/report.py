@@ -95,12 +95,17 @@ def bold(row: Row | Point | Start) -> str:
     return f"**{row.name}**" if row.name.startswith("robomill") else row.name
 
 
+def series(points: Sequence[Point]) -> list[dict[float, Point]]:
+    """The points of each master and place of its results, by what is varied."""
+    keys = dict.fromkeys((p.name, p.results) for p in points)
+    return [{p.x: p for p in points if (p.name, p.results) == key} for key in keys]
+
+
 def points_table(points: Sequence[Point], what: str) -> str:
     """Markdown: a row per master, a column per size."""
     sizes = sorted({p.x for p in points})
     lines = [f"| {what} | results | " + " | ".join(f"{x:,.0f}".replace(",", " ") for x in sizes) + " |", "|---" * (len(sizes) + 2) + "|"]
-    for name in dict.fromkeys(p.name for p in points):
-        mine = {p.x: p for p in points if p.name == name}
+    for mine in series(points):
         cells = [number(mine[x].cpu.median) if x in mine and mine[x].cpu.values else "-" for x in sizes]
         first = next(iter(mine.values()))
         lines.append(f"| {bold(first)} | {RESULTS[first.results]} | " + " | ".join(cells) + " |")
@@ -135,8 +140,7 @@ def durations_table(points: Sequence[Point]) -> str:
         "| master | results | " + " | ".join(f"{x:,.0f} steps".replace(",", " ") for x in lengths) + " |",
         "|---" * (len(lengths) + 2) + "|",
     ]
-    for name in dict.fromkeys(p.name for p in points):
-        mine = {p.x: p for p in points if p.name == name}
+    for mine in series(points):
         first = next(iter(mine.values()))
         cells = [f"{number(mine[x].cpu.median)} us, {mine[x].memory:.0f} MB" if x in mine and mine[x].cpu.values else "-" for x in lengths]
         lines.append(f"| {bold(first)} | {RESULTS[first.results]} | " + " | ".join(cells) + " |")
@@ -314,13 +318,14 @@ def lines(m: Measured, file: Path) -> None:
         (m.durations, "steps of the run (4 FMUs, 12 signals)", "us of CPU per macro step", lambda p: p.cpu.median),
         (m.durations, "steps of the run (4 FMUs, 12 signals)", "peak memory of the process, MB", lambda p: p.memory),
     ]
-    names = list(dict.fromkeys(p.name for p in m.durations))
+    names = list(dict.fromkeys(p.name for p in (*m.fmus, *m.signals, *m.durations)))
     for (points, x, y, value), a in zip(panels, axes.flat, strict=True):
-        for i, name in enumerate(names):
-            mine = [p for p in points if p.name == name and p.cpu.values]
-            if mine:
-                style = {"marker": MARKERS[i % len(MARKERS)], "color": LINES[i % len(LINES)], "lw": 2.2 if name == OURS else 1.2, "ms": 5}
-                a.plot([p.x for p in mine], [value(p) for p in mine], label=name, **style)
+        for mine in series([p for p in points if p.cpu.values]):
+            first = next(iter(mine.values()))
+            i = names.index(first.name)
+            style = {"marker": MARKERS[i % len(MARKERS)], "color": LINES[i % len(LINES)], "lw": 2.2 if first.name == OURS else 1.2, "ms": 5}
+            style["ls"] = "--" if first.results == "disk" else "-"
+            a.plot([*mine], [value(p) for p in mine.values()], label=f"{first.name}, {RESULTS[first.results]}", **style)
         a.set(xscale="log", yscale="log", xlabel=x, ylabel=y)
         sizes = sorted({p.x for p in points})
         a.set_xticks(sizes, [f"{size:,.0f}".replace(",", " ") for size in sizes])
@@ -328,5 +333,5 @@ def lines(m: Measured, file: Path) -> None:
         a.grid(alpha=0.3)
         a.spines[["top", "right"]].set_visible(False)
     handles, labels = axes[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, title="with results")
+    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
     figure.savefig(file, dpi=120)

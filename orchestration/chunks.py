@@ -80,7 +80,7 @@ class CompiledLoop:
         self._natives = [face_of(slave) for slave in slaves.values()]
         capacity = capacity or (min(max(_ROW_BYTES // (8 + 8 * wiring.n_outputs), 16), _MOST_STEPS) if observed else _MOST_STEPS)
         # a full chunk is all of the array, which the recorder writes as it stands
-        self.capacity, self._steps = _length(capacity) if observed else capacity, _FIRST_CHUNK
+        self.capacity, self._steps, self._slow = _length(capacity) if observed else capacity, _FIRST_CHUNK, False
         self._width, self._kept = 1 + wiring.n_outputs if observed else 0, kept
         self._columns: FloatArray | None = None
         self._report, self._ticks = np.zeros(3, np.int64), np.zeros(3, np.int64)
@@ -140,8 +140,12 @@ class CompiledLoop:
         return Chunk(made, self._columns, failed, outcome != compiled.VIOLATED)
 
     def pace(self, elapsed: float) -> None:
-        """Longer or shorter chunks from now on: the last one, with all that belongs to it, took `elapsed` s of wall clock."""
-        if elapsed > 2.0 * _CHUNK_TIME:
+        """Longer or shorter chunks from now on: the last one, with all that belongs to it, took `elapsed` s of wall clock.
+
+        Shorter only after two in a row that took too long: one may have loaded compiled code, or waited for the disk.
+        """
+        again, self._slow = self._slow, elapsed > 2.0 * _CHUNK_TIME
+        if self._slow and again:
             self._steps = max(self._steps // 2, 1)
         elif elapsed < 0.5 * _CHUNK_TIME:
             self._steps = min(4 * self._steps, self.capacity)

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestration import compiled, compiled_iteration
+from orchestration import chunks, compiled, compiled_iteration
 from orchestration.acceleration import HOLDS, METHODS, Iteration
 from orchestration.assembly import assemble, run
 from orchestration.errors import Interrupted, OrchestrationError, RunError, SystemFileError
@@ -406,3 +406,12 @@ class TestChoice:
             master = Master(a.slaves, a.wiring, 0.004, observers=(memory,), check_ranges=False, loop="compiled")
             master.run(1.0, progress=lambda k, n: master.override("b.u", 8.0))
             assert np.all(memory.run()["b.twice"][20:] == 16.0)
+
+    def test_one_chunk_that_took_long_does_not_make_the_next_shorter(self, fmu, monkeypatch):
+        """It may have loaded compiled code, or waited for the disk; two in a row say that the system is slow."""
+        monkeypatch.setattr(chunks, "_CHUNK_TIME", 0.0)  # s; everything takes longer
+        counts = []
+        with assemble(ring(fmu)) as a:
+            master = Master(a.slaves, a.wiring, 0.004, check_ranges=False, loop="compiled")
+            master.run(0.084, progress=lambda k, n: counts.append(k))
+        assert np.diff(counts).tolist() == [8, 8, 4]
