@@ -8,7 +8,7 @@ from typing import Any
 from blind.acceptance import MARGIN, bound, met
 
 Score = Mapping[str, Any]
-"""score.json."""
+"""score.json; with `withheld`, if there is a withheld.json."""
 
 
 def page(scores: Sequence[Score], command: str) -> str:
@@ -59,7 +59,19 @@ def _benchmark(s: Score) -> list[str]:
     lines += _table(["effect", *(k.replace("_", " ") for k in next(iter(s["per_effect"].values()), {}))], rows)
     lines += ["", f"### What was said first ({s['tier']})", "", "All cases but doubles and triples, detectable or not.", ""]
     rows = [[true, ", ".join(f"{said} {n}" for said, n in row.items())] for true, row in s["confusion"].items()]
-    return lines + _table(["true", "said, cases"], rows)
+    lines += _table(["true", "said, cases"], rows)
+    return lines + _withheld(s["withheld"], str(s["tier"])) if "withheld" in s else lines
+
+
+def _withheld(w: Mapping[str, Any], tier: str) -> list[str]:
+    """What was said where the true effect was taken out of the catalogue."""
+    lines = ["", f"### Without the true effect in the catalogue ({tier})", ""]
+    lines.append("Singles that are detectable and isolable, diagnosed again; the right answer is `unknown` (`robomill blind withhold`).")
+    rows = [[v, _value(f), _interval(f), f["count"]] for v, f in w["figures"].items()]
+    lines += ["", *_table(["verdict", "share", "95 %", "cases"], rows), ""]
+    others = [r for r in w["cases"] if r["verdict"] != "unknown"]
+    named = [[r["effect"], r["verdict"], r["said"] or "", "" if r["probability"] is None else f"{r['probability']:.2f}"] for r in others]
+    return lines + (_table(["taken out", "verdict", "said first", "probability"], named) if named else ["Each of them came as `unknown`."])
 
 
 def _margins(s: Score) -> list[str]:

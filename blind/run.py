@@ -42,10 +42,10 @@ def run_cases(
             "Make a fresh benchmark, or remove predictions.json and say so in the report"
         )
     cases = sorted(p for p in (folder / "cases").iterdir() if p.is_dir())
-    to_do = [c for c in cases if not _complete(folder / "predictions" / c.name / "diagnosis.json")]
+    to_do = [c for c in cases if not complete(folder / "predictions" / c.name / "diagnosis.json")]
     failed: dict[str, str] = {}
     jobs = [(diagnose, c, folder / "predictions" / c.name) for c in to_do]
-    for done, (i, error) in enumerate(work(_diagnose, jobs, workers, scheduler), 1):
+    for done, (i, error) in enumerate(work(diagnose_one, jobs, workers, scheduler), 1):
         if error:
             failed[to_do[i].name] = error
         if progress is not None:
@@ -53,14 +53,15 @@ def run_cases(
     return {"cases": len(cases), "done": len(to_do) - len(failed), "before": len(cases) - len(to_do), "failed": failed}
 
 
-def _complete(file: Path) -> bool:
+def complete(file: Path) -> bool:
+    """Whether there is a diagnosis with a verdict."""
     try:
         return "verdict" in json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
 
 
-def _diagnose(diagnose: Diagnose, case: Path, result: Path) -> str:
+def diagnose_one(diagnose: Diagnose, case: Path, result: Path) -> str:
     """In a worker: the last line of the error, or nothing. The result appears in one move when it is complete."""
     part = result.with_name(f".{result.name}.part")
     shutil.rmtree(part, ignore_errors=True)
@@ -80,7 +81,7 @@ def _diagnose(diagnose: Diagnose, case: Path, result: Path) -> str:
 
 def _timed(file: Path, wall: float, cpu: float) -> str:
     """Put the time [s] that it took into a prediction; returns what is wrong with it, or nothing."""
-    if not _complete(file):
+    if not complete(file):
         return "the diagnosis wrote no diagnosis.json with a verdict"
     content = json.loads(file.read_text(encoding="utf-8"))
     content["time"] = {"wall": round(wall, 2), "cpu": round(cpu, 2)}

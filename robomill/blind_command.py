@@ -1,16 +1,20 @@
-"""`robomill blind make|run|score|page`: the withheld-effect benchmark on the command line; only here it meets the diagnosis."""
+"""`robomill blind make|run|score|withhold|page`: the withheld-effect benchmark on the command line; only here it meets the diagnosis."""
 
 from __future__ import annotations
 
 import json
 from argparse import SUPPRESS, Namespace
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE
 from rich.table import Table
+
+if TYPE_CHECKING:
+    from diagnosis.catalogue import Catalogue
 
 PAGE = Path("docs/benchmarks/blind.md")
 SIMULATIONS = "simulations"
@@ -34,15 +38,24 @@ def add_arguments(parser: Any) -> None:
     score.add_argument("folder", type=Path, metavar="DIR", help="folder of the benchmark")
     score.add_argument("--no-isolability", action="store_true", help="take every detectable single as isolable; saves minutes")
     score.add_argument("--no-baselines", action="store_true", help="leave out the methods to compare with; saves minutes")
+    withhold = steps.add_parser(
+        "withhold",
+        help="diagnose clear singles again, their effect taken out of the catalogue",
+        description="Diagnose the detectable, isolable singles of a scored benchmark again, each without its effect in the catalogue.",
+    )
+    withhold.add_argument("folder", type=Path, metavar="DIR", help="folder of the scored benchmark")
+    withhold.add_argument("--jobs", type=int, help="processes (default: one per core)")
     page = steps.add_parser("page", help="write the results of scored benchmarks as Markdown", description="Write the page of results.")
     page.add_argument("folders", type=Path, nargs="+", metavar="DIR", help="folders of scored benchmarks, in the order of the page")
     page.add_argument("--output", type=Path, default=PAGE, metavar="FILE", help=f"the page (default: {PAGE})")
-    for step in (make, run, score, page):
+    for step in (make, run, score, withhold, page):
         step.add_argument("--json", action="store_true", default=SUPPRESS, help="print the result as JSON and nothing else")
 
 
-def diagnose_case(case: Path, out: Path) -> None:
+def diagnose_case(case: Path, out: Path, without: str | None = None) -> None:
     """Diagnose one case as anybody would: its system, its runs, the catalogue of the cell. Writes diagnosis.json.
+
+    `without` (`component.parameter`): the effect with that parameter is not in the catalogue, at no place.
 
     Simulations of the nominal cell and of what may be wrong with it are the same in all cases of a condition: they are kept in
     `simulations` beside the cases, which may be deleted at any time.
@@ -57,11 +70,20 @@ def diagnose_case(case: Path, out: Path) -> None:
 
     runs = [Run.load(f) for f in sorted((case / "runs").iterdir()) if f.is_dir()]
     system = System.load(case / "system.toml", convert)
+    catalogue = lacking(Catalogue.load(CATALOGUE), without)
     with TemporaryDirectory() as folder:
         told = menu(system, Path(folder))
         store = Store(case.parent.parent / SIMULATIONS, sources())
-        found = diagnose(system, runs, Catalogue.load(CATALOGUE), resolver=resolve, convert=convert, menu=told, store=store)
+        found = diagnose(system, runs, catalogue, resolver=resolve, convert=convert, menu=told, store=store)
     (out / "diagnosis.json").write_text(json.dumps(found.result, indent=1) + "\n", encoding="utf-8")
+
+
+def lacking(catalogue: Catalogue, parameter: str | None) -> Catalogue:
+    """The catalogue without what switches on `component.parameter`, at any place."""
+    from orchestration.slave import base_name
+
+    known = [c for c in catalogue.candidates if parameter not in {f"{a[0]}.{base_name(a[1])}" for a in c.addresses}]
+    return replace(catalogue, candidates=tuple(known))
 
 
 def blind(options: Namespace) -> int:
@@ -80,6 +102,14 @@ def blind(options: Namespace) -> int:
 
             summary = run_cases(options.folder, diagnose_case, options.jobs, report, options.scheduler)
             text = f"{summary['done']} diagnosed, {summary['before']} were there, {len(summary['failed'])} failed, of {summary['cases']}"
+            text += "".join(f"\ncase {name}: {error}" for name, error in sorted(summary["failed"].items()))
+        elif options.step == "withhold":
+            from blind.withhold import withhold
+
+            summary = withhold(options.folder, diagnose_case, options.jobs, report)
+            (options.folder / "withheld.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+            verdicts = ", ".join(f"{round(f['value'] * f['count'])} {v}" for v, f in summary["figures"].items() if f["value"])
+            text = f"{len(summary['cases'])} diagnosed without their effect in the catalogue: {verdicts or 'none'}"
             text += "".join(f"\ncase {name}: {error}" for name, error in sorted(summary["failed"].items()))
         elif options.step == "page":
             summary, text = write_page(options.folders, options.output)
@@ -110,6 +140,9 @@ def write_page(folders: Sequence[Path], output: Path) -> tuple[dict[str, Any], s
         if not (folder / "score.json").is_file():
             raise BenchmarkError(f"{folder} has not been scored (no score.json); score it with: robomill blind score {folder}")
     scores = [json.loads((folder / "score.json").read_text(encoding="utf-8")) for folder in folders]
+    for folder, score in zip(folders, scores, strict=True):
+        if (folder / "withheld.json").is_file():
+            score["withheld"] = json.loads((folder / "withheld.json").read_text(encoding="utf-8"))
     output.parent.mkdir(parents=True, exist_ok=True)
     output.write_text(page(scores, f"robomill blind page {' '.join(f.name for f in folders)}"), encoding="utf-8")
     return {"page": str(output), "benchmarks": len(scores)}, f"{len(scores)} benchmarks in {output}"

@@ -1,0 +1,74 @@
+"""Diagnose again with the true effect taken out of the catalogue: does anything else pass for it?
+
+Every effect of the catalogue becomes one that is in no catalogue, and is looked at only where the data tell it from all others
+(detectable and isolable singles). The right answer is `unknown`. This needs the truth, so it is for a benchmark that has been scored.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from blind.case import Cases, load_cases
+from blind.oracle import oracle_confusable
+from blind.prediction import Prediction
+from blind.run import complete, diagnose_one
+from blind.sealing import BenchmarkError, unseal
+from blind.statistics import proportion
+from blind.workers import Progress, work
+
+DiagnoseWithout = Callable[..., Any]
+"""(folder of the case, folder for the result, without=`component.parameter`) -> anything; writes diagnosis.json. Must be importable."""
+
+
+def withhold(folder: str | Path, diagnose: DiagnoseWithout, workers: int | None = None, progress: Progress | None = None) -> dict[str, Any]:
+    """Diagnose the detectable, isolable singles without their effect, those that are not done yet; predictions go to `withheld/`.
+
+    Returns figures (shares of all with 95 % intervals) and one row for each case. BenchmarkError if the benchmark is still sealed.
+    """
+    folder = Path(folder).resolve()
+    if not (folder / "predictions.json").is_file():
+        raise BenchmarkError(
+            f"{folder} is sealed (no predictions.json): to withhold an effect it must be known; first: robomill blind score {folder}"
+        )
+    head, truths = unseal(folder)
+    chosen = Cases(load_cases(folder, truths), oracle_confusable(folder, truths, str(head["tier"]))).singles
+    results = [folder / "withheld" / f"{c.number:04d}" for c in chosen]
+    jobs = [
+        (partial(diagnose, without=c.effects[0].key), folder / "cases" / result.name, result)
+        for c, result in zip(chosen, results, strict=True)
+        if not complete(result / "diagnosis.json")
+    ]
+    failed: dict[str, str] = {}
+    for done, (i, error) in enumerate(work(diagnose_one, jobs, workers), 1):
+        if error:
+            failed[jobs[i][2].name] = error
+        if progress is not None:
+            progress("withhold", done, len(jobs))
+    rows = [
+        row(result.name, c.effects[0].key, json.loads((result / "diagnosis.json").read_text(encoding="utf-8")))
+        for c, result in zip(chosen, results, strict=True)
+        if result.name not in failed
+    ]
+    return {"tier": head["tier"], "seed": head["seed"], "figures": shares(rows), "cases": rows, "failed": failed}
+
+
+def row(name: str, effect: str, content: Mapping[str, Any]) -> dict[str, Any]:
+    """What was said of a case: `said` and its probability, the candidate that came first, if an effect was claimed."""
+    prediction = Prediction.read(content)
+    first = prediction.claimed[0] if prediction.claimed else None
+    return {
+        "case": name,
+        "effect": effect,
+        "verdict": "bad_log" if prediction.stopped else prediction.verdict,
+        "said": first.names[0].key if first else None,
+        "probability": first.probability if first else None,
+    }
+
+
+def shares(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Of each verdict, the share with its interval; `identified` is what passes for the effect."""
+    return {v: proportion([r["verdict"] == v for r in rows]) for v in ("unknown", "none", "ambiguous", "identified", "bad_log")}
