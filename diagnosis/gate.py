@@ -42,8 +42,8 @@ NEAR = 25.5
 LIMIT = 0.1
 """Part of a channel's range by which its simulation may be short of a limit that the channel stands at."""
 
-EXACT = 1e-5
-"""Part of a channel's range by which repeats that are the same may differ."""
+EXACT, TIMING = 1e-5, 0.05
+"""Part of a channel's range, and samples in time, by which repeats that are the same may differ: a stamp that jitters moves a jump."""
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,8 @@ def repeats(condition: Condition, group: Sequence[FloatArray], channels: Sequenc
         return []
     stack = np.stack(group)
     off = ((stack - np.median(stack, axis=0)) ** 2).mean(axis=1)
-    usual = np.median(off, axis=0) + (EXACT * np.ptp(stack, axis=(0, 1))) ** 2 + 1e-30
+    moved = TIMING * np.gradient(np.median(stack, axis=0), axis=0)
+    usual = np.median(off, axis=0) + (EXACT * np.ptp(stack, axis=(0, 1))) ** 2 + (moved**2).mean(axis=0) + 1e-30
     found = []
     for k in range(len(group)):
         ratio = off[k] / usual

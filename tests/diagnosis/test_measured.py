@@ -62,3 +62,15 @@ def test_repeats_that_are_equal_do_not_make_one_an_outlier_that_differs_by_round
     (condition,) = sort_by_condition(off, SYSTEM)
     (finding,) = gate.repeats(condition, [condition.matrix(r, [CHANNEL]) for r in off], [CHANNEL])
     assert (finding.kind, finding.fatal) == ("repeat", True)
+
+
+def test_a_jump_that_one_repeat_has_a_part_of_a_sample_later_is_jitter() -> None:
+    runs = measure(repeats=4)
+    jumped = (runs[0].t > 4.0).astype(float)
+    late = jumped.copy()
+    late[int(np.argmax(jumped))] = 0.97
+    (condition,) = sort_by_condition(runs, SYSTEM)
+    assert gate.repeats(condition, [x[:, None] for x in (jumped, jumped, late, jumped)], [CHANNEL]) == []
+    much = np.roll(jumped, 2)
+    (finding,) = gate.repeats(condition, [x[:, None] for x in (jumped, jumped, much, jumped)], [CHANNEL])
+    assert (finding.kind, finding.channel) == ("repeat", CHANNEL)
