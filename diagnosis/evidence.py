@@ -28,8 +28,9 @@ LATENESS = 0.2
 """Communication steps that the channels of a component may be late: outputs hold for a step, and a step later others see them."""
 BEGINNING = 0.1
 """Time [s] at the beginning of a run that does not count: a simulation begins with its initial values, and settles."""
-SUDDEN = 0.25
-"""Communication steps, at random, that a change may come early or late: what happens within a step is not modelled."""
+SUDDEN, AROUND = 0.25, 0.04
+"""Communication steps, at random, that a sudden change may come early or late: what happens within a step is not modelled. Sudden is what
+is no straight line over this time [s] before and after."""
 
 Changes = Mapping[Address, Sequence[FloatArray]]
 """parameter -> change of the channels that it makes in each condition, [samples, channels]."""
@@ -46,7 +47,7 @@ class Evidence:
     nominals: Sequence[Sequence[FloatArray]]
     """Nominal simulations with different noise, [samples, channels]."""
     sudden: list[FloatArray]
-    """Standard deviation that single runs have beyond the noise where a channel changes fast, [samples, channels]."""
+    """Standard deviation that single runs have beyond the noise where a channel changes suddenly, [samples, channels]."""
     residuals: list[list[FloatArray]]
     """Per repeat: whitened measured minus nominal, in single-run units."""
     columns: dict[Address, FloatArray]
@@ -104,7 +105,8 @@ def gather(
     counts = [len(g) * len(m) / (len(g) + len(m)) if len(m) > 1 else float(len(g)) for g, m in zip(groups, nominals, strict=True)]
     # change of each channel in a communication step
     rates = [np.gradient(m, axis=0) / laboratory.decimation for m in means]
-    sudden = [SUDDEN * rate * np.sqrt(n) for rate, n in zip(rates, counts, strict=True)]
+    span = max(1, round(AROUND / (laboratory.system.step * laboratory.decimation)))
+    sudden = [SUDDEN / laboratory.decimation * bend(m, span) * np.sqrt(n) for m, n in zip(means, counts, strict=True)]
     residuals = [[w.apply(x - m, 1.0, s) for x in g] for g, m, s in zip(groups, means, sudden, strict=True)]
     halves = [
         (w.apply(np.mean(g[::2], axis=0) - m, 1.0, s), w.apply(np.mean(g[1::2] or g, axis=0) - m, 1.0, s))
@@ -140,6 +142,17 @@ def gather(
     space = Space(y, blocks, np.concatenate([np.stack(list(nuisances.values()), axis=1), *own], axis=1), doubtful)
     space.find_alike(columns, scales)
     return Evidence(space, w, active, nominals, sudden, residuals, columns, counts, expected, halves)
+
+
+def bend(x: FloatArray, span: int) -> FloatArray:
+    """How far each sample is, per sample of distance, from the straight line between two that are up to `span` samples before and after it.
+
+    The largest of all distances. What changes steadily is only late, if anything.
+    """
+    away = np.zeros_like(x)
+    for k in range(1, min(span, (len(x) - 1) // 2) + 1):
+        away[k:-k] = np.maximum(away[k:-k], np.abs(x[k:-k] - 0.5 * (x[: -2 * k] + x[2 * k :])) / k)
+    return away
 
 
 def _moved(changes: Changes) -> npt.NDArray[np.bool_]:

@@ -15,7 +15,7 @@ Verdict = Literal["none", "identified", "ambiguous", "unknown", "bad_log"]
 
 CLEAR, FIRM = 3.0, 8.0
 """Log of the odds that there is an effect at all, from which that is believed; below FIRM what new conditions gain or lose counts."""
-LIKE_NOISE, AT_MOST = 1.15, 1.23
+LIKE_NOISE, AT_MOST = 1.2, 1.28
 """Energy, over that of noise, that two systems which are the same but for calibration usually leave, and that a model may leave
 whatever its share is."""
 UNKNOWN = 1.4
@@ -64,9 +64,11 @@ def judged(
 
 
 def believed(nothing: float, moved: Transfer | None) -> bool:
-    """Whether there is an effect at all: by the diagnosed runs, if that is not much together with new conditions."""
+    """Whether there is an effect at all: by the diagnosed runs, if that is not much together with new conditions, where it must hold."""
     odds = math.log((1.0 - nothing) / nothing) if nothing > 0.0 else math.inf
-    return odds + (moved.gain if moved is not None and odds < FIRM else 0.0) >= CLEAR
+    if moved is None or odds >= FIRM:
+        return odds >= CLEAR
+    return moved.holds and odds + moved.gain >= CLEAR
 
 
 def _adequate(search: Search, nominal: Fit, best: Fit, moved: Transfer | None) -> bool:

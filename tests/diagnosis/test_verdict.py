@@ -23,3 +23,9 @@ from diagnosis.verdict import believed
 def test_by_the_odds_and_by_new_conditions_where_these_are_low(nothing: float, gain: float | None, there: bool) -> None:
     moved = None if gain is None else Transfer(1.0, 1.0, gain, 5.0)
     assert believed(nothing, moved) is there
+
+
+def test_what_little_evidence_there_is_must_not_break_its_promise_either() -> None:
+    """A machine without effects (case 0214 of seed 2037): half of a promise is as far from it as from none."""
+    assert believed(0.04, Transfer(1.0, 1.0, 20.0, 31.0))
+    assert not believed(0.04, Transfer(1.0, 1.0, 2.0, 31.0))
