@@ -65,3 +65,9 @@ def estimate(c: Case) -> tuple[float, bool | None] | None:
             covered = None if interval is None else bool(interval[0] <= value <= interval[1])
             return abs(float(said["value"]) - value) / abs(value), covered
     return None
+
+
+def answer_right(c: Case) -> bool:
+    """Whether a null is `none`, what is in no catalogue `unknown`, and of an effect the first that is named."""
+    said = {"null": "none", "outside": "unknown"}.get(c.kind)
+    return c.prediction.verdict == said if said else effect_in_top(c, 1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from blind.baselines import Guess
 from blind.case import CATALOGUE, REAL, Case, Cases
-from blind.criteria import component_right, effect_in_top, estimate, location_right, named_exactly, set_holds_truth
+from blind.criteria import answer_right, component_right, effect_in_top, estimate, location_right, named_exactly, set_holds_truth
 from blind.prediction import ComponentValues
 from blind.statistics import Figure, expected_calibration_error, proportion, quantile
 
@@ -30,6 +30,7 @@ def figures(
     """All of them. The callables may be left out: what needs them is then without cases."""
     return {
         **alarms(cases),
+        "right_answer": proportion([answer_right(c) for c in answerable(cases)]),
         **naming(cases),
         **ambiguity(cases, separates),
         **open_set(cases),
@@ -50,6 +51,11 @@ def alarms(cases: Cases) -> dict[str, Figure]:
         "detection": proportion([c.prediction.found for c in cases.detectable(*REAL)]),
         "good_log_stopped": proportion([c.prediction.stopped for c in cases.of("null", *REAL)]),
     }
+
+
+def answerable(cases: Cases) -> list[Case]:
+    """Cases of good logs with nothing or one thing in them that the data can decide: nulls, clear singles, clear unknowns."""
+    return [*cases.of("null"), *cases.singles, *cases.detectable("outside")]
 
 
 def naming(cases: Cases) -> dict[str, Figure]:
@@ -169,13 +175,18 @@ def cpu_time(cases: Cases) -> dict[str, Figure]:
 
 
 def baseline_figures(cases: Cases, guesses: Mapping[int, Guess]) -> dict[str, Figure]:
-    """Those that a method has which only names one effect or none; guesses by number of the case."""
+    """Those that a method has which only names one effect or none, and knows no unknowns; guesses by number of the case."""
     singles = [(guesses[c.number], c.effects[0]) for c in cases.singles]
     return {
         "null_false_alarm": proportion([guesses[c.number].key is not None for c in cases.of("null")]),
         "detection": proportion([guesses[c.number].key is not None for c in cases.detectable(*REAL)]),
+        "right_answer": proportion([_guessed(c, guesses[c.number]) for c in answerable(cases)]),
         "component_top1": proportion([g.component == true.component for g, true in singles]),
         "location_top1": proportion([(g.component, g.index) == (true.component, true.index) for g, true in singles if true.index]),
         "effect_top1": proportion([g.key == true.key for g, true in singles]),
         "confident_wrong_on_unknown": proportion([guesses[c.number].key is not None for c in cases.detectable("outside")]),
     }
+
+
+def _guessed(c: Case, guess: Guess) -> bool:
+    return c.kind != "outside" and guess.key == (c.effects[0].key if c.effects else None)

@@ -77,9 +77,9 @@ def _withheld(w: Mapping[str, Any], tier: str) -> list[str]:
 def _margins(s: Score) -> list[str]:
     """By how many points the best of the baselines is beaten, where it gives a figure."""
     found = []
-    for key in ("component_top1", "location_top1", "effect_top1"):
+    for key in ("right_answer", "component_top1", "location_top1", "effect_top1"):
         others = [v for b in s["baselines"].values() if (v := (b.get(key) or {}).get("value")) is not None]
-        own = s["scores"][key]["value"]
+        own = s["scores"].get(key, {}).get("value")
         if others and own is not None:
             found.append(f"{key} {100.0 * (own - max(others)):+.0f}")
     return ["", f"Points above the best of the baselines ({MARGIN} are asked for): {', '.join(found)}."] if found else []

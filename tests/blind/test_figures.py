@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from blind.figures import figures
+from blind.baselines import Guess
+from blind.figures import baseline_figures, figures
 from blind.tables import confusion, per_effect, strata
 from tests.blind.by_hand import GAIN, STIFF, cases, entry, said, truth
 
@@ -148,3 +149,22 @@ def test_strata_follow_the_oracle():
     )
     assert found["hidden, below 1"]["detection"]["value"] == 0.0
     assert found["clear, 3 to 10"]["detection"]["value"] == 1.0
+
+
+def test_a_right_answer_is_none_where_nothing_is_the_effect_where_it_is_and_unknown_where_it_is_in_no_catalogue():
+    stiff = entry(STIFF[0], STIFF[1], 0.9)
+    listed = cases(
+        (truth("null", detectability=0.0), said("none")),
+        (truth("null", detectability=0.0), said("unknown")),
+        (truth("single", STIFF), said("identified", stiff)),
+        (truth("single", GAIN), said("identified", stiff)),
+        (truth("outside"), said("unknown")),
+        (truth("outside"), said("identified", stiff)),
+        (truth("single", GAIN, detectability=1.0), said("none")),  # nobody can know
+    )
+    assert (figures(listed)["right_answer"]["value"], figures(listed)["right_answer"]["count"]) == (0.5, 6)
+    # who always names the stiffness is right once, who always says nothing twice
+    always = {c.number: Guess("compliance.stiffness_error", 2) for c in listed.all}
+    nothing = {c.number: Guess(None) for c in listed.all}
+    assert baseline_figures(listed, always)["right_answer"]["value"] == pytest.approx(1 / 6)
+    assert baseline_figures(listed, nothing)["right_answer"]["value"] == pytest.approx(2 / 6)
