@@ -35,7 +35,7 @@ EXPLAINABLE = ("constant", "unit", "sign", "rotation")
 """Kinds of findings that an effect may be the reason of: a clipped channel stands still, a small moment changes its sign with a gain.
 They are no fault if the best model does it."""
 DOMINANT = 0.8
-"""Share of one channel in what the best model leaves from which its other sign is tried."""
+"""Share of one channel in a gap that nothing explains from which its other sign is tried."""
 
 
 def diagnose(
@@ -109,16 +109,15 @@ def _best(search: Search, fits: Sequence[Fit]) -> Fit:
 def _wrong_sign(
     catalogue: Catalogue, search: Search, fits: Sequence[Fit], groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
 ) -> gate.Finding | None:
-    """The channel that has nearly all of what the best model leaves, if a model explains the log with its sign turned.
+    """The channel that has nearly all of a gap that nothing explains, if a model explains the log with its sign turned.
 
     The gate sees a wrong sign by the nominal signal. Where an effect is much larger than that, only both together say so.
     """
-    best = _best(search, fits)
-    if over_noise(search, best) < UNKNOWN:
+    if over_noise(search, _best(search, fits)) < UNKNOWN:
         return None
     names = [c for c, on in zip(search.simulator.laboratory.channels, search.evidence.active, strict=True) if on]
-    left = search.evidence.space.y if best.signature is None else search.evidence.space.y - best.signature
-    energy = ((left - search.evidence.space.explained(left)) ** 2).reshape(-1, len(names)).sum(axis=0)
+    gap = search.evidence.space.y
+    energy = ((gap - search.evidence.space.explained(gap)) ** 2).reshape(-1, len(names)).sum(axis=0)
     if energy.max() < DOMINANT * energy.sum():
         return None
     name = names[int(energy.argmax())]

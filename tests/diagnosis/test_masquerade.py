@@ -24,13 +24,9 @@ TRUTHS = {
 }
 
 
-ALIKE = {"stiffness @ spring 2": {"gain @ sensor 2"}, "gain @ sensor 2": {"stiffness @ spring 2"}}
-"""What passes for what: at mass 2 they do the same but for a fifth of the energy, and a model may leave a third (`verdict.UNEXPLAINED`)."""
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("true", TRUTHS)
-def test_only_the_true_effect_is_named_or_what_is_nearly_the_same(tmp_path: Path, true: str) -> None:
+def test_only_the_true_effect_is_named(tmp_path: Path, true: str) -> None:
     component, parameter, value = TRUTHS[true]
     truth = {component: {parameter: value}}
     runs, other = measure(truth), measure(truth, amplitude=0.4, repeats=2, seed=2)
@@ -46,6 +42,5 @@ def test_only_the_true_effect_is_named_or_what_is_nearly_the_same(tmp_path: Path
     assert same[true] == pytest.approx(1.0, abs=0.02)
     assert new[true] == pytest.approx(1.0, abs=0.1)
     wrong = set(verdicts) - {true}
-    assert {name for name in wrong if verdicts[name] != "unknown"} == ALIKE.get(true, set())
-    # the shares alone would not do: some explain more than half, some gain what they promise
-    assert all(same[name] < 0.8 for name in wrong)
+    assert {verdicts[name] for name in wrong} == {"unknown"}
+    assert all(same[name] < 0.7 for name in wrong)
