@@ -20,7 +20,7 @@ LIKE_NOISE, AT_MOST = 1.2, 1.28
 whatever its share is."""
 UNKNOWN = 1.4
 """Energy, over that of noise, from which there is a gap even if no candidate explains any of it (in new conditions: any more of it)."""
-UNEXPLAINED = 0.25
+UNEXPLAINED = 0.3
 """Share of the energy beyond noise (calibration fitted) that an adequate model may leave, in diagnosed runs and in new conditions."""
 KEPT = 0.4
 """Part of its gain in evidence that a model must keep in parts of the time that it is not fitted to, where more than noise is left; and
