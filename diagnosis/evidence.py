@@ -106,7 +106,7 @@ def gather(
     # change of each channel in a communication step
     rates = [np.gradient(m, axis=0) / laboratory.decimation for m in means]
     span = max(1, round(AROUND / (laboratory.system.step * laboratory.decimation)))
-    sudden = [SUDDEN / laboratory.decimation * bend(m, span) * np.sqrt(n) for m, n in zip(means, counts, strict=True)]
+    sudden = [SUDDEN / laboratory.decimation * _bend(m, span) * np.sqrt(n) for m, n in zip(means, counts, strict=True)]
     residuals = [[w.apply(x - m, 1.0, s) for x in g] for g, m, s in zip(groups, means, sudden, strict=True)]
     halves = [
         (w.apply(np.mean(g[::2], axis=0) - m, 1.0, s), w.apply(np.mean(g[1::2] or g, axis=0) - m, 1.0, s))
@@ -144,7 +144,7 @@ def gather(
     return Evidence(space, w, active, nominals, sudden, residuals, columns, counts, expected, halves)
 
 
-def bend(x: FloatArray, span: int) -> FloatArray:
+def _bend(x: FloatArray, span: int) -> FloatArray:
     """How far each sample is, per sample of distance, from the straight line between two that are up to `span` samples before and after it.
 
     The largest of all distances. What changes steadily is only late, if anything.

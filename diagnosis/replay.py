@@ -127,6 +127,7 @@ class Replay:
         self.whitening = replace(joint, factor=np.linalg.cholesky(within))
         self._rates = [np.gradient(m, axis=0) / self.benches[0].laboratory.decimation for m in means]
         counts = [len(g) for g in self.groups]
+        # by all that changes, not only suddenly as in the evidence: measured inputs scatter where they change at all
         self._sudden = [np.hypot(1.0, SUDDEN * r * math.sqrt(n) / self.noise) for r, n in zip(self._rates, counts, strict=True)]
 
     def _white(self, parts: Sequence[FloatArray]) -> FloatArray:
