@@ -87,14 +87,14 @@ class Bench:
         while self.kept:
             self.kept.pop().close()
 
-    def program(self, system: System, name: str) -> Callable[[Environment], Runner]:
-        """A generated C loop for a system of FMUs, compiled when it is started."""
+    def program(self, system: System, name: str, prefault: bool = True) -> Callable[[Environment], Runner]:
+        """A generated C loop for a system of FMUs, compiled when it is started; `prefault`: see `system_loop.generate`."""
 
         def start(environment: Environment) -> Runner:
             folder = self.folder / name
             folder.mkdir(exist_ok=True)
             assembly = self.open(system)
-            made = {record: SystemLoop(assembly, folder, record).program for record in (False, True)}
+            made = {record: SystemLoop(assembly, folder, record, prefault).program for record in (False, True)}
             return Program(lambda steps, record: [str(made[record]), str(steps)])
 
         return start
@@ -108,7 +108,7 @@ class Bench:
             folder.mkdir()
             fmu = build_container(network, folder, "container")
             alone = System(name, network.step, (Component("container", str(fmu)),), algorithm="jacobi")
-            return self.program(alone, f"{name}_loop")(environment)
+            return self.program(alone, f"{name}_loop", prefault=False)(environment)
 
         return start
 

@@ -14,13 +14,14 @@ import numpy as np
 from diagnosis import gate, isolability, next_run
 from diagnosis.answer import Diagnosis, Menu, curves_of, result_of
 from diagnosis.catalogue import LOGGING, Address, Candidate
+from diagnosis.changing import changing
 from diagnosis.estimation import Fit, probabilities
 from diagnosis.how_far import CLOSING, how_far, metrics
 from diagnosis.replay import intervals
 from diagnosis.search import Search
 from diagnosis.simulation import Laboratory, Simulator, setting
 from diagnosis.transfer import Transfer, transfer
-from diagnosis.verdict import judged, over_noise, stands, unexplained
+from diagnosis.verdict import changes, judged, over_noise, stands, unexplained
 from diagnosis.where import combined, direction_of, located
 from orchestration.slave import FloatArray
 
@@ -79,7 +80,9 @@ class Conclusion:
         marginal = self.marginal()
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] > 0.5]
         moved = self.transfer() if self.best.model and not clocks else None
-        verdict = judged(search, nominal, self.best, float(self.weights[0]), moved, marginal, bool(clocks) and not self.repair)
+        other = changing(search)
+        faulty = bool(clocks) and not self.repair
+        verdict = judged(search, nominal, self.best, float(self.weights[0]), moved, other, marginal, faulty)
         for c in clocks:
             value, (kind, _, pattern) = self.best.values[c.addresses[0]], c.parameters[0].partition(" ")
             text = SAID[kind].format(
@@ -116,6 +119,8 @@ class Conclusion:
         if verdict == "unknown":
             named = {k: result["where"][0][k] for k in ("component", "direction", "regime")} if found["where"] else {}
             result["unknown"] = self.describe() | named
+            if other is not None and changes(search, self.best, other):
+                result["unknown"]["changes"] = {"like": other.candidate.name, "how": other.how, "gain": other.by_change}
         result["effort"] = {
             "seconds": round(time.monotonic() - self.began, 1),
             "simulations": self.simulator.count,

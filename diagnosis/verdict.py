@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import Literal
 
 from diagnosis.catalogue import Candidate
-from diagnosis.estimation import Fit
+from diagnosis.changing import Changing
+from diagnosis.estimation import Fit, log_priors
 from diagnosis.search import Search
 from diagnosis.transfer import Transfer
 
@@ -27,6 +28,8 @@ KEPT = 0.4
 as much more as the share that it leaves."""
 WEAK, KEPT_BY_WEAK = 100.0, 0.5
 """The same for gains in evidence [nats] of no more than this, whatever is left, if new conditions do not tell."""
+CHANGES, AS_LIKELY = 10.0, 3.0
+"""Gain [nats] by which something must change with time to be believed to, and log of the odds that the best model may have against it."""
 IDENTIFIED = 0.8
 """Probability from which one answer is given."""
 
@@ -47,12 +50,13 @@ def judged(
     best: Fit,
     nothing: float,
     moved: Transfer | None,
+    other: Changing | None,
     probabilities: Mapping[Candidate, float],
     faulty: bool,
 ) -> Verdict:
     """The verdict; `nothing`: probability of the nominal model, `moved`: what the best one is worth in new conditions.
 
-    `faulty`: a fault of the log is part of the best one.
+    `other`: an effect that changes with time. `faulty`: a fault of the log is part of the best one.
     """
     if not best.model or not believed(nothing, moved):
         return "unknown" if over_noise(search, nominal) > UNKNOWN else "none"
@@ -60,7 +64,15 @@ def judged(
         return "unknown"
     if faulty:
         return "bad_log"
+    if other is not None and changes(search, best, other):
+        return "unknown"
     return "identified" if all(probabilities[c] >= IDENTIFIED for c in best.model) else "ambiguous"
+
+
+def changes(search: Search, best: Fit, other: Changing) -> bool:
+    """Whether something changes with time, which the best model does not."""
+    odds = best.log_evidence + log_priors([best.model], search.candidates)[0]
+    return other.by_change > CHANGES and other.log_odds > odds - AS_LIKELY
 
 
 def believed(nothing: float, moved: Transfer | None) -> bool:
