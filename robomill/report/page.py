@@ -271,7 +271,7 @@ def _direction(direction: str, s: Subject) -> str:
 def _unknown(s: Subject) -> str:
     known = s.result["unknown"]
     rows = [(_bar(c["share"]), escape(s.label(c["channel"])), _code(c["channel"])) for c in known["channels"]]
-    lines = [
+    text = (
         f"The catalogue's nearest answer is {_spoken(known['nearest'])}, and it is not good enough. What it leaves is strongest in "
         f"the outputs of {known['component']} ({_direction(str(known['direction']), s)})"
         + (f", at {_times(known['regime'])}." if known.get("regime") else ".")
@@ -280,8 +280,13 @@ def _unknown(s: Subject) -> str:
             if not s.blamed
             else " Driven with measured inputs, component by component, the blame falls as below."
         )
-    ]
-    return _paragraph(lines[0]) + _table(("Share of what is left", "Signal", "Channel"), rows)
+    )
+    if "changes" in known:
+        text += (
+            f" The gap changes with time: it is like what {_spoken(known['changes']['like'])} would do if that {known['changes']['how']}. "
+            "That is a description, not a cause."
+        )
+    return _paragraph(text) + _table(("Share of what is left", "Signal", "Channel"), rows)
 
 
 def _values(entry: Mapping[str, Any]) -> str:

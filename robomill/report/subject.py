@@ -146,11 +146,10 @@ def verdict_sentence(s: Subject) -> str:
         where = f"; it shows most in {s.label(known['channels'][0]['channel'])}" if known["channels"] else ""
         why = f"leaves {percent(left)} of the gap"
         if left <= UNEXPLAINED:
-            why = (
-                "does not hold in new conditions"
-                if result.get("transfer", {}).get("stands") is False
-                else "does not hold all along the runs"
-            )
+            if result.get("transfer", {}).get("stands") is False:
+                why = "does not hold in new conditions"
+            else:
+                why = "does not change with time as the gap does" if "changes" in known else "does not hold all along the runs"
         return f"Something real that is not in the catalogue, in {place}: the best model {why}{where}."
     if s.verdict == "ambiguous":
         sure, open_ = s.sure, [w for w in result["which"] if w["probability"] < IDENTIFIED]

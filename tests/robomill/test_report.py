@@ -75,6 +75,8 @@ def subject(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Subject
         if verdict == "ambiguous":
             gain = {"sensors": {"gain_error[1]": 0.04}}
             return _subject(folder, measure(gain) + measure(gain, amplitude=0.6, seed=2), twin=True)
+        if verdict == "growing":
+            return _subject(folder, changed(measure(), "sensors.y[1]", lambda t, y: y * (1.0 + 0.001 * t)))
         if verdict == "unknown":
             return _subject(folder, changed(measure(), "sensors.y[1]", lambda t, y: y + 2e-3 * np.sin(9.0 * t) * (t > 5.0)))
         if verdict == "unknown elsewhere":
@@ -162,6 +164,11 @@ class TestContent:
         result = {**s.result, "transfer": {**s.result["transfer"], "stands": True}}
         other = replace(s, found=replace(s.found, result=result))
         assert "the best model does not hold all along the runs" in verdict_sentence(other)
+
+    def test_what_changes_with_time_is_described_by_what_it_is_like(self, page: Callable[[str], Path]) -> None:
+        text = _text(page("growing"))
+        assert "the best model does not change with time as the gap does" in text
+        assert "it is like what gain, sensor 1 would do if that grows steadily during a run. That is a description, not a cause." in text
 
     def test_the_answer_in_sentences_says_what_it_is_worth_in_new_conditions(self, subject: Callable[[str], Subject]) -> None:
         said = [line for line in lines(subject("identified").result) if line.startswith("new conditions")]
