@@ -117,10 +117,13 @@ class Conclusion:
             result["next_run"] = self.next_run(verdict) if verdict in ("identified", "ambiguous", "unknown") else None
             result["predictive"] = {f.name: f.predictive for f in self.fits if f.predictive}
         if verdict == "unknown":
-            named = {k: result["where"][0][k] for k in ("component", "direction", "regime")} if found["where"] else {}
-            result["unknown"] = self.describe() | named
+            first = result["where"][0] if found["where"] else {}
+            result["unknown"] = self.describe() | {k: first[k] for k in ("component", "direction", "regime") if first}
             if other is not None and changes(search, self.best, other):
                 result["unknown"]["changes"] = {"like": other.candidate.name, "how": other.how, "gain": other.by_change}
+                # the replay knows only effects that do not change
+                if first and all(other.candidate.component not in (w["component"], *w["alternatives"]) for w in found["where"]):
+                    first["alternatives"] = [*first["alternatives"], other.candidate.component]
         result["effort"] = {
             "seconds": round(time.monotonic() - self.began, 1),
             "simulations": self.simulator.count,
