@@ -17,7 +17,7 @@ from orchestration.slave import FloatArray
 
 BENT = 0.9
 """Cosine of the columns at two sizes below which an effect is not taken as proportional to its size."""
-TURNED = 0.5
+TURNED = 0.7
 """Cosine below which many sizes are tried."""
 SMALLER, NOTED = 0.2, 8.0
 """Part of its prior scale below which an effect that seems to explain this much [nats] is tried at sizes in between, too."""

@@ -10,7 +10,7 @@ import numpy as np
 from diagnosis.catalogue import LOGGING, Catalogue, Nuisance
 from diagnosis.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
 from diagnosis.evidence import DEPENDENCE
-from diagnosis.screening import NOMINAL, WORTH, Screening
+from diagnosis.screening import LARGE, NOMINAL, WORTH, Screening
 from diagnosis.simulation import Setting, Simulator, setting
 from orchestration.slave import FloatArray
 
@@ -34,6 +34,8 @@ FAR, NEARBY = 50.0, 0.4
 """Log of the odds against a model, beside the best of its size, from which it is not looked at more closely; or that part of the gain."""
 SINGLES, BASES, EXTENSIONS = 10, 3, 4
 """How many single candidates are refined, how many of them grow, and by how many partners each."""
+HIDDEN = 0.1
+"""Part of a gap without the tolerances like it that a candidate leaves, which is looked at though with them it seems to be of no use."""
 LARGEST, GROWN = 3, 4
 """Effects of the largest models, and how often models are grown: once more where the best one loses an effect that is too small."""
 
@@ -184,6 +186,7 @@ class Search:
         self.screened = screened
         gain = space.energy - min((f.energy for f in screened), default=space.energy)
         chosen = [f for f in screened if space.energy - f.energy > WORTH * gain][:SINGLES] or screened[:SINGLES]
+        chosen += [f for f in screened if f not in chosen and self._hidden(f)]
         level = self._sharpened(self.polish(self.refine(chosen), chosen))
         fits += level
         bases = self._best(level, BASES)
@@ -193,9 +196,12 @@ class Search:
             best = max(f.log_evidence for f in fits)
             grown = sorted(self.screen(bases), key=_evidence, reverse=True)
             promising = [f for f in grown if f.log_evidence > best + PROMISING][: EXTENSIONS * len(bases)]
+            hidden = {frozenset(f.model) for f in grown if f not in promising and self._hidden(f)}
+            promising += [f for f in grown if frozenset(f.model) in hidden]
             if not promising:
                 break
             level = [f for f in self._sharpened(self.polish(self.refine(promising), promising)) if self._worth(f, fits)]
+            level = [f for f in level if frozenset(f.model) not in hidden or f.log_evidence > best + PROMISING]
             smaller = self._smaller(level, fits)
             again = {frozenset(f.model) for f in smaller}
             fits = [f for f in fits if frozenset(f.model) not in again] + level + smaller
@@ -204,6 +210,15 @@ class Search:
         for f in sorted(fits[1:], key=_evidence, reverse=True)[:3]:
             f.predictive = {name: part.predicted for name, part in leave_one_out(f, space).items()}
         return fits
+
+    def _hidden(self, fit: Fit) -> bool:
+        """Whether the last effect of a model explains nearly all of a large gap that tolerances explain better, as far as columns can tell.
+
+        Against a gap that is hundreds of times the noise no column is exact enough; a simulation is.
+        """
+        space = self.evidence.space
+        own, before = space.without(list(fit.values)), space.without([a for c in fit.model[:-1] for a in c.addresses])
+        return own is not before and own.energy > LARGE * float(self.evidence.expected.sum()) and fit.energy < HIDDEN * own.energy
 
     def _best(self, level: Sequence[Fit], count: int) -> list[Fit]:
         return sorted(level, key=_evidence, reverse=True)[:count]

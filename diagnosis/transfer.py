@@ -40,6 +40,8 @@ class Transfer:
     gain: float
     promised: float
     """What the model gains against the nominal system, and what it would if it were right [nats]."""
+    doubt: float = 0.0
+    """Deviation of the fitted values, relative to them."""
 
     @property
     def tells(self) -> bool:
@@ -49,7 +51,8 @@ class Transfer:
     @property
     def holds(self) -> bool:
         """Whether the model is worth there what it promised, or may be but for chance."""
-        deviation = math.sqrt(2.0 * max(self.promised, 0.0))
+        promised = max(self.promised, 0.0)  # by noise, and twice as much off as the values are, as it goes with their square
+        deviation = math.hypot(math.sqrt(2.0 * promised), 2.0 * self.doubt * promised)
         short = self.gain < HOLDS * self.promised and self.promised - self.gain > CHANCE * deviation
         beyond = self.gain > SURPLUS * self.promised and self.gain - self.promised > BY_FAR * deviation
         return not short and not beyond
@@ -90,7 +93,7 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Map
 
     before, after = energy(e.space.y), energy(e.space.y - signature, doubt * signature)
     noise = float(e.expected.sum() - e.expected[rows].sum())
-    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * energy(signature))
+    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * energy(signature), doubt)
 
 
 def _energy(space: Space, left: FloatArray, unsure: FloatArray | None) -> float:
