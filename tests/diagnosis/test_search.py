@@ -20,7 +20,7 @@ from orchestration.assembly import run
 from orchestration.results import Run
 from orchestration.slave import FloatArray
 from orchestration.system import Component, System
-from tests.diagnosis.demo import SYSTEM, Part, catalogue, measure, real, resolve
+from tests.diagnosis.demo import SYSTEM, Part, catalogue, changed, measure, real, resolve
 
 GAIN, RUBBING, CLOCK = ("sensors", "gain_error[1]"), ("masses", "friction[1]"), ("logging", "lag sensors.*")
 
@@ -118,3 +118,18 @@ def test_a_delay_of_what_swings_is_found_though_it_must_be_right_to_a_part_of_th
     result = diagnose(SWING, made, Catalogue.load(tmp_path / "delay.toml"), resolver=lambda *_: Swing("swing")).result
     assert result["verdict"] == "identified"
     assert result["which"][0]["parameters"]["delay"]["value"] == pytest.approx(0.1337, abs=2e-4)
+
+
+def test_an_effect_that_a_tolerance_hides_is_looked_at_by_what_it_leaves_without_that(tmp_path: Path) -> None:
+    """Sensors that are late by 6 ms: to be 2 ms late at random is a tolerance, which leaves less than a column that is not quite right."""
+    late = changed(measure(), "sensors.y[1]", lambda t, y: np.interp(t - 0.006, t, y))
+    late = changed(late, "sensors.y[2]", lambda t, y: np.interp(t - 0.006, t, y))
+    with search(tmp_path, late) as s:
+        noise, space = float(s.evidence.expected.sum()), s.evidence.space
+        without = space.without([CLOCK]).energy / noise
+        assert without > 10.0 * space.energy / noise  # of noise
+        assert s._hidden(fit(s, {CLOCK: 0.006}, left=0.05 * without))
+        assert not s._hidden(fit(s, {CLOCK: 0.006}, left=0.2 * without))
+        assert s._hidden(fit(s, {GAIN: 0.01, CLOCK: 0.006}, left=0.05 * without))
+        assert not s._hidden(fit(s, {CLOCK: 0.006, GAIN: 0.01}, left=0.05 * without))  # what is added last: no tolerance is like a gain
+        assert not s._hidden(fit(s, {GAIN: 0.01}))
