@@ -9,7 +9,7 @@ from typing import Literal
 from diagnosis.catalogue import Candidate
 from diagnosis.changing import Changing
 from diagnosis.estimation import Fit, log_priors
-from diagnosis.search import Search
+from diagnosis.search import SUBSTANTIAL, Search
 from diagnosis.transfer import Transfer
 
 Verdict = Literal["none", "identified", "ambiguous", "unknown", "bad_log"]
@@ -72,7 +72,8 @@ def judged(
 def changes(search: Search, best: Fit, other: Changing) -> bool:
     """Whether something changes with time, which the best model does not."""
     odds = best.log_evidence + log_priors([best.model], search.candidates)[0]
-    return other.by_change > CHANGES and other.log_odds > odds - AS_LIKELY
+    beyond = best.energy - float(search.evidence.expected.sum())  # of what a strong effect leaves, something always goes with time
+    return other.by_change > max(CHANGES, 0.5 * SUBSTANTIAL * beyond) and other.log_odds > odds - AS_LIKELY
 
 
 def believed(nothing: float, moved: Transfer | None) -> bool:

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
 import pytest
 
+from diagnosis.changing import Changing
+from diagnosis.estimation import Fit
 from diagnosis.transfer import Transfer
-from diagnosis.verdict import believed
+from diagnosis.verdict import believed, changes
+from tests.diagnosis.demo import catalogue
 
 
 @pytest.mark.parametrize(
@@ -29,3 +38,23 @@ def test_what_little_evidence_there_is_must_not_break_its_promise_either() -> No
     """A machine without effects (case 0214 of seed 2037): half of a promise is as far from it as from none."""
     assert believed(0.04, Transfer(1.0, 1.0, 20.0, 31.0))
     assert not believed(0.04, Transfer(1.0, 1.0, 2.0, 31.0))
+
+
+@pytest.mark.parametrize(
+    ("by_change", "odds", "left", "there"),
+    [
+        (20.0, -2.0, 1.1, True),  # creep that looks like hysteresis
+        (9.0, 5.0, 1.1, False),  # too little to be believed
+        (20.0, -4.0, 1.1, False),  # the best model is likelier
+        (62.0, 40.0, 20.0, False),  # a runout leaves much at this step, and a part of it goes with time (case 0168 of seed 2039)
+        (600.0, 40.0, 20.0, True),
+    ],
+)
+def test_what_changes_with_time_must_be_likely_and_a_good_part_of_what_is_left(
+    tmp_path: Path, by_change: float, odds: float, left: float, there: bool
+) -> None:
+    search = cast(Any, SimpleNamespace(candidates=catalogue(tmp_path).candidates, evidence=SimpleNamespace(expected=np.full(1000, 1.0))))
+    best = Fit((), {}, {}, 0.0, 1000.0 * left)
+    prior = math.log(0.3)  # of no effect
+    other = Changing(search.candidates[0], "grows", odds + prior, by_change)
+    assert changes(search, best, other) is there
