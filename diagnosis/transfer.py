@@ -51,8 +51,8 @@ class Transfer:
     @property
     def holds(self) -> bool:
         """Whether the model is worth there what it promised, or may be but for chance."""
-        promised = max(self.promised, 0.0)  # by noise, and twice as much off as the values are, as it goes with their square
-        deviation = math.hypot(math.sqrt(2.0 * promised), 2.0 * self.doubt * promised)
+        # of noise, and of the fitted values: the promise goes with their square
+        deviation = math.hypot(math.sqrt(2.0 * max(self.promised, 0.0)), 2.0 * self.doubt * self.promised)
         short = self.gain < HOLDS * self.promised and self.promised - self.gain > CHANCE * deviation
         beyond = self.gain > SURPLUS * self.promised and self.gain - self.promised > BY_FAR * deviation
         return not short and not beyond
