@@ -20,7 +20,7 @@ from diagnosis.screening import NOMINAL
 from diagnosis.search import Search, likely_count
 from diagnosis.simulation import Laboratory, Report, Setting, Simulator, decimate, setting
 from diagnosis.store import Store
-from diagnosis.verdict import UNKNOWN, over_noise, unexplained
+from diagnosis.verdict import UNEXPLAINED, UNKNOWN, over_noise, unexplained
 from orchestration.assembly import Resolver, assemble, run
 from orchestration.parameters import Convert, same_unit_only
 from orchestration.results import Run
@@ -91,7 +91,7 @@ def diagnose(
                 if little and not any(c.component == LOGGING for c in best.model):
                     findings = _gate(laboratory, simulator, groups, n, channels, ranges, setting(best.values))
                     fatal = [f for f in findings if f.fatal]
-            elif (finding := _wrong_sign(catalogue, search, fits, groups[:n], nuisances)) is not None:
+            elif (finding := _wrong_channel(catalogue, search, fits, groups[:n], nuisances)) is not None:
                 findings.append(finding)
                 fatal = [finding]
         if fatal:
@@ -106,14 +106,16 @@ def _best(search: Search, fits: Sequence[Fit]) -> Fit:
     return fits[int(probabilities(fits, search.candidates).argmax())]
 
 
-def _wrong_sign(
+def _wrong_channel(
     catalogue: Catalogue, search: Search, fits: Sequence[Fit], groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
 ) -> gate.Finding | None:
-    """The channel that has nearly all of a gap that nothing explains, if a model explains the log with its sign turned.
+    """The channel that has nearly all of a gap that nothing explains, if it stands still, or a model explains the log with its sign turned.
 
-    The gate sees a wrong sign by the nominal signal. Where an effect is much larger than that, only both together say so.
+    The gate lets a channel rest at an extreme, as a limit does, and sees a wrong sign by the nominal signal: where an effect is
+    much larger than that, only both together say so.
     """
-    if over_noise(search, _best(search, fits)) < UNKNOWN:
+    best = _best(search, fits)
+    if over_noise(search, best) < UNKNOWN:
         return None
     names = [c for c, on in zip(search.simulator.laboratory.channels, search.evidence.active, strict=True) if on]
     gap = search.evidence.space.y
@@ -121,12 +123,27 @@ def _wrong_sign(
     if energy.max() < DOMINANT * energy.sum():
         return None
     name = names[int(energy.argmax())]
+    if unexplained(over_noise(search, fits[0]), over_noise(search, best)) >= UNEXPLAINED and (rest := _rest(search, best, groups, name)):
+        return gate.Finding(name, "constant", rest, "s", f"stands still for {rest:.2f} s, which nothing explains")
     sign = np.where(np.array(search.simulator.laboratory.channels) == name, -1.0, 1.0)
     turned = Search(catalogue, search.simulator, [[sign * x for x in group] for group in groups], nuisances)
     other = _best(turned, turned.run())
     if over_noise(turned, other) >= UNKNOWN and unexplained(over_noise(search, fits[0]), over_noise(turned, other)) >= LITTLE:
         return None
     return gate.Finding(name, "sign", -1.0, "1", f"has the wrong sign: with the other one, {other.name} explains the log")
+
+
+def _rest(search: Search, best: Fit, groups: Sequence[Sequence[FloatArray]], name: str) -> float:
+    """The shortest time [s] for which a channel stands still in any of the runs, while the best model moves."""
+    laboratory = search.simulator.laboratory
+    i, step = laboratory.channels.index(name), laboratory.system.step * laboratory.decimation
+    simulated = search.simulator.repeated(range(len(groups)), setting(best.values), NOMINAL, "the log")
+    rests = []
+    for group, models in zip(groups, simulated, strict=True):
+        assert models is not None
+        noise = float(np.std(np.stack(group)[..., i] - np.mean(group, axis=0)[:, i])) if len(group) > 1 else 0.0
+        rests += [gate.stopped(x[:, i], np.mean(models, axis=0)[:, i], step, noise) for x in group]
+    return min(rests)
 
 
 def _ports(

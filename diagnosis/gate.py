@@ -135,6 +135,13 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
     return found
 
 
+def stopped(x: FloatArray, s: FloatArray, step: float, noise: float) -> float:
+    """How long [s] a measured channel stands still, wherever that is, while its simulation moves; 0.0 if it does not."""
+    stretch = _still(x)
+    enough = len(stretch) * step > 0.5 and len(stretch) > 0.1 * len(x)
+    return len(stretch) * step if enough and np.ptp(s[stretch]) > 20.0 * noise else 0.0
+
+
 def _visible(energy: float, noise: float, n: int) -> bool:
     return bool(energy > 25.0 * noise * noise * n and energy > 0.0)
 

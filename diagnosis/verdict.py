@@ -16,6 +16,8 @@ Verdict = Literal["none", "identified", "ambiguous", "unknown", "bad_log"]
 
 CLEAR, FIRM = 3.0, 8.0
 """Log of the odds that there is an effect at all, from which that is believed; below FIRM what new conditions gain or lose counts."""
+FAINT = 0.4
+"""Part of a promise above FIRM that an answer of such odds must keep in new conditions, be it chance or not."""
 LIKE_NOISE, AT_MOST = 1.2, 1.28
 """Energy, over that of noise, that two systems which are the same but for calibration usually leave, and that a model may leave
 whatever its share is."""
@@ -81,7 +83,9 @@ def believed(nothing: float, moved: Transfer | None) -> bool:
     odds = math.log((1.0 - nothing) / nothing) if nothing > 0.0 else math.inf
     if moved is None or odds >= FIRM:
         return odds >= CLEAR
-    return moved.holds and odds + moved.gain >= CLEAR
+    # where they could make an answer firm, one that rests on little else must not gain a small part of that only
+    faint = moved.promised > FIRM and moved.gain < FAINT * moved.promised
+    return moved.holds and not faint and odds + moved.gain >= CLEAR
 
 
 def _adequate(search: Search, nominal: Fit, best: Fit, moved: Transfer | None) -> bool:
