@@ -229,6 +229,26 @@ class TestGate:
         assert (finding["kind"], finding["channel"]) == ("sign", "sensors.y[2]")
         assert finding["text"] == "has the wrong sign: with the other one, gain @ sensor 2 explains the log"
 
+    def test_a_channel_that_rests_at_an_extreme_and_has_all_of_a_gap_that_nothing_explains_is_stopped(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """By itself, rest where the simulation goes as far may be a limit (case 0086 of seed 2035); here the simulation may go anywhere."""
+        monkeypatch.setattr(gate, "LIMIT", 1.5)
+        runs = changed(measure(), "sensors.y[2]", lambda t, y: np.where(t > t[y[:400].argmax()], y[:400].max(), y))
+        result = answer(tmp_path, runs).result
+        assert result["verdict"] == "bad_log"
+        (finding,) = result["gate"]["findings"]
+        assert (finding["kind"], finding["channel"]) == ("constant", "sensors.y[2]")
+        assert finding["text"].startswith("stands still for ")
+        assert finding["text"].endswith(" s, which nothing explains")
+
+    def test_a_channel_has_stopped_only_where_its_simulation_moves(self) -> None:
+        t = np.arange(800) * 0.01
+        simulated = np.minimum(t, 4.0)
+        assert gate.stopped(np.minimum(t, 2.0), simulated, 0.01, 1e-3) == pytest.approx(6.0)
+        assert gate.stopped(np.minimum(t, 3.999), simulated, 0.01, 1e-3) == 0.0  # as the simulation, but for noise
+        assert gate.stopped(t % 0.4, simulated, 0.01, 1e-3) == 0.0
+
     @pytest.mark.parametrize("lost", [0.8, 0.98])
     def test_a_range_that_is_too_small_is_an_effect_and_no_standstill(self, tmp_path: Path, lost: float) -> None:
         def clipped(_: Any, y: Any) -> Any:
