@@ -127,7 +127,14 @@ def parser() -> argparse.ArgumentParser:
     diagnose.add_argument(
         "runs", type=Path, nargs="+", metavar="RUN", help="folders of measured runs; repeats of one condition belong together"
     )
-    diagnose.add_argument("--held-out", type=Path, nargs="+", default=[], metavar="RUN", help="runs that only the closure is measured on")
+    diagnose.add_argument(
+        "--held-out",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="RUN",
+        help="runs that are not fitted: does the answer hold there, and how far is the gap closed",
+    )
     diagnose.add_argument("--catalogue", type=Path, metavar="FILE", help="candidate effects (default: catalogue.toml beside the system)")
     diagnose.add_argument("--out", type=Path, default=Path("results") / "diagnosis", metavar="DIR", help="folder for the answer")
     diagnose.add_argument("--repair", action="store_true", help="correct a clock that is late, and diagnose the rest")
