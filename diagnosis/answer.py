@@ -13,7 +13,7 @@ from diagnosis import gate, next_run
 from diagnosis.catalogue import Address
 from diagnosis.estimation import Fit
 from diagnosis.localise import Projection
-from diagnosis.simulation import Laboratory, decimate
+from diagnosis.simulation import Laboratory, Simulator, decimate
 from orchestration.slave import FloatArray
 
 SCHEMA = "robomill-diagnosis/1"
@@ -44,7 +44,7 @@ class Diagnosis:
     deviation) of the repeats [channels], 0 for a single one. Without `adopted` where nothing was fitted."""
 
 
-def result_of(verdict: str, findings: Sequence[gate.Finding], began: float, simulations: int) -> dict[str, Any]:
+def result_of(verdict: str, findings: Sequence[gate.Finding], began: float, simulator: Simulator) -> dict[str, Any]:
     """diagnosis.json as far as it is the same for all verdicts; `began`: when, by the monotonic clock [s]."""
     return {
         "schema": SCHEMA,
@@ -54,8 +54,13 @@ def result_of(verdict: str, findings: Sequence[gate.Finding], began: float, simu
         "which": [],
         "how_far": [],
         "next_run": None,
-        "effort": {"seconds": round(time.monotonic() - began, 1), "simulations": simulations},
+        "effort": effort_of(began, simulator),
     }
+
+
+def effort_of(began: float, simulator: Simulator) -> dict[str, Any]:
+    """What it took so far; `began`: see `result_of`."""
+    return {"seconds": round(time.monotonic() - began, 1), "simulations": simulator.count, "taken_over": simulator.found}
 
 
 def curves_of(

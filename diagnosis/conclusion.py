@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import combinations
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from diagnosis import gate, isolability, next_run
-from diagnosis.answer import Diagnosis, Menu, curves_of, result_of
+from diagnosis.answer import Diagnosis, Menu, curves_of, effort_of, result_of
 from diagnosis.catalogue import LOGGING, Address, Candidate
 from diagnosis.changing import changing
 from diagnosis.estimation import Fit, probabilities
@@ -89,7 +88,7 @@ class Conclusion:
                 place=c.location, value=1e3 * value if c.unit == "s" else value, unit="ms" if c.unit == "s" else c.unit
             )
             self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, not self.repair, self.repair))
-        result = result_of(verdict, self.findings, self.began, 0)
+        result = result_of(verdict, self.findings, self.began, self.simulator)
         self.pairs = isolability.pairs(self.fits, [c for c, p in marginal.items() if p >= LISTED], self.search.evidence.space)
         result["isolability"] = [
             {"pair": [p.one.name, p.other.name], "distance": p.distance, "confusable": p.confusable} for p in self.pairs
@@ -124,11 +123,7 @@ class Conclusion:
                 # the replay knows only effects that do not change
                 if first and all(other.candidate.component not in (w["component"], *w["alternatives"]) for w in found["where"]):
                     first["alternatives"] = [*first["alternatives"], other.candidate.component]
-        result["effort"] = {
-            "seconds": round(time.monotonic() - self.began, 1),
-            "simulations": self.simulator.count,
-            "taken_over": self.simulator.found,
-        }
+        result["effort"] = effort_of(self.began, self.simulator)
         return Diagnosis(result, adopted, tuple(self.fits), tuple(self.laboratory.channels), self.curves(adopted))
 
     def transfer(self) -> Transfer | None:

@@ -95,7 +95,7 @@ def diagnose(
                 findings.append(finding)
                 fatal = [finding]
         if fatal:
-            result = result_of("bad_log", findings, began, simulator.count)
+            result = result_of("bad_log", findings, began, simulator)
             curves = curves_of(laboratory, groups, simulator.repeated(range(n), (), NOMINAL))
             return Diagnosis(result, {}, channels=tuple(channels), curves=curves)
         return Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, began).diagnosis()
