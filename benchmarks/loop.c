@@ -1,6 +1,7 @@
 /* The plain C loop that masters are compared with: a ring of FMUs, Jacobi, one set, one step, one get per FMU.
    loop STEPS RECORD LIBRARY...   RECORD 1 keeps every row in memory that is there before the clock starts, RECORD 3 in memory that
-   is taken as it fills, RECORD 2 writes them to rows.bin in the working folder, in pieces of 4096. Prints ns per step, wall clock and CPU, then all outputs as hexadecimal numbers. */
+   is taken as it fills, RECORD 2 writes them to rows.bin in the working folder, in pieces of 4096. Prints ns per step, wall clock
+   and CPU, then all outputs as hexadecimal numbers. */
 #include <dlfcn.h>
 #include <fcntl.h>
 #include <stdio.h>
@@ -31,7 +32,7 @@ int main(int argc, char **argv) {
     double *y = calloc(n * N, sizeof *y), *rows = record ? malloc(sizeof *rows * held * width) : NULL, h = 0.004;
     int file = record == 2 ? open("rows.bin", O_CREAT | O_TRUNC | O_WRONLY, 0600) : -1;
     struct timespec a, b, p, q;
-    if (record && record != 3) for (long i = 0; i < held * (long)width; i += 512) rows[i] = 0;
+    if (record && record != 3) for (long i = 0; i < held * (long)width; i += 512) rows[i] = 0; /* takes every page */
     for (int i = 0; i < N; i++) in[i] = i, out[i] = N + i;
     for (int k = 0; k < n; k++) {
         void *library = dlopen(argv[3 + k], RTLD_NOW | RTLD_LOCAL);
