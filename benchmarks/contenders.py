@@ -130,21 +130,21 @@ class Ring(Bench):
         self.calls = calls(self.network)
 
     @cached_property
-    def _loops(self) -> dict[str, Program]:
-        """The plain C loop by how it keeps results in memory."""
+    def _loop(self) -> tuple[str, list[str]]:
+        """The compiled C loop, and a library for each FMU."""
         program = ring.build_loop(self.folder, self.signals)
-        libraries = [shutil.copy(self.folder / "ring.so", self.folder / f"ring{k}.so") for k in range(self.count)]
+        return str(program), [str(shutil.copy(self.folder / "ring.so", self.folder / f"ring{k}.so")) for k in range(self.count)]
 
-        def loop(kept: int) -> Program:
-            return Program(lambda steps, record: [str(program), str(steps), str(kept * record), *map(str, libraries)])
-
-        return {C_LOOP: loop(1), C_LOOP_FILLING: loop(3)}
+    def loop(self, kept: int) -> Program:
+        """The plain C loop; `kept`: how it keeps results if they are wanted, RECORD of `loop.c`."""
+        program, libraries = self._loop
+        return Program(lambda steps, record: [program, str(steps), str(kept * record), *libraries])
 
     def masters(self) -> list[Contender]:
         """One of each library, at its best: for scaling, memory, cold start."""
         network = self.network
         return [
-            Contender(C_LOOP, lambda _: self._loops[C_LOOP], ("none", "memory"), "statuses checked, nothing else"),
+            Contender(C_LOOP, lambda _: self.loop(1), ("none", "memory"), "statuses checked, nothing else"),
             Contender(OURS, self.worker("compiled", self.system, "system"), ("none", "memory", "disk")),
             Contender("FMPy, lists", self.worker("fmpy", network, "network"), ("none", "memory")),
             Contender("libcosim (libcosimpy)", self.worker("libcosim", network, "network"), ("none", "memory", "disk")),
@@ -157,10 +157,9 @@ class Ring(Bench):
         in_process = replace(self.system, components=tuple(replace(c, source="ring") for c in self.system.components))
         python = build_python(ring_model.MODEL, self.folder / "python.fmu", page="", reference={})
         pythonfmu = replace(self.system, components=tuple(replace(c, source=str(python)) for c in self.system.components))
-        filling = self._loops[C_LOOP_FILLING]
         return [
             *self.masters(),
-            Contender(C_LOOP_FILLING, lambda _: filling, ("memory",), "takes it while the clock runs, as all the others do"),
+            Contender(C_LOOP_FILLING, lambda _: self.loop(3), ("memory",), "takes it while the clock runs, as all the others do"),
             Contender("robomill, Python loop", self.worker("python", self.system, "system"), ("none", "disk")),
             Contender("robomill, compiled loop, in process", self.worker("compiled", in_process, "in_process"), ("none", "disk")),
             Contender("robomill, compiled loop, pythonfmu", self.worker("compiled", pythonfmu, "pythonfmu"), ("none", "disk")),

@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import argparse
 import os
-import shutil
 import statistics
 import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks import ring
 from benchmarks.answer import Answer
 from benchmarks.contenders import Ring
-from benchmarks.runners import Program, Runner
+from benchmarks.runners import Runner
 
 DOCS = Path(__file__).parent.parent / "docs" / "benchmarks"
 STEPS = 300_000
@@ -25,17 +23,6 @@ KINDS = {"none": 0, "memory": 1, "memory as it fills": 3, "disk": 2}
 """Of the C loop: what it is told."""
 OURS = {"none": "none", "memory": "memory as it fills", "disk": "disk"}
 """Of ours: which C loop does the same."""
-
-
-def loops(bench: Ring) -> dict[str, Program]:
-    """The plain C loop by what it does with results; on disk it writes rows of plain numbers."""
-    program = ring.build_loop(bench.folder, bench.signals)
-    libraries = [str(shutil.copy(bench.folder / "ring.so", bench.folder / f"ring{k}.so")) for k in range(bench.count)]
-
-    def loop(number: int) -> Program:
-        return Program(lambda steps, _: [str(program), str(steps), str(number), *libraries])
-
-    return {kind: loop(number) for kind, number in KINDS.items()}
 
 
 def ratio(answers: Sequence[Answer], others: Sequence[Answer]) -> str:
@@ -55,14 +42,15 @@ def main() -> None:
         bench = Ring(Path(name) / "ring")
         os.chdir(name)  # the C loop writes there
         ours = bench.worker("compiled", bench.system, "system")(None)
-        masters: list[tuple[str, str, Runner]] = [("plain C loop", kind, program) for kind, program in loops(bench).items()]
-        masters += [("robomill, compiled loop", kind, ours) for kind in OURS]
-        for master, kind, runner in masters:
-            runner.run(STEPS // 10, kind)
+        # which of its ways the C loop takes is in its command
+        masters: list[tuple[str, str, Runner, str]] = [("plain C loop", kind, bench.loop(kept), "memory") for kind, kept in KINDS.items()]
+        masters += [("robomill, compiled loop", kind, ours, kind) for kind in OURS]
+        for master, kind, runner, results in masters:
+            runner.run(STEPS // 10, results)
             found[master, kind] = []
         for _ in range(options.rounds):
-            for master, kind, runner in masters:
-                found[master, kind].append(runner.run(STEPS, kind))
+            for master, kind, runner, results in masters:
+                found[master, kind].append(runner.run(STEPS, results))
         ours.close()
         bench.close()
     lines = [

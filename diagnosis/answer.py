@@ -44,8 +44,8 @@ class Diagnosis:
     deviation) of the repeats [channels], 0 for a single one. Without `adopted` where nothing was fitted."""
 
 
-def result_of(verdict: str, findings: Sequence[gate.Finding], began: float, simulator: Simulator) -> dict[str, Any]:
-    """diagnosis.json as far as it is the same for all verdicts; `began`: when, by the monotonic clock [s]."""
+def result_of(verdict: str, findings: Sequence[gate.Finding]) -> dict[str, Any]:
+    """diagnosis.json as far as it is the same for all verdicts, without `effort_of` it."""
     return {
         "schema": SCHEMA,
         "verdict": verdict,
@@ -54,12 +54,11 @@ def result_of(verdict: str, findings: Sequence[gate.Finding], began: float, simu
         "which": [],
         "how_far": [],
         "next_run": None,
-        "effort": effort_of(began, simulator),
     }
 
 
 def effort_of(began: float, simulator: Simulator) -> dict[str, Any]:
-    """What it took so far; `began`: see `result_of`."""
+    """What it took so far; `began`: when, by the monotonic clock [s]."""
     return {"seconds": round(time.monotonic() - began, 1), "simulations": simulator.count, "taken_over": simulator.found}
 
 

@@ -88,7 +88,7 @@ class Conclusion:
                 place=c.location, value=1e3 * value if c.unit == "s" else value, unit="ms" if c.unit == "s" else c.unit
             )
             self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, not self.repair, self.repair))
-        result = result_of(verdict, self.findings, self.began, self.simulator)
+        result = result_of(verdict, self.findings)
         self.pairs = isolability.pairs(self.fits, [c for c, p in marginal.items() if p >= LISTED], self.search.evidence.space)
         result["isolability"] = [
             {"pair": [p.one.name, p.other.name], "distance": p.distance, "confusable": p.confusable} for p in self.pairs

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis import gate
-from diagnosis.answer import Diagnosis, Menu, curves_of, result_of
+from diagnosis.answer import Diagnosis, Menu, curves_of, effort_of, result_of
 from diagnosis.catalogue import LOGGING, Catalogue, Nuisance
 from diagnosis.conclusion import Conclusion
 from diagnosis.estimation import Fit, probabilities
@@ -95,8 +95,8 @@ def diagnose(
                 findings.append(finding)
                 fatal = [finding]
         if fatal:
-            result = result_of("bad_log", findings, began, simulator)
             curves = curves_of(laboratory, groups, simulator.repeated(range(n), (), NOMINAL))
+            result = result_of("bad_log", findings) | {"effort": effort_of(began, simulator)}
             return Diagnosis(result, {}, channels=tuple(channels), curves=curves)
         return Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, began).diagnosis()
 
