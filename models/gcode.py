@@ -81,6 +81,8 @@ class Move:
     """rad/s; positive for M3 (clockwise seen from the spindle), negative for M4, 0 for M5."""
     tolerance: float
     """Largest deviation in m when the corner at the end is blended (G64 P); 0 = exact (G61)."""
+    tool: int = field(default=0, kw_only=True)
+    """Number of the tool in the spindle (T after M6); 0 = none named."""
 
 
 @dataclass(frozen=True)

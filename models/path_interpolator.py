@@ -37,6 +37,7 @@ from models.segment_table import (
     SPEED,
     SPINDLE,
     TAU,
+    TOOL,
 )
 
 PILOT_CAPACITY = 4096
@@ -224,6 +225,7 @@ def evaluate(s: Record, anywhere: bool) -> int:
             s.quat_BT[i] = -s.quat_BT[i]
     s.spindle_speed = s.segments[row, SPINDLE]
     s.block = int(s.segments[row, BLOCK])
+    s.tool = int(s.segments[row, TOOL])
     s.finished = 1 if row == int(s.segments_rows) - 1 else 0
     pilot_force(s)
     s.fault_line = int(s.segments[row, LINE])
@@ -302,6 +304,7 @@ MODEL = Model(
         Variable("f_pilot_B", "output", "Offline force on the tool, lead_time ahead on the path", "N", (3,), depends_on=_RATIO),
         Variable("spindle_speed", "output", "Commanded spindle speed", "rad/s", display_unit="rpm", depends_on=_RATIO),
         Variable("block", "output", "Block (N) number of the program, its line where it has none", kind="integer", depends_on=_RATIO),
+        Variable("tool", "output", "Number of the tool in the spindle, 0 = none named", kind="integer", depends_on=_RATIO),
         Variable("path_time", "output", "Time along the path at speed ratio 1", "s", depends_on=_RATIO),
         Variable("finished", "output", "The path has come to its end", kind="boolean", depends_on=_RATIO),
         Variable(

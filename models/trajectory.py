@@ -43,6 +43,7 @@ from models.segment_table import (
     SPEED,
     SPINDLE,
     TAU,
+    TOOL,
 )
 
 _STRAIGHT_ON = 1e-6
@@ -167,6 +168,7 @@ class _Stretch:
     """Blend tolerance [m] at its end; 0 = none."""
     distance: float = 0.0
     """Blend distance [m] at its end; 0 = none."""
+    tool: int = 0
     in_place: bool = False
     rapid: bool = False
     corner: int = 0
@@ -179,7 +181,7 @@ class Plan:
 
     name: str
     table: FloatArray
-    """(rows, 49), read-only; the last row is the rest at the end."""
+    """(rows, 50), read-only; the last row is the rest at the end."""
     length: float
     """Path length in m."""
     reduced: tuple[str, ...]
@@ -194,7 +196,7 @@ class Plan:
         return float(self.table[-1, TAU])
 
     def rows(self, tau: FloatArray) -> tuple[FloatArray, ...]:
-        """For path times tau [s] (n,): their rows (n, 49), and path coordinate [m], speed [m/s], acceleration [m/s2] (n,)."""
+        """For path times tau [s] (n,): their rows (n, 50), and path coordinate [m], speed [m/s], acceleration [m/s2] (n,)."""
         times = np.atleast_1d(np.asarray(tau, dtype=np.float64))
         index = np.clip(np.searchsorted(self.table[:, TAU], times, side="right") - 1, 0, None)
         rows = self.table[index]
@@ -318,7 +320,7 @@ def _moves(program: Program, placement: Placement, limits: PathLimits) -> list[_
             feed = limits.rapid_speed if action.feed is None else action.feed
             shape, rapid = _shape(action, placement), action.feed is None
             said = (feed, action.line, action.block, action.spindle_speed)
-            items.append(_Stretch(shape, turn, *said, tolerance=action.tolerance, rapid=rapid))
+            items.append(_Stretch(shape, turn, *said, tolerance=action.tolerance, tool=action.tool, rapid=rapid))
     return items
 
 
@@ -398,7 +400,7 @@ def _runs(items: list[_Stretch | Dwell], limits: PathLimits) -> list[list[_Stret
 
 def _joint(before: _Stretch, after: _Stretch, corner: int) -> tuple[float, list[_Stretch]] | None:
     """How two moves are joined: None = stop; else blend distance and blend pieces (0 and none: run straight through)."""
-    if before.in_place or after.in_place or before.spindle != after.spindle:
+    if before.in_place or after.in_place or before.spindle != after.spindle or before.tool != after.tool:
         return None
     _, t0, k0 = before.shape.at(before.shape.length)
     _, t1, k1 = after.shape.at(0.0)
@@ -515,7 +517,7 @@ def _row(element: _Stretch, phase: Phase | None = None, t: float = 0.0, tau: flo
     """One table row: `element` from time `t` of `phase` on; without a phase at rest."""
     row = np.zeros(COLUMNS)
     kind, geometry = element.shape.row()
-    row[[KIND, BLOCK, LINE, SPINDLE]] = kind, element.block, element.line, element.spindle
+    row[[KIND, BLOCK, LINE, SPINDLE, TOOL]] = kind, element.block, element.line, element.spindle, element.tool
     row[GEOMETRY : GEOMETRY + GEOMETRY_COLUMNS] = geometry
     turn = element.turn
     x, y, z, w = turn.R.as_quat()

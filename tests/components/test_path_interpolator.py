@@ -22,6 +22,7 @@ from models.path_interpolator import MODEL
 from models.point_path import read_points
 from models.reachability import check_reachable
 from models.robots import KR300, SPINDLE_ACROSS, Robot
+from models.segment_table import COLUMNS, TAU, TOOL
 from models.trajectory import Placement, Plan, PlanError, pilot_table, plan
 from tests.tolerances import EXACT, ROUNDOFF, discretisation, physics
 
@@ -267,11 +268,30 @@ class TestParity:
             assert plain.tobytes() == compiled.tobytes(), f"step {k}"
 
 
+class TestTool:
+    """The number of the tool in the spindle follows the program; a change is a stop."""
+
+    def test_the_path_stops_where_the_tool_changes_and_the_number_is_that_of_the_move(self) -> None:
+        program = parse("G21 G90 G17 G0 X0 Y0 Z0\nF1500 S13000 M3\nG1 X10\nG1 X20\nG1 X30\n", "part.ngc")
+        tools = (3, 3, 7)
+        changed = dataclasses.replace(
+            program, actions=tuple(dataclasses.replace(a, tool=n) for a, n in zip(program.actions, tools, strict=True))
+        )
+        p = plan(changed, HERE)
+        trace = run(instance(p.table), int(p.duration / H) + 11)
+        x, tool = trace["p_BT_B"][:, 0] - trace["p_BT_B"][0, 0], trace["tool"]
+        assert set(tool[x < 0.020 - ROUNDOFF]) == {3}
+        assert set(tool[x > 0.020 + ROUNDOFF]) == {7}
+        moving = p.velocity(np.array([p.table[p.table[:, TOOL] == 7][0, TAU]]))
+        np.testing.assert_allclose(moving, 0.0, atol=ROUNDOFF)
+        assert set(run(instance(plan(program, HERE).table), 10)["tool"]) == {0}
+
+
 class TestErrors:
     """One clear message each."""
 
     def test_empty_table(self) -> None:
-        s = instance(np.zeros((0, 49)))
+        s = instance(np.zeros((0, COLUMNS)))
         status = plain_init(s)
         assert MODEL.message(status, s, 0.0) == (
             "path_interpolator: the segment table is empty; expected at least one row; "
@@ -326,9 +346,9 @@ class TestErrors:
 
     def test_table_that_does_not_fit(self) -> None:
         with pytest.raises(
-            ValueError, match=r"table 'segments' of 'path_interpolator': has shape \(2049, 49\), expected at most 2048 rows"
+            ValueError, match=r"table 'segments' of 'path_interpolator': has shape \(2049, 50\), expected at most 2048 rows"
         ):
-            MODEL.load_table(MODEL.new(), "segments", np.zeros((2049, 49)))
+            MODEL.load_table(MODEL.new(), "segments", np.zeros((2049, COLUMNS)))
 
 
 class TestReachability:

@@ -9,6 +9,7 @@ import numpy as np
 from fmus.interface import Interface
 from models import gcode
 from models.declaration import FloatArray
+from models.segment_table import BLOCK, TOOL
 from models.trajectory import Placement, plan
 from tests.golden import H
 
@@ -115,7 +116,9 @@ def _program() -> tuple[FloatArray, FloatArray]:
     text = "G21 G90 G17 S13000 M3\nN10 G0 X0 Y0 Z0\nN20 G1 X4 F6000\nN30 Y3\nN40 G3 X2 Y5 I-2 J0\nN50 G1 X1 Z-0.5\nM30\n"
     planned = plan(gcode.parse(text), Placement((1.595, -0.018, 1.1)))
     tau = np.linspace(0.0, planned.duration, 9)
-    return planned.table, np.column_stack([tau, np.outer(np.sin(7.0 * tau), FORCE)])
+    table = planned.table.copy()
+    table[:, TOOL] = np.where(table[:, BLOCK] > 20, 2, 1)
+    return table, np.column_stack([tau, np.outer(np.sin(7.0 * tau), FORCE)])
 
 
 def input_rows(interface: Interface, columns: dict[str, FloatArray]) -> FloatArray:
