@@ -24,7 +24,7 @@ from orchestration.checkpoint import Snapshot, alike
 from orchestration.errors import Interrupted, IterationError, OrchestrationError, RunError, WiringError, describe, unknown
 from orchestration.guard import Guard
 from orchestration.iteration import Iterated
-from orchestration.slave import FloatArray, Slave
+from orchestration.slave import FloatArray, Slave, leave_initialisation
 from orchestration.system import ALGORITHMS, LOOPS, TICK, ticks
 from orchestration.wiring import Wiring
 
@@ -175,7 +175,11 @@ class Master:
         return self.time
 
     def initialise(self, start: float, stop: float, observed: bool = True) -> None:
-        """Initialise all slaves, give each in order the inputs that are known and take its outputs; observers see it if `observed`."""
+        """Initialise all slaves and leave initialisation; observers see the outputs at the start if `observed`.
+
+        In the order of execution: each takes the inputs that are known, leaves initialisation, and only then are its outputs read:
+        many FMUs compute them no earlier. So those behind it begin from what it says at the start, too.
+        """
         self._done, self._start_ticks = 0, round(start * TICK)
         self._bus[:] = self.wiring.start_values
         try:
@@ -189,6 +193,7 @@ class Master:
                 if len(u):
                     np.take(self._bus, self.wiring.gather_first[name], out=u, mode="clip")
                     slave.set_inputs(u)
+                leave_initialisation(slave)
                 slave.get_outputs(y)
         except Exception as error:
             raise self._failure(error, "during initialisation", None) from error
@@ -270,7 +275,7 @@ class Master:
 
     def _loop(self, total: float, progress: Progress | None, watched: int | None, save: tuple[int, Saver] | None = None) -> None:
         in_all = int(total) if math.isfinite(total) else 0
-        # each component makes its first step, which leaves initialisation, in Python
+        # each component makes its first step in Python: what it tells of itself is asked for after that
         compiled_from = self._done + max(getattr(s, "every", 1) for s in self._slaves.values()) if self._is_compiled(total) else math.inf
         while self._done < total and not (watched is not None and self._fresh[watched] != 0.0):
             if self._stop_requested:

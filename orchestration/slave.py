@@ -6,12 +6,12 @@ a recording (`orchestration.replay`). The master calls it in this order::
     configure(parameters)                              # any number of times, before initialise
     initialise(start, stop, step)                      # enters initialisation; inputs at their starts
     set_inputs(u); get_outputs(y)                      # any number of times, t = start
-    [ set_inputs(u); step(t, h); get_outputs(y) ] ...  # the first step leaves initialisation
+    leave_initialisation(); get_outputs(y)             # the outputs at the start
+    [ set_inputs(u); step(t, h); get_outputs(y) ] ...
     close()                                            # always, also after an error; may be repeated
 
-A slave may also have `native()`: addresses for the compiled loop (`orchestration.native`). And
-`leave_initialisation()`: what its first step does before it steps, called where a state is saved, or
-set, that is not one of initialisation.
+`leave_initialisation()` is there where it does something; a slave that was not told to leave does so in its first step.
+A slave may also have `native()`: addresses for the compiled loop (`orchestration.native`).
 
 `Slave` and `Port` are protocols: who implements them need not import this file. Ports are scalars.
 An element of an array is a port called `base[1]`, `base[2]` or `base[1,2]` (counted from one); the
@@ -141,7 +141,8 @@ class Slave(Protocol):
     def get_outputs(self, out: FloatArray) -> None:
         """Write all outputs into `out`, float64[n_outputs].
 
-        Before the first step they are consistent with the inputs set so far; afterwards they are those of the last step.
+        In initialisation they are consistent with the inputs set so far, as far as the slave knows them then; after it they
+        are those at the start, and then those of the last step.
         """
         ...
 
@@ -156,6 +157,13 @@ class Slave(Protocol):
     def close(self) -> None:
         """Free everything; may be called at any time, and again."""
         ...
+
+
+def leave_initialisation(slave: Slave) -> None:
+    """Have a slave leave initialisation, if that is anything to it."""
+    leave = getattr(slave, "leave_initialisation", None)
+    if leave is not None:
+        leave()
 
 
 def plain(p: Port) -> PortData:
