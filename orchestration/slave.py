@@ -21,7 +21,7 @@ elements of an array stand next to each other, in C order.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -31,6 +31,9 @@ FloatArray = npt.NDArray[np.float64]
 Scalar = float | int | bool | str
 ParameterValue = Scalar | Sequence[Any]
 KINDS = ("real", "integer", "boolean", "string")
+EXACT = 2**53 - 1
+"""Largest whole number that float64 tells from all others: what goes from component to component is float64."""
+INT64 = (-(2**63), 2**63 - 1)
 
 
 class Port(Protocol):
@@ -38,6 +41,7 @@ class Port(Protocol):
 
     Inputs and outputs are real, integer or boolean; on the bus all are float64 (booleans 0.0 and
     1.0). Parameters may also be strings. Values, start, minimum and maximum are in `unit`.
+    A port may also have `limits`: (least, largest) whole number that its type holds, and all between; see `whole_range`.
     """
 
     @property
@@ -99,6 +103,8 @@ class PortData:
     maximum: float | None = None
     description: str = ""
     dependencies: tuple[str, ...] | None = None
+    limits: tuple[int, int] | None = field(default=None, compare=False)
+    """Least and largest whole number that its type holds, and all between; None = those of 64 bits."""
 
 
 @runtime_checkable
@@ -168,7 +174,14 @@ def leave_initialisation(slave: Slave) -> None:
 
 def plain(p: Port) -> PortData:
     """A port as plain data."""
-    return PortData(p.name, p.causality, p.type, p.unit, p.start, p.minimum, p.maximum, p.description, p.dependencies)
+    limits = getattr(p, "limits", None)
+    return PortData(p.name, p.causality, p.type, p.unit, p.start, p.minimum, p.maximum, p.description, p.dependencies, limits)
+
+
+def whole_range(p: Port) -> tuple[int, int]:
+    """Least and largest whole number that gets to this port unchanged: parameters as they are, inputs and outputs as float64."""
+    low, high = getattr(p, "limits", None) or INT64
+    return (low, high) if p.causality == "parameter" else (max(low, -EXACT), min(high, EXACT))
 
 
 def base_name(name: str) -> str:
