@@ -19,6 +19,7 @@ from orchestration import compiled
 from orchestration.acceleration import Iteration, Work
 from orchestration.callbacks import face_of, rollback_of
 from orchestration.disk import zeros_on_lines
+from orchestration.errors import SlaveError
 from orchestration.iteration import unconverged, unsaved
 from orchestration.native import Block, native_of
 from orchestration.rate import MultiRate
@@ -134,7 +135,11 @@ class CompiledLoop:
         if outcome == compiled.FAILED:
             call = self._calls[operation]
             t = (start + (done + made) * step) / TICK
-            failed = names[call.component], self._natives[call.component].failed(call.phase, call.number, status, t, step / TICK)
+            if status == compiled.UNFIT:
+                error: Exception = SlaveError(f"a whole number does not fit an input of type {call.block.kind if call.block else ''}")
+            else:
+                error = self._natives[call.component].failed(call.phase, call.number, status, t, step / TICK)
+            failed = names[call.component], error
         elif self._loops is not None:
             failed = self._loops.failed(outcome, operation, status)
         return Chunk(made, self._columns, failed, outcome != compiled.VIOLATED)

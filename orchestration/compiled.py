@@ -28,6 +28,9 @@ STEP, CALL, SET, GET = 0, 1, 2, 5
 """Operations: a step; a set or get that reads or writes the bus itself; sets and gets by way of a buffer (plus the number of its kind)."""
 MEAN = 1 << 40
 """Added to the place of an input that holds the mean of the values at both ends of the step."""
+UNFIT = -(1 << 40)
+"""Instead of a status: an input is a whole number that the type of its buffer cannot hold."""
+INT32, EXACT = (1 << 31) - 1, (1 << 53) - 1  # largest of the type; of those that float64 tells from all others (`slave.EXACT`)
 KINDS = ("float64", "int32", "int64")
 """Types of the buffers."""
 # Columns of the table of operations, in the order in which a step makes them
@@ -94,8 +97,8 @@ load_i64, _store_i64 = _memory(types.int64, ir.IntType(64))
 
 
 @njit(inline="always", **OPTIONS)
-def _load(ops: Any, o: int, bus: Any, places: Any, n_outputs: int) -> None:
-    """Bus to the buffer of an operation. Behind the outputs on the bus stand those of the last step."""
+def _load(ops: Any, o: int, bus: Any, places: Any, n_outputs: int) -> bool:
+    """Bus to the buffer of an operation; whether it can hold the values. Behind the outputs on the bus stand those of the last step."""
     n, buffer, first, kind = ops[o, N], ops[o, BUFFER], ops[o, FIRST], ops[o, OPERATION] - SET
     if kind == 0:
         for i in range(n):
@@ -107,10 +110,17 @@ def _load(ops: Any, o: int, bus: Any, places: Any, n_outputs: int) -> None:
                 _store_f64(buffer + 8 * i, 0.5 * (bus[place] + bus[n_outputs + place]))
     elif kind == 1:
         for i in range(n):
-            _store_i32(buffer + 4 * i, np.int32(bus[places[first + i]]))
+            value = bus[places[first + i]]
+            if not -INT32 - 1 <= value <= INT32:
+                return False
+            _store_i32(buffer + 4 * i, np.int32(value))
     else:
         for i in range(n):
-            _store_i64(buffer + 8 * i, np.int64(bus[places[first + i]]))
+            value = bus[places[first + i]]
+            if not -EXACT <= value <= EXACT:
+                return False
+            _store_i64(buffer + 8 * i, np.int64(value))
+    return True
 
 
 @njit(inline="always", **OPTIONS)
@@ -144,8 +154,8 @@ def _small_steps(ops: Any, o: int, clocks: Any) -> int:
 def _converted(ops: Any, o: int, bus: Any, n_outputs: int, places: Any) -> int:
     """A set or get by way of a buffer; returns its status. Not inlined: the quicker operations are, and need the registers."""
     what, function, status = ops[o, OPERATION], ops[o, FUNCTION], 0
-    if what < GET:
-        _load(ops, o, bus, places, n_outputs)
+    if what < GET and not _load(ops, o, bus, places, n_outputs):
+        return UNFIT
     if function != 0:
         status = _call_values(function, ops[o, INSTANCE], ops[o, REFERENCES], ops[o, N], ops[o, BUFFER])
     if what >= GET and 0 <= status <= ops[o, LIMIT]:

@@ -51,18 +51,28 @@ class Group:
         self.buffer: npt.NDArray[Any] = np.zeros(len(places), dtype=dtype)
         count = (len(places),) if counted else ()
         self.arguments = (self.references.ctypes.data, len(variables), self.buffer.ctypes.data, *count)
-        narrow = self.buffer.dtype.kind in "iu" and dtype not in (np.int32, np.int64)
-        self._limits = np.iinfo(dtype) if narrow else None
+        self._limits = _limits(self.buffer.dtype)
 
     def load(self, values: FloatArray) -> None:
-        """Take the values of these elements from the flat image. SlaveError for one that a type of few bits cannot hold."""
+        """Take the values of these elements from the flat image. SlaveError for one that the type cannot hold."""
         found = values[self.place]
         if self._limits is not None:
-            low, high = self._limits.min, self._limits.max
-            for port, value in zip(self.ports, found, strict=True):
-                if not low <= value <= high:
-                    raise SlaveError(f"input {port.name} = {value:.9g} does not fit {self._limits.dtype.name}: expected {low} to {high}")
+            low, high = self._limits
+            bad = ~((found >= low) & (found <= high))  # true for NaN
+            if bad.any():
+                port, value = self.ports[int(bad.argmax())], found[bad.argmax()]
+                raise SlaveError(
+                    f"input {port.name} = {value:.17g} does not fit {self.buffer.dtype.name}: expected {low:.17g} to {high:.17g}"
+                )
         self.buffer[:] = found
+
+
+def _limits(dtype: np.dtype[Any]) -> tuple[float, float] | None:
+    """Least and largest float64 that a type holds; None for one that holds all. What float64 cannot carry, the guard knows."""
+    if dtype.kind in "iu":
+        least, most = np.iinfo(dtype).min, np.iinfo(dtype).max
+        return float(least), float(most) if int(float(most)) == most else float(np.nextafter(float(most), 0.0))
+    return (float(np.finfo(dtype).min), float(np.finfo(dtype).max)) if dtype == np.float32 else None
 
 
 class Fmi(ABC):

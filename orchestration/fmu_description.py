@@ -39,6 +39,13 @@ _TYPES = {
         "String": ("string", "String"),
     },
 }
+_WHOLE = {
+    **{f"Int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
+    **{f"UInt{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
+    "Float32": (-(2**24), 2**24),
+    "Integer": (-(2**31), 2**31 - 1),
+}
+"""Least and largest whole number that a type holds, and all between, by its name in the functions that get and set it."""
 MAX_ELEMENTS = 1_000_000
 """Of all variables of an FMU: a size of an array that was mistyped must not fill the memory."""
 _SUFFIX = {"linux": ".so", "darwin": ".dylib", "win32": ".dll"}
@@ -183,7 +190,7 @@ def _variables(file: Path, md: Any, fmi: int) -> tuple[Variable, ...]:
         if names:
             starts = _starts(file, v, kind, len(names))
             depends = dependencies.get(v.name) if v.causality == "output" else None
-            found.append(Variable(access, int(v.valueReference), tuple(_ports(v, kind, names, starts, depends))))
+            found.append(Variable(access, int(v.valueReference), tuple(_ports(v, kind, names, starts, depends, _WHOLE.get(access)))))
     return tuple(found)
 
 
@@ -211,7 +218,12 @@ def _starts(file: Path, v: Any, kind: str, count: int) -> list[Scalar | None]:
 
 
 def _ports(
-    v: Any, kind: str, names: Sequence[str], starts: Sequence[Scalar | None], dependencies: tuple[str, ...] | None
+    v: Any,
+    kind: str,
+    names: Sequence[str],
+    starts: Sequence[Scalar | None],
+    dependencies: tuple[str, ...] | None,
+    limits: tuple[int, int] | None,
 ) -> Iterator[Port]:
     declared = v.declaredType
     unit = v.unit or (declared.unit if declared else None)
@@ -219,7 +231,7 @@ def _ports(
         _bound(own if own is not None else other) for own, other in ((v.min, declared and declared.min), (v.max, declared and declared.max))
     )
     for name, start in zip(names, starts, strict=True):
-        yield PortData(name, v.causality, kind, unit, start, low, high, v.description or "", dependencies)
+        yield PortData(name, v.causality, kind, unit, start, low, high, v.description or "", dependencies, limits)
 
 
 def _names(dependencies: Sequence[Any] | None) -> tuple[str, ...] | None:

@@ -1,4 +1,4 @@
-"""Watches every output in every step: not a number, infinite, outside its declared range."""
+"""Watches every output in every step: not a number, infinite, outside its declared range, a whole number that does not fit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ _MAX = sys.float_info.max
 
 
 class Guard:
-    """Bounds of all outputs on the bus. Infinite and NaN are always refused, the declared range if `check_ranges`."""
+    """Bounds of all outputs on the bus.
+
+    Infinite and NaN are always refused, and whole numbers that float64 or the type of an input would change; the declared range
+    if `check_ranges`.
+    """
 
     def __init__(self, wiring: Wiring, check_ranges: bool = True) -> None:
         self._wiring = wiring
@@ -22,6 +26,9 @@ class Guard:
         # the largest finite number where there is no bound: comparing with it catches inf, and NaN compares false
         self._low = np.array([-_MAX if p.minimum is None or not check_ranges else p.minimum for p in ports])
         self._high = np.array([_MAX if p.maximum is None or not check_ranges else p.maximum for p in ports])
+        for i, ranges in wiring.whole.items():
+            self._low[i] = max(self._low[i], *(low for _, low, _ in ranges))
+            self._high[i] = min(self._high[i], *(high for _, _, high in ranges))
         self._above, self._below = np.zeros(len(ports), bool), np.zeros(len(ports), bool)
 
     @property
@@ -43,8 +50,21 @@ class Guard:
             part = self._wiring.output_slice[name]
             for i in range(part.start, part.stop):
                 if bad[i]:
-                    return name, _text(self._wiring.outputs[i][1], float(values[i]))
+                    port, value = self._wiring.outputs[i][1], float(values[i])
+                    return name, self._unfit(i, value) or _text(port, value)
         return None
+
+    def unfit(self, values: FloatArray) -> bool:
+        """Whether there is a whole number among the outputs that does not get unchanged to where it goes."""
+        return any(self._unfit(i, float(values[i])) for i in self._wiring.whole)
+
+    def _unfit(self, i: int, value: float) -> str:
+        """What is wrong with the whole number at place `i`; empty if it fits."""
+        for target, low, high in self._wiring.whole.get(i, ()):
+            if math.isfinite(value) and not low <= value <= high:
+                to = f"does not fit input {target}" if target else "cannot be carried exactly (as float64)"
+                return f"output {self._wiring.outputs[i][1].name} = {value:.0f} {to}: expected a whole number from {low} to {high}"
+        return ""
 
 
 def _text(port: Port, value: float) -> str:

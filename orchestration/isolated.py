@@ -16,7 +16,7 @@ import numpy as np
 
 from orchestration.errors import SlaveError, describe
 from orchestration.isolation import CALL, FAILED, OK, STEP, TIMES
-from orchestration.slave import FloatArray, PortData, Slave, plain
+from orchestration.slave import FloatArray, PortData, Slave, leave_initialisation, plain
 
 
 class _Kept:
@@ -70,9 +70,11 @@ class Server:
         self.fmu.get_outputs(self.outputs)
 
     def leave_initialisation(self) -> None:
-        """With the inputs set so far; the outputs stay readable."""
-        self.refresh()
-        getattr(self.fmu, "leave_initialisation", lambda: None)()
+        """With the inputs set so far; then the outputs at the start."""
+        if len(self.inputs):
+            self.fmu.set_inputs(self.inputs)
+        leave_initialisation(self.fmu)
+        self.fmu.get_outputs(self.outputs)
 
     def get_state(self) -> Any:
         """The state if it can be sent, else a stand-in."""

@@ -24,7 +24,7 @@ from orchestration.callbacks import rollback_of
 from orchestration.errors import IterationError, describe
 from orchestration.loops import Loop
 from orchestration.native import Rollback
-from orchestration.slave import FloatArray, Slave, inputs
+from orchestration.slave import FloatArray, Slave, inputs, leave_initialisation
 from orchestration.wiring import Wiring
 
 _AT_WORK = "first return"  # when the second proof is made
@@ -58,7 +58,7 @@ class Iterated:
         self._rounds = self._residual = 0.0
 
     def initialise(self) -> None:
-        """Outputs at the start that satisfy all connections which are not delayed; the slaves are in initialisation.
+        """Outputs at the start that satisfy all connections which are not delayed; the slaves are in initialisation, and leave it.
 
         Nothing has to be set back here: inputs can be set any number of times. Values at the start are not means.
         """
@@ -75,12 +75,27 @@ class Iterated:
                         slave.set_inputs(u)
                     slave.get_outputs(y)
 
-            if loop is None:
-                evaluate()
-            else:
+            if loop is not None:
                 self._fresh[loop.feedback] = loop.starts
                 self._solve(loop, evaluate, lambda: None, lambda: None)
+            self._leave(members, evaluated=loop is not None)
         self._fresh[-2:] = self._rounds, self._residual
+
+    def _leave(self, members: Sequence[Entry], evaluated: bool) -> None:
+        """All leave initialisation in order, and their outputs at the start are read.
+
+        Who has been `evaluated` takes its inputs anew only where leaving has changed what they come from: the others agree as they are.
+        """
+        before = self._bus.copy()
+        for name, slave, _, u, y in members:
+            self._announce(name)
+            if len(u):
+                gather = self._first_gather[name]
+                self._bus.take(gather, out=u, mode="clip")
+                if not evaluated or u.tobytes() != before[gather].tobytes():
+                    slave.set_inputs(u)
+            leave_initialisation(slave)
+            slave.get_outputs(y)
 
     @property
     def proved(self) -> bool:
@@ -118,8 +133,6 @@ class Iterated:
 
     def _iterate(self, number: int, loop: Loop, members: list[Entry], t: float, h: float) -> None:
         proved = self._proved.setdefault(number, set())
-        if not proved:
-            _leave_initialisation(members)
         if number not in self._kept:
             self._kept[number] = [rollback_of(slave) for _, slave, _, _, _ in members]
         kept = self._kept[number]
@@ -218,14 +231,6 @@ class Iterated:
                     f"its step from t = {t:.9g} s, made again from the saved state, gave {what}: its saved state is incomplete\n{_REMEDY}",
                     name,
                 )
-
-
-def _leave_initialisation(members: Sequence[Entry]) -> None:
-    """So that no state is saved in initialisation: many FMUs cannot go back there, their state does not say where they are."""
-    for _, slave, _, _, _ in members:
-        leave = getattr(slave, "leave_initialisation", None)
-        if leave is not None:
-            leave()
 
 
 _REMEDY = "Mark a connection of the loop with delayed = true, or use algorithm = 'gauss-seidel' or 'jacobi'"

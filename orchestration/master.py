@@ -24,7 +24,7 @@ from orchestration.checkpoint import Snapshot, alike
 from orchestration.errors import Interrupted, IterationError, OrchestrationError, RunError, WiringError, describe, unknown
 from orchestration.guard import Guard
 from orchestration.iteration import Iterated
-from orchestration.slave import FloatArray, Slave
+from orchestration.slave import FloatArray, Slave, leave_initialisation, whole_range
 from orchestration.system import ALGORITHMS, LOOPS, TICK, ticks
 from orchestration.wiring import Wiring
 
@@ -175,7 +175,11 @@ class Master:
         return self.time
 
     def initialise(self, start: float, stop: float, observed: bool = True) -> None:
-        """Initialise all slaves, give each in order the inputs that are known and take its outputs; observers see it if `observed`."""
+        """Initialise all slaves and leave initialisation; observers see the outputs at the start if `observed`.
+
+        In the order of execution: each takes the inputs that are known, leaves initialisation, and only then are its outputs read:
+        many FMUs compute them no earlier. So those behind it begin from what it says at the start, too.
+        """
         self._done, self._start_ticks = 0, round(start * TICK)
         self._bus[:] = self.wiring.start_values
         try:
@@ -189,8 +193,11 @@ class Master:
                 if len(u):
                     np.take(self._bus, self.wiring.gather_first[name], out=u, mode="clip")
                     slave.set_inputs(u)
+                leave_initialisation(slave)
                 slave.get_outputs(y)
         except Exception as error:
+            if self._guard.unfit(self._fresh):
+                raise self._violation(self.time) from error
             raise self._failure(error, "during initialisation", None) from error
         if not self._guard.ok(self._fresh):
             raise self._violation(self.time)
@@ -231,8 +238,7 @@ class Master:
         try:
             self._advance(t, self._step_ticks / TICK)
         except Exception as error:
-            cause = self._guard.problem(self._fresh)
-            raise self._failure(error, f"in the step from t = {t:.9g} s", cause) from error
+            raise self._failed_step(error, f"in the step from t = {t:.9g} s") from error
         if not self._guard.ok(self._fresh):
             raise self._violation((self._start_ticks + (self._done + 1) * self._step_ticks) / TICK)
         self._done += 1
@@ -270,7 +276,7 @@ class Master:
 
     def _loop(self, total: float, progress: Progress | None, watched: int | None, save: tuple[int, Saver] | None = None) -> None:
         in_all = int(total) if math.isfinite(total) else 0
-        # each component makes its first step, which leaves initialisation, in Python
+        # each component makes its first step in Python: what it tells of itself is asked for after that
         compiled_from = self._done + max(getattr(s, "every", 1) for s in self._slaves.values()) if self._is_compiled(total) else math.inf
         while self._done < total and not (watched is not None and self._fresh[watched] != 0.0):
             if self._stop_requested:
@@ -317,14 +323,22 @@ class Master:
         chunk.show(self._observers)
         if chunk.failed is not None:
             self._current, error = chunk.failed
-            raise self._failure(error, f"in the step from t = {self.time:.9g} s", self._guard.problem(self._fresh)) from error
+            raise self._failed_step(error, f"in the step from t = {self.time:.9g} s") from error
         if not chunk.in_range:
             raise self._violation((self._start_ticks + (self._done + 1) * self._step_ticks) / TICK)
         self._compiled.pace(time.perf_counter() - began)
 
     def override(self, name: str, value: float) -> None:
-        """Give the input `component.port` a value from now on, instead of what it is connected to."""
+        """Give the input `component.port` a value from now on, instead of what it is connected to.
+
+        WiringError for an input that is not there, or a whole number that it cannot hold.
+        """
         component, position, slot = self._input(name)
+        port = self.wiring.inputs[slot - 2 * self.wiring.n_outputs][1]
+        if port.type == "integer":
+            low, high = whole_range(port)
+            if not (low <= value <= high and value == int(value)):
+                raise WiringError([f"override of {name}: {value!r} is no whole number from {low} to {high}"])
         self._bus[slot] = value
         self._gather[component][position] = slot
 
@@ -360,6 +374,12 @@ class Master:
         if until not in names:
             raise WiringError([f"stop_when: {unknown('output', until, names)}"])
         return names.index(until)
+
+    def _failed_step(self, error: Exception, when: str) -> RunError:
+        """The error of a step: that of the slave, unless it was given a whole number that does not fit."""
+        if self._guard.unfit(self._fresh):
+            return self._violation((self._start_ticks + (self._done + 1) * self._step_ticks) / TICK)
+        return self._failure(error, when, self._guard.problem(self._fresh))
 
     def _failure(self, error: Exception, when: str, cause: tuple[str, str] | None) -> RunError:
         """The one error that a run ends with when a slave raised `error`; `cause` is the guard's finding in the same step."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from orchestration.results import Run
-from orchestration.slave import FloatArray, PortData
+from orchestration.slave import FloatArray, plain
 from orchestration.wiring import Wiring
 
 
@@ -54,10 +54,6 @@ class Memory:
         self._gather()
         t, *data = np.concatenate([np.empty((1 + self._wiring.n_outputs, 0)), *self._blocks], axis=1)
         columns = {f"{c}.{p.name}": column for (c, p), column in zip(self._wiring.outputs, data, strict=True)}
-        ports = {f"{c}.{p.name}": _plain(p) for c, p in self._wiring.outputs}
+        ports = {f"{c}.{p.name}": plain(p) for c, p in self._wiring.outputs}
         info = {**self.about, "outcome": self._outcome, "message": self._message}
         return Run(Path(), t, columns, ports, info)
-
-
-def _plain(p: Any) -> PortData:
-    return PortData(p.name, p.causality, p.type, p.unit, p.start, p.minimum, p.maximum, p.description, p.dependencies)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import SlaveError, unknown
-from orchestration.slave import Port, Scalar, arrays
+from orchestration.slave import EXACT, Port, Scalar, arrays, whole_range
 
 Convert = Callable[[float, str, str], float]
 """(value, unit, wanted unit) -> value in the wanted unit; ValueError with a text where that is impossible."""
@@ -136,6 +136,14 @@ def _scalar(port: Port, value: Any, convert: Convert, folder: Path | None) -> Sc
         raise ValueError(f"expected a finite number in {wanted!r}; found {value}")
     if port.type == "integer" and value != int(value):
         raise ValueError(f"expected a whole number; found {value!r}")
+    if port.type == "integer":
+        low, high = whole_range(port)
+        if not low <= value <= high:
+            raise ValueError(f"{int(value)} does not fit its type: expected {low} to {high}")
+        if isinstance(value, float) and abs(value) > EXACT:
+            raise ValueError(
+                f"{value!r} may stand for several whole numbers; above {EXACT} write it without decimal point, exponent and unit"
+            )
     number = int(value) if port.type == "integer" else float(value)
     for bound, outside, word in (
         (port.minimum, port.minimum is not None and number < port.minimum, "below its minimum"),

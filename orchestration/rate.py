@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from orchestration.native import native_of
-from orchestration.slave import FloatArray, ParameterValue, Port, Slave, outputs
+from orchestration.slave import FloatArray, ParameterValue, Port, Slave, leave_initialisation, outputs
 from orchestration.system import TICK
 
 
@@ -56,7 +56,7 @@ class MultiRate:
 
     def leave_initialisation(self) -> None:
         """Pass it on."""
-        getattr(self.inside, "leave_initialisation", lambda: None)()
+        leave_initialisation(self.inside)
 
     def set_inputs(self, values: FloatArray) -> None:
         """Inputs of this step of the system: they count only if the slave inside steps in it."""

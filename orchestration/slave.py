@@ -6,12 +6,12 @@ a recording (`orchestration.replay`). The master calls it in this order::
     configure(parameters)                              # any number of times, before initialise
     initialise(start, stop, step)                      # enters initialisation; inputs at their starts
     set_inputs(u); get_outputs(y)                      # any number of times, t = start
-    [ set_inputs(u); step(t, h); get_outputs(y) ] ...  # the first step leaves initialisation
+    leave_initialisation(); get_outputs(y)             # the outputs at the start
+    [ set_inputs(u); step(t, h); get_outputs(y) ] ...
     close()                                            # always, also after an error; may be repeated
 
-A slave may also have `native()`: addresses for the compiled loop (`orchestration.native`). And
-`leave_initialisation()`: what its first step does before it steps, called where a state is saved, or
-set, that is not one of initialisation.
+`leave_initialisation()` is there where it does something; a slave that was not told to leave does so in its first step.
+A slave may also have `native()`: addresses for the compiled loop (`orchestration.native`).
 
 `Slave` and `Port` are protocols: who implements them need not import this file. Ports are scalars.
 An element of an array is a port called `base[1]`, `base[2]` or `base[1,2]` (counted from one); the
@@ -21,7 +21,7 @@ elements of an array stand next to each other, in C order.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -31,6 +31,9 @@ FloatArray = npt.NDArray[np.float64]
 Scalar = float | int | bool | str
 ParameterValue = Scalar | Sequence[Any]
 KINDS = ("real", "integer", "boolean", "string")
+EXACT = 2**53 - 1
+"""Largest whole number that float64 tells from all others: what goes from component to component is float64."""
+INT64 = (-(2**63), 2**63 - 1)
 
 
 class Port(Protocol):
@@ -38,6 +41,7 @@ class Port(Protocol):
 
     Inputs and outputs are real, integer or boolean; on the bus all are float64 (booleans 0.0 and
     1.0). Parameters may also be strings. Values, start, minimum and maximum are in `unit`.
+    A port may also have `limits`: (least, largest) whole number that its type holds, and all between; see `whole_range`.
     """
 
     @property
@@ -99,6 +103,8 @@ class PortData:
     maximum: float | None = None
     description: str = ""
     dependencies: tuple[str, ...] | None = None
+    limits: tuple[int, int] | None = field(default=None, compare=False)
+    """Least and largest whole number that its type holds, and all between; None = those of 64 bits."""
 
 
 @runtime_checkable
@@ -141,7 +147,8 @@ class Slave(Protocol):
     def get_outputs(self, out: FloatArray) -> None:
         """Write all outputs into `out`, float64[n_outputs].
 
-        Before the first step they are consistent with the inputs set so far; afterwards they are those of the last step.
+        In initialisation they are consistent with the inputs set so far, as far as the slave knows them then; after it they
+        are those at the start, and then those of the last step.
         """
         ...
 
@@ -158,9 +165,23 @@ class Slave(Protocol):
         ...
 
 
+def leave_initialisation(slave: Slave) -> None:
+    """Have a slave leave initialisation, if that is anything to it."""
+    leave = getattr(slave, "leave_initialisation", None)
+    if leave is not None:
+        leave()
+
+
 def plain(p: Port) -> PortData:
     """A port as plain data."""
-    return PortData(p.name, p.causality, p.type, p.unit, p.start, p.minimum, p.maximum, p.description, p.dependencies)
+    limits = getattr(p, "limits", None)
+    return PortData(p.name, p.causality, p.type, p.unit, p.start, p.minimum, p.maximum, p.description, p.dependencies, limits)
+
+
+def whole_range(p: Port) -> tuple[int, int]:
+    """Least and largest whole number that gets to this port unchanged: parameters as they are, inputs and outputs as float64."""
+    low, high = getattr(p, "limits", None) or INT64
+    return (low, high) if p.causality == "parameter" else (max(low, -EXACT), min(high, EXACT))
 
 
 def base_name(name: str) -> str:

@@ -7,7 +7,7 @@ that holds its start value (for open inputs, and before the first step).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from orchestration.errors import WiringError, unknown
 from orchestration.graph import Element, Link, execution_order, feedthrough, find_loop
 from orchestration.loops import Loop, lay_out, regroup
-from orchestration.slave import FloatArray, Port, PortData, arrays, base_name, inputs, outputs
+from orchestration.slave import FloatArray, Port, PortData, arrays, base_name, inputs, outputs, whole_range
 from orchestration.system import Connection, System
 
 Indices = npt.NDArray[np.intp]
@@ -53,6 +53,8 @@ class Wiring:
     warnings: tuple[str, ...]
     loops: tuple[Loop, ...] = ()
     """Cycles of components, with the algorithm "iterated"."""
+    whole: Mapping[int, Sequence[tuple[str, int, int]]] = field(default_factory=dict)
+    """By position of an output that is a whole number: (input that it goes to, "" = the bus; least, largest that gets there unchanged)."""
 
     @property
     def n_outputs(self) -> int:
@@ -96,6 +98,7 @@ def wire(system: System, components: Mapping[str, Sequence[Port]]) -> Wiring:
     open_inputs = _open_inputs(components, taken)
     if system.require_connected:
         problems.extend(f"{system.where(None)}{text}; connect it, or set require_connected = false" for text in open_inputs)
+    problems += [text for name, ports in components.items() for text in _unfit_starts(name, ports)]
     if system.algorithm == "iterated" and MASTER in components:
         problems.append(f"component name {MASTER!r} belongs to the columns of iterated coupling; choose another")
     if problems:
@@ -142,6 +145,11 @@ def _layout(
         if (forward or iterated) and not p.delayed:
             first[p.target] = place[p.source]
     starts = np.concatenate([np.zeros(2 * n), [float(p.start or 0.0) for _, p in ins]])
+    whole = {i: [("", *whole_range(p))] for i, (_, p) in enumerate(outs) if p.type == "integer"}
+    by_element = {(name, p.name): p for name, p in ins}
+    for pair in pairs:
+        if place[pair.source] in whole:
+            whole[place[pair.source]].append((_name(pair.target), *whole_range(by_element[pair.target])))
     slices, begin = {}, 0
     for name, ports in components.items():
         slices[name] = slice(begin, begin + len(outputs(ports)))
@@ -161,6 +169,7 @@ def _layout(
         any_delayed=any_delayed,
         warnings=tuple(warnings),
         loops=tuple(lay_out(cycle, links, components, place) for cycle, links in cycles),
+        whole=whole,
     )
 
 
@@ -208,6 +217,15 @@ def _size(members: Sequence[Port], port: str) -> str:
         return "1 element"
     last = members[-1].name[len(port) + 1 : -1]
     return f"{len(members)} elements" + (f" [{last}]" if "," in last else "")
+
+
+def _unfit_starts(name: str, ports: Sequence[Port]) -> Iterator[str]:
+    """One text per input whose start value does not get there unchanged."""
+    for p in inputs(ports):
+        if p.type == "integer" and p.start is not None:
+            low, high = whole_range(p)
+            if not low <= int(p.start) <= high:
+                yield f"input {name}.{p.name}: start value {int(p.start)} does not fit: expected a whole number from {low} to {high}"
 
 
 def _open_inputs(components: Mapping[str, Sequence[Port]], taken: Mapping[Element, object]) -> list[str]:
