@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -14,17 +16,15 @@ from diagnosis.catalogue import Address
 from diagnosis.estimation import Fit
 from diagnosis.localise import Projection
 from diagnosis.simulation import Laboratory, Simulator, decimate
-from orchestration.slave import FloatArray
+from orchestration.slave import FloatArray, PortData, base_name
 
 SCHEMA = "robomill-diagnosis/1"
 
 
 @dataclass(frozen=True)
 class Menu:
-    """What the engine is told about the domain: names for groups of channels, and runs that could be made next."""
+    """What the engine is told about the domain: coordinates to project on, and runs that could be made next."""
 
-    titles: Mapping[str, str] = field(default_factory=dict)
-    """array or column -> what people call it."""
     projections: Mapping[str, Projection] = field(default_factory=dict)
     """output -> the coordinates (joints) that its residual is projected on."""
     offers: Callable[[], Mapping[str, next_run.Offer]] = dict
@@ -42,6 +42,26 @@ class Diagnosis:
     curves: Mapping[str, dict[str, FloatArray]] = field(default_factory=dict)
     """condition -> t [samples]; measured (mean of the repeats), nominal, adopted [samples, channels]; spread (standard
     deviation) of the repeats [channels], 0 for a single one. Without `adopted` where nothing was fitted."""
+    ports: Mapping[str, PortData] = field(default_factory=dict)
+    """channel -> the port of the system that it was measured at."""
+    titles: Mapping[str, str] = field(default_factory=dict)
+    """array -> what the difference there is called; those that count as figures of their own."""
+
+
+def titles_of(named: Mapping[str, str], ports: Mapping[str, PortData]) -> dict[str, str]:
+    """The measured arrays that the catalogue has a name for; all with the description of their port (or its name), if there is none."""
+    arrays: dict[str, list[PortData]] = {}
+    for channel, port in ports.items():
+        arrays.setdefault(base_name(channel), []).append(port)
+    known = {array: title for array, title in named.items() if array in arrays}
+    return known or {array: _described(array, members) for array, members in arrays.items()}
+
+
+def _described(array: str, members: Sequence[PortData]) -> str:
+    """Elements that are described one by one have no description in common."""
+    common = {p.description for p in members}
+    text = common.pop() if len(common) == 1 else ""
+    return f"{text} ({array})" if text else array
 
 
 def result_of(verdict: str, findings: Sequence[gate.Finding]) -> dict[str, Any]:
@@ -55,6 +75,19 @@ def result_of(verdict: str, findings: Sequence[gate.Finding]) -> dict[str, Any]:
         "how_far": [],
         "next_run": None,
     }
+
+
+def as_json(result: Mapping[str, Any]) -> str:
+    """The text of diagnosis.json. Numbers that are none (a value that nothing determines) are null: JSON has no other word for them."""
+    return json.dumps(_finite(result), indent=1, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def effort_of(began: float, simulator: Simulator) -> dict[str, Any]:

@@ -11,6 +11,7 @@ Changes by parameters are simulated for the component alone, and followed throug
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
@@ -46,15 +47,18 @@ class Bench:
         self.cut = {a: [i for i, c in enumerate(self.channels) if array_of(c) == a] for a in arrays}
         seeds = range(1, len(measured) + 1)
         mean = np.mean(measured, axis=0)
-        self.closed = [self._run(self._changed((), s)) for s in seeds[:NULLS]]
+        self.closed = [self._run(self._changed((), s)) for s in range(1, NULLS + 1 if laboratory.seeds else 2)]
         self._ports = self.closed[0].ports
         right = [self._matrix(r) for r in self.closed]
         self._nominal = right[0]
-        self.scatter = np.var(np.stack(right), axis=0, ddof=1).mean(axis=0)
-        """Variance of a simulation by its own noise, per channel."""
+        self.scatter = np.var(np.stack(right), axis=0, ddof=min(1, len(right) - 1)).mean(axis=0)
+        """Variance of a simulation by its own noise, per channel; 0 where it has none."""
         self.known = self._known(mean)
         bias = np.mean(
-            [z - self._matrix(self._open(z + x - mean, s)) for z, x, s in zip(right, measured, seeds, strict=False)],
+            [
+                z - self._matrix(self._open(z + x - mean, s))
+                for z, x, s in zip(itertools.cycle(right), measured[:NULLS], seeds, strict=False)
+            ],
             axis=0,
         )
         self.residuals = [x - self._matrix(self._open(x, s)) - bias for x, s in zip(measured, seeds, strict=True)]

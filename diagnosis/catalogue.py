@@ -32,6 +32,9 @@ A TOML file::
     divide = 4
     sampled = ["sensor", "controller"]  # components that keep their cycle
 
+    [titles]                            # what the difference in an array is called; these arrays are the figures of the answer
+    "drive.q_motor" = "motor angle error"
+
 Parameters of "logging" are `lag PATTERN` [s], `smooth PATTERN` (time constant of a first-order filter [s]), `gain PATTERN` [1],
 `offset PATTERN` [unit of the channel], with a pattern on `component.port[element]` as in the recording section of a system file.
 """
@@ -42,7 +45,7 @@ import difflib
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -170,6 +173,8 @@ class Catalogue:
     descriptions: Mapping[str, tuple[str, str]] | None = None
     """effect -> (description, source)."""
     refinement: Refinement | None = None
+    titles: Mapping[str, str] = field(default_factory=dict)
+    """array or column -> what people call the difference between machine and simulation there."""
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -232,7 +237,7 @@ class _Reader:
         return tuple(value)
 
     def catalogue(self, table: dict[str, Any]) -> Catalogue:
-        self.keys("the file", table, {"effect", "nuisance", "quiet", "seed", "refinement"}, {"effect"})
+        self.keys("the file", table, {"effect", "nuisance", "quiet", "seed", "refinement", "titles"}, {"effect"})
         candidates: list[Candidate] = []
         descriptions: dict[str, tuple[str, str]] = {}
         for i, entry in enumerate(self.listed("effect", table["effect"])):
@@ -267,7 +272,9 @@ class _Reader:
             self.keys(where, entry, _SEED, _SEED)
             seeds.append((self.text(where, "component", entry["component"]), self.text(where, "parameter", entry["parameter"])))
         refinement = self.refinement(table["refinement"]) if "refinement" in table else None
-        return Catalogue(self.file, tuple(candidates), tuple(tolerances), quiet, tuple(seeds), descriptions, refinement)
+        named = table.get("titles", {})
+        titles = {k: self.text("[titles]", k, v) for k, v in self.keys("[titles]", named, set(named), set()).items()}
+        return Catalogue(self.file, tuple(candidates), tuple(tolerances), quiet, tuple(seeds), descriptions, refinement, titles)
 
     def refinement(self, entry: Any) -> Refinement:
         self.keys("[refinement]", entry, _REFINEMENT, {"divide"})

@@ -104,10 +104,10 @@ def figures(parts: Sequence[Products], seed: int = 0) -> dict[str, Any]:
     }
     if measurable:
         ratio = 1.0 - a / np.maximum(b, 1e-300)
-        result["closure"] = float(1.0 - after.sum() / before.sum())
-        result["interval"] = [float(np.quantile(ratio, q)) for q in (0.05, 0.95)]
+        result["closure"] = min(float(1.0 - after.sum() / before.sum()), 1.0)  # no more than what there was
+        result["interval"] = [min(float(np.quantile(ratio, q)), 1.0) for q in (0.05, 0.95)]
         ceiling = min(1.0, 1.0 - sum(float(p.floor.sum()) for p in parts) / float(before.sum()))
-        result["ceiling"] = max(ceiling, min(result["closure"], 1.0))  # what is closed can be closed
+        result["ceiling"] = max(ceiling, result["closure"])  # what is closed can be closed
         result["ceiling_by"] = "regression" if any(p.regressed for p in parts) else "repeats"
         result["ratio"] = result["closure"] / result["ceiling"] if result["ceiling"] > 0.0 else None
     return result

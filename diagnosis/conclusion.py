@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from diagnosis import gate, isolability, next_run
-from diagnosis.answer import Diagnosis, Menu, curves_of, effort_of, result_of
+from diagnosis.answer import Diagnosis, Menu, curves_of, effort_of, result_of, titles_of
 from diagnosis.catalogue import LOGGING, Address, Candidate
 from diagnosis.changing import changing
 from diagnosis.estimation import Fit, probabilities
 from diagnosis.how_far import CLOSING, how_far, metrics
+from diagnosis.repeats import as_share
 from diagnosis.replay import intervals
 from diagnosis.search import Search
 from diagnosis.simulation import Laboratory, Simulator, setting
@@ -59,6 +60,7 @@ class Conclusion:
     ) -> None:
         self.laboratory, self.simulator, self.search, self.fits, self.groups, self.n = laboratory, simulator, search, fits, groups, n
         self.findings, self.menu, self.repair, self.began = findings, menu, repair, began
+        self.titles = titles_of(search.catalogue.titles, laboratory.ports)
         self.weights = probabilities(fits, search.candidates)
         self.best = fits[int(self.weights.argmax())]
 
@@ -95,10 +97,10 @@ class Conclusion:
         ]
         result["gap"] = {
             "before": before,
-            "within_calibration": before - calibrated,
+            "within_calibration": min(max(before - calibrated, 0.0), max(before, 0.0)),
             "after": after,
             "noise": noise,
-            "unexplained": unexplained(over_noise(search, nominal), over_noise(search, self.best)),
+            "unexplained": min(unexplained(over_noise(search, nominal), over_noise(search, self.best)), 1.0),
             "noise_is_a_guess": self.search.evidence.whitening.guessed,
         }
         if moved is not None:
@@ -112,7 +114,7 @@ class Conclusion:
             result["which"] = self.which(marginal)
             found = located(self.laboratory, self.n, self.search.catalogue, self.search.nuisances, self.figures(), self.menu.projections)
             result |= found | {"where": combined(verdict, self.where(), found["where"])}
-            result["how_far"] = how_far(self.search, self.groups, adopted, self.menu.titles) if adopted else []
+            result["how_far"] = how_far(self.search, self.groups, adopted, self.titles) if adopted else []
             result["next_run"] = self.next_run(verdict) if verdict in ("identified", "ambiguous", "unknown") else None
             result["predictive"] = {f.name: f.predictive for f in self.fits if f.predictive}
         if verdict == "unknown":
@@ -124,7 +126,8 @@ class Conclusion:
                 if first and all(other.candidate.component not in (w["component"], *w["alternatives"]) for w in found["where"]):
                     first["alternatives"] = [*first["alternatives"], other.candidate.component]
         result["effort"] = effort_of(self.began, self.simulator)
-        return Diagnosis(result, adopted, tuple(self.fits), tuple(self.laboratory.channels), self.curves(adopted))
+        channels, ports = tuple(self.laboratory.channels), self.laboratory.ports
+        return Diagnosis(result, adopted, tuple(self.fits), channels, self.curves(adopted), ports, self.titles)
 
     def transfer(self) -> Transfer | None:
         """What the best model is worth in conditions that were held out."""
@@ -178,7 +181,7 @@ class Conclusion:
                     kept[subset] = 0.0
                     continue
                 trial = Fit((), {}, {}, 0.0, 0.0, True, signature, None)
-                kept[subset] = 1.0 - self.search.gap(trial, calibrated=False)[0] / before
+                kept[subset] = 1.0 - self.search.gap(trial, calibrated=False)[0] / before if before > 0.0 else 0.0
         shares = []
         for part in parts:
             rest = [p for p in parts if p != part]
@@ -188,13 +191,13 @@ class Conclusion:
                 for subset in combinations(rest, size):
                     joined = tuple(p for p in parts if p in subset or p == part)
                     value += weight * (kept[joined] - kept[subset])
-            half = 1.645 * noise / before
+            half = 1.645 * noise / before if before > 0.0 else 1.0
             here = [c for c in self.best.model if c.component == part]
             shares.append(
                 {
                     "component": part,
-                    "share": value,
-                    "interval": [value - half, min(value + half, 1.0)],
+                    "share": as_share(value),
+                    "interval": [as_share(value - half), as_share(value + half)],
                     "location": ", ".join(c.location for c in here),
                     **self.local(here),
                 }
@@ -223,7 +226,7 @@ class Conclusion:
     def figures(self) -> dict[str, FloatArray]:
         """Weights of the channels in each figure."""
         every = np.arange(len(self.laboratory.channels))
-        return {name: np.isin(every, members).astype(np.float64) for name, members in metrics(self.search, self.menu.titles).items()}
+        return {name: np.isin(every, members).astype(np.float64) for name, members in metrics(self.search, self.titles).items()}
 
     def smallest(self) -> list[dict[str, Any]]:
         """What would have been seen: 5 deviations of the fit, by candidate."""

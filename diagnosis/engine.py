@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis import gate
-from diagnosis.answer import Diagnosis, Menu, curves_of, effort_of, result_of
+from diagnosis.answer import Diagnosis, Menu, curves_of, effort_of, result_of, titles_of
 from diagnosis.catalogue import LOGGING, Catalogue, Nuisance
 from diagnosis.conclusion import Conclusion
 from diagnosis.estimation import Fit, probabilities
@@ -74,7 +74,7 @@ def diagnose(
     nominal = {u.address: u.nominal for u in nuisances if u.nominal}
     seeds = [a for a in catalogue.seeds if any(c.name == a[0] for c in system.components)]
     laboratory = Laboratory(
-        system, conditions, channels, resolver, convert, catalogue.quiet or {}, nominal, decimation, seeds, catalogue.refinement
+        system, conditions, channels, resolver, convert, catalogue.quiet or {}, nominal, decimation, seeds, catalogue.refinement, ports
     )
     groups = [[decimate(c.matrix(r, channels), decimation) for r in c.runs] for c in conditions]
     with Simulator(laboratory, workers, report, store) as simulator:
@@ -97,7 +97,7 @@ def diagnose(
         if fatal:
             curves = curves_of(laboratory, groups, simulator.repeated(range(n), (), NOMINAL))
             result = result_of("bad_log", findings) | {"effort": effort_of(began, simulator)}
-            return Diagnosis(result, {}, channels=tuple(channels), curves=curves)
+            return Diagnosis(result, {}, (), tuple(channels), curves, ports, titles_of(catalogue.titles, ports))
         return Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, began).diagnosis()
 
 
@@ -124,7 +124,7 @@ def _wrong_channel(
         return None
     name = names[int(energy.argmax())]
     if unexplained(over_noise(search, fits[0]), over_noise(search, best)) >= UNEXPLAINED and (rest := _rest(search, best, groups, name)):
-        return gate.Finding(name, "constant", rest, "s", f"stands still for {rest:.2f} s, which nothing explains")
+        return gate.Finding(name, "constant", rest, "s", f"stands still for {rest:.3g} s, which nothing explains")
     sign = np.where(np.array(search.simulator.laboratory.channels) == name, -1.0, 1.0)
     turned = Search(catalogue, search.simulator, [[sign * x for x in group] for group in groups], nuisances)
     other = _best(turned, turned.run())
@@ -201,7 +201,7 @@ def _gate(
         noise = np.std(np.stack(groups[i]) - np.mean(groups[i], axis=0), axis=(0, 1)) if len(groups[i]) > 1 else np.zeros(len(channels))
         noise = noise + 1e-9 * np.abs(simulated).max(axis=0)
         for r, x in zip(condition.runs, groups[i], strict=True):
-            found += gate.raw(r, channels, ranges)
+            found += gate.raw(r, channels, ranges, laboratory.system.step)
             found += gate.against_simulation(r, x, simulated, channels, step, noise)
         found += gate.spikes(condition, channels)
         found += gate.repeats(condition, groups[i], channels)

@@ -124,12 +124,12 @@ class Space:
 
     def find_alike(self, columns: Mapping[Address, FloatArray], scales: Mapping[Address, float]) -> None:
         """Note which nuisances have (nearly) the same column as a parameter; `columns` are per prior scale [unit of the parameter]."""
-        sizes = np.sqrt(np.diag(self._products)) + 1e-300
+        sizes = np.sqrt(np.diag(self._products))
         places = {name: i for i, name in enumerate(self.names)}
         projected = self.nuisances.T @ np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(sizes), 0))
         for (a, c), products in zip(columns.items(), projected.T, strict=True):
             energy = float(c @ c) + 1e-300
-            same = np.abs(products) / (sizes * math.sqrt(energy)) > ALIKE
+            same = np.abs(products) > ALIKE * sizes * float(np.linalg.norm(c))
             if a in places:
                 same[places[a]] = True
             self.alike[a] = {self.names[i]: float(abs(products[i]) / energy * scales[a]) for i in np.flatnonzero(same)}

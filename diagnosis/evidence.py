@@ -26,11 +26,12 @@ DEPENDENCE = 10.0
 """Samples that are worth one: what two systems that are not quite the same leave is no noise, it goes in one direction for a while."""
 LATENESS = 0.2
 """Communication steps that the channels of a component may be late: outputs hold for a step, and a step later others see them."""
-BEGINNING = 0.1
-"""Time [s] at the beginning of a run that does not count: a simulation begins with its initial values, and settles."""
-SUDDEN, AROUND = 0.25, 0.04
+BEGINNING, SETTLING = 25, 0.1
+"""Communication steps at the beginning of a run that do not count, and the part of a run that they are at most: a simulation begins with
+its initial values, and settles."""
+SUDDEN, AROUND = 0.25, 10
 """Communication steps, at random, that a sudden change may come early or late: what happens within a step is not modelled. Sudden is what
-is no straight line over this time [s] before and after."""
+is no straight line over so many steps before and after."""
 
 Changes = Mapping[Address, Sequence[FloatArray]]
 """parameter -> change of the channels that it makes in each condition, [samples, channels]."""
@@ -98,14 +99,14 @@ def gather(
     groups = [[x[:, active] for x in g] for g in groups]
     nominals = [[b[:, active] for b in group] for group in nominals]
     changes = {a: [c[:, active] for c in change] for a, change in changes.items()}
-    begin = math.ceil(BEGINNING / (laboratory.system.step * laboratory.decimation))
+    begin = min(math.ceil(BEGINNING / laboratory.decimation), int(SETTLING * min(len(x) for g in groups for x in g)))
     w = _whitening(groups, nominals, changes, begin) if like is None else like.whitening
     means = [np.asarray(np.mean(group, axis=0)) for group in nominals]
     # the mean of so many simulations scatters too
     counts = [len(g) * len(m) / (len(g) + len(m)) if len(m) > 1 else float(len(g)) for g, m in zip(groups, nominals, strict=True)]
     # change of each channel in a communication step
     rates = [np.gradient(m, axis=0) / laboratory.decimation for m in means]
-    span = max(1, round(AROUND / (laboratory.system.step * laboratory.decimation)))
+    span = max(1, round(AROUND / laboratory.decimation))
     sudden = [SUDDEN / laboratory.decimation * _bend(m, span) * np.sqrt(n) for m, n in zip(means, counts, strict=True)]
     residuals = [[w.apply(x - m, 1.0, s) for x in g] for g, m, s in zip(groups, means, sudden, strict=True)]
     halves = [
@@ -129,7 +130,7 @@ def gather(
     for component in dict.fromkeys(name.partition(".")[0] for name in names):
         here = np.array([name.partition(".")[0] == component for name in names])
         nuisances[LOGGING, f"lag {component}.*"] = white([-LATENESS * rate * here for rate in rates])
-    spell = max(1, round(SPELL / (laboratory.system.step * laboratory.decimation)))
+    spell = max(1, round(SPELL / laboratory.decimation))
     own, expected = [], np.zeros(y.size)
     for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
         simulated = [w.apply(x - means[i], 1.0, sudden[i]) for x in nominals[i]]

@@ -42,6 +42,12 @@ NEAR = 25.5
 LIMIT = 0.1
 """Part of a channel's range by which its simulation may be short of a limit that the channel stands at."""
 
+BREAK, LONG_BREAK, PART = 12.5, 62.5, 0.05
+"""Samples (communication steps, if these are longer) without a stamp that are noted, and those that make a log a bad one, or that part
+of a run."""
+REST = 0.1
+"""Part of a run from which a channel stands still."""
+
 EXACT, TIMING = 1e-5, 0.05
 """Part of a channel's range, and samples in time, by which repeats that are the same may differ: a stamp that jitters moves a jump."""
 
@@ -59,16 +65,15 @@ class Finding:
     repaired: bool = False
 
 
-def raw(run: Run, channels: Sequence[str], ranges: Mapping[str, tuple[float | None, float | None]]) -> list[Finding]:
-    """What can be seen without a simulation."""
+def raw(run: Run, channels: Sequence[str], ranges: Mapping[str, tuple[float | None, float | None]], step: float) -> list[Finding]:
+    """What can be seen without a simulation; `step` [s] is that of the communication."""
     found = []
     gaps = np.diff(run.t)
-    typical = float(np.median(gaps))
+    usual = max(float(np.median(gaps)), step)
     longest = float(gaps.max())
-    if longest > max(10.0 * typical, 0.05):
-        found.append(
-            Finding("t", "time", longest, "s", f"no samples for {longest:.3g} s at t = {run.t[int(gaps.argmax())]:.3f} s", longest > 0.25)
-        )
+    if longest > BREAK * usual:
+        fatal = longest > min(LONG_BREAK * usual, PART * float(np.ptp(run.t)))
+        found.append(Finding("t", "time", longest, "s", f"no samples for {longest:.3g} s at t = {run.t[int(gaps.argmax())]:.6g} s", fatal))
     for name in channels:
         values = run.columns[name]
         unit = run.ports[name].unit or ""
@@ -111,8 +116,8 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
         still, longest = len(stretch), len(_still(s[:, i], single))
         there = s[moving, i][stretch]
         passed = np.ptp(there) > max(LIMIT * spread, 20.0 * noise[i]) if still else False
-        if still * step > 0.5 and still > 0.1 * len(x) and (still > 3 * longest + 10 or passed):
-            found.append(Finding(name, "constant", still * step, "s", f"stands still for {still * step:.2f} s"))
+        if still > REST * len(x) and (still > 3 * longest + 10 or passed):
+            found.append(Finding(name, "constant", still * step, "s", f"stands still for {still * step:.3g} s"))
             suspects.add(name)
             continue
         if name in suspects or not _visible(float(x[:, i] @ x[:, i]), noise[i], len(x)):  # measured over measured: whatever its unit is
@@ -138,8 +143,7 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
 def stopped(x: FloatArray, s: FloatArray, step: float, noise: float) -> float:
     """How long [s] a measured channel stands still, wherever that is, while its simulation moves; 0.0 if it does not."""
     stretch = _still(x)
-    enough = len(stretch) * step > 0.5 and len(stretch) > 0.1 * len(x)
-    return len(stretch) * step if enough and np.ptp(s[stretch]) > 20.0 * noise else 0.0
+    return len(stretch) * step if len(stretch) > REST * len(x) and np.ptp(s[stretch]) > 20.0 * noise else 0.0
 
 
 def _visible(energy: float, noise: float, n: int) -> bool:

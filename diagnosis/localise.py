@@ -16,8 +16,8 @@ from scipy.stats import chi2
 from orchestration.slave import FloatArray
 
 FALSE_DISCOVERIES = 0.05
-BANDS = ((0.0, 1.0), (1.0, 5.0), (5.0, 15.0), (15.0, np.inf))
-"""Hz"""
+BANDS = ((0.0, 0.004), (0.004, 0.02), (0.02, 0.06), (0.06, np.inf))
+"""Parts of the sampling frequency: 1, 5 and 15 Hz of 250 Hz."""
 MOVING = 1e-3
 """Part of its largest rate of change below which a variable stands still."""
 PRESENT = 0.1
@@ -122,8 +122,9 @@ def dependences(
 
 
 def bands(residual: FloatArray, step: float) -> list[tuple[tuple[float, float], float]]:
-    """Part of the squared residual [n, d], sampled every `step` [s], in each band [Hz]."""
+    """Part of the squared residual [n, d], sampled every `step` [s], in each of the BANDS [Hz]."""
     spectrum = (np.abs(np.fft.rfft(residual, axis=0)) ** 2).sum(axis=1)
     spectrum[1 : len(spectrum) - (len(residual) % 2 == 0)] *= 2.0
-    frequency = np.fft.rfftfreq(len(residual), step)
-    return [((a, b), float(spectrum[(frequency >= a) & (frequency < b)].sum() / (spectrum.sum() + 1e-300))) for a, b in BANDS]
+    frequency = np.fft.rfftfreq(len(residual))
+    shares = [float(spectrum[(frequency >= a) & (frequency < b)].sum() / (spectrum.sum() + 1e-300)) for a, b in BANDS]
+    return [((a / step, b / step), share) for (a, b), share in zip(BANDS, shares, strict=True)]

@@ -54,6 +54,8 @@ def in_units(run: Run, ports: Mapping[str, PortData], convert: Convert) -> Run:
     columns, units = dict(run.columns), dict(run.ports)
     for name in run.columns.keys() & ports.keys():
         there, wanted = run.ports[name].unit, ports[name].unit
+        if not there:
+            units[name] = replace(run.ports[name], unit=wanted)
         if not there or not wanted or there == wanted:
             continue
         try:

@@ -19,8 +19,8 @@ from orchestration.slave import FloatArray
 
 ORDER = 3
 """Order of the autoregressive models, in (decimated) samples."""
-SPELL = 0.5
-"""Length [s] of the spells in which it is looked at, too."""
+SPELL = 125
+"""Length [communication steps] of the spells in which it is looked at, too."""
 RARE = 2.5
 """Variance of a spell, over that of white noise, that chance rarely gives to so few repeats."""
 SLOW = (0, 1, 2, 4, 8)

@@ -19,7 +19,7 @@ from diagnosis.evidence import SUDDEN, TRUST
 from diagnosis.marginal import TEMPERATURE, MarginalLikelihood
 from diagnosis.measured import DataError
 from diagnosis.noise import whitening
-from diagnosis.repeats import RESAMPLES, over_pairs
+from diagnosis.repeats import RESAMPLES, bootstrapped, over_pairs
 from diagnosis.segments import array_of
 from diagnosis.simulation import Laboratory, decimate
 from orchestration.slave import FloatArray
@@ -36,17 +36,22 @@ MORE = 1.5
 """Variance, in that of noise, from which the effects do not explain what is there."""
 
 
+BRIDGED = 50
+"""Communication steps of a gap that is no interruption."""
+
+
 def intervals(on: npt.NDArray[np.bool_], grid: FloatArray, decimation: int) -> list[list[float]]:
-    """[[from, to], ...] in s where `on` is true; gaps below 0.2 s are bridged."""
+    """[[from, to], ...] in s where `on` is true; gaps below BRIDGED steps of the grid are bridged."""
     step = float(grid[1] - grid[0]) * decimation
+    digits = max(0, 1 - math.floor(math.log10(step)))
     found: list[list[float]] = []
     for i in np.flatnonzero(on):
         t = float(grid[0]) + i * step
-        if found and t - found[-1][1] < 0.2 + step:
+        if found and t - found[-1][1] < BRIDGED * step / decimation + step:
             found[-1][1] = t + step
         else:
             found.append([t, t + step])
-    return [[round(float(a), 3), round(float(b), 3)] for a, b in found][:40]
+    return [[round(float(a), digits), round(float(b), digits)] for a, b in found][:40]
 
 
 @dataclass(frozen=True)
@@ -58,8 +63,8 @@ class Reading:
     """Which could be to blame: those in which a fault would show here."""
     residual: float
     """What is left of the mean run [unit of the output]: rms over time, root of the sum over the elements, noise taken off."""
-    interval: tuple[float, float]
-    """Of `residual`, 90 %, over the repeats."""
+    interval: list[float] | None
+    """Of `residual`, 90 %, over the repeats; None where nothing was repeated."""
     whitened: float
     """Rms of what is left of the mean run, in units of its noise."""
     unexplained: float
@@ -214,10 +219,18 @@ class Replay:
             limit = TEMPERATURE * (1.0 + SIGNIFICANT * math.sqrt(2.0 / n))
             energy, unexplained = float(np.mean(self.y[here] ** 2)), float(np.mean(left[here] ** 2))
             squares = self._squares(k)
-            low, high = np.sqrt(np.maximum(np.nanquantile(squares[1:], (0.05, 0.95)), 0.0))
+            ends = bootstrapped(squares[1:], max(map(len, self.groups)))
             size = math.sqrt(max(float(squares[0]), 0.0))
             found.append(
-                Reading(array, members, size, (float(low), float(high)), math.sqrt(energy), math.sqrt(unexplained), unexplained > limit)
+                Reading(
+                    array,
+                    members,
+                    size,
+                    [math.sqrt(max(x, 0.0)) for x in ends] if ends else None,
+                    math.sqrt(energy),
+                    math.sqrt(unexplained),
+                    unexplained > limit,
+                )
             )
         return found
 

@@ -21,7 +21,7 @@ from orchestration.assembly import Resolver, run
 from orchestration.errors import OrchestrationError
 from orchestration.parameters import Convert, same_unit_only
 from orchestration.recorder import select
-from orchestration.slave import FloatArray
+from orchestration.slave import FloatArray, PortData
 from orchestration.system import System
 
 Setting = tuple[tuple[Address, float], ...]
@@ -52,6 +52,8 @@ class Laboratory:
     seeds: Sequence[Address] = ()
     """Parameters that make a simulation another repeat of itself."""
     refinement: Refinement | None = None
+    ports: Mapping[str, PortData] = field(default_factory=dict)
+    """The channels, as the system has them."""
     _logged: dict[tuple[int, Setting], FloatArray | None] = field(default_factory=dict, repr=False)
     """The simulation to which faults of the log were last applied."""
 

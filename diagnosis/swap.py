@@ -18,7 +18,7 @@ from itertools import combinations
 import numpy as np
 
 from diagnosis.bench import Bench
-from diagnosis.repeats import RESAMPLES, over_pairs
+from diagnosis.repeats import RESAMPLES, as_share, bootstrapped, over_pairs
 from orchestration.errors import OrchestrationError
 from orchestration.slave import FloatArray
 
@@ -48,8 +48,8 @@ class Share:
     component: str
     """Whose outputs are put right; the cause may be anything between them and the cuts before them."""
     share: float
-    interval: tuple[float, float]
-    """90 %, bootstrap over the repeats."""
+    interval: list[float] | None
+    """90 %, bootstrap over the repeats; None where nothing was repeated."""
 
 
 def shares(benches: Sequence[Bench], players: Sequence[str], figures: Mapping[str, FloatArray], seed: int = 0) -> list[Share]:
@@ -81,8 +81,9 @@ def shares(benches: Sequence[Bench], players: Sequence[str], figures: Mapping[st
         before = np.where(nothing > 0.0, nothing, np.nan)
         values = shapley(players, partial(_closed, gap, before))
         for p in players:
-            low, high = np.nanquantile(values[p][1:], (0.05, 0.95))
-            found.append(Share(figure, p, float(values[p][0]), (float(low), float(high))))
+            interval = bootstrapped(values[p][1:], max(len(b.measured) for b in benches))
+            share = as_share(float(values[p][0]))
+            found.append(Share(figure, p, share, [as_share(x) for x in interval] if interval else None))
     return found
 
 

@@ -1,9 +1,11 @@
 """Whether a model holds in conditions that it was not fitted to: a wrong one that fits a run does not fit the next.
 
 A model with fitted values promises a gain in log score in new conditions: that of its signature there. What it gains is how much
-better it predicts the measured runs than the nominal system does. Both are given what the diagnosed runs say about calibrated
-numbers: joint energy less theirs. If the model is right the two are equal but for noise; of what only looks like it in the
-diagnosed runs, the gain is a part of what was promised, or a loss.
+better it predicts the measured runs than the nominal system does. If the model is right the two are equal but for noise; of what only
+looks like it in the diagnosed runs, the gain is a part of what was promised, or a loss.
+
+Calibrated numbers may be off there as in the diagnosed runs: within their tolerances, and whoever moves them pays for it. If they were
+given as the diagnosed runs have them, the nominal system would bring along for nothing what it has to move there in place of the effect.
 """
 
 from __future__ import annotations
@@ -68,8 +70,8 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Map
     conditions = simulator.laboratory.conditions
     diagnosed = len(search.groups)
     names = [c.name for c in conditions]
-    every = [i for i, name in enumerate(names) if i < diagnosed or name not in names[:diagnosed]]
-    if len(every) == diagnosed:
+    every = [i for i, name in enumerate(names) if i >= diagnosed and name not in names[:diagnosed]]
+    if not every:
         return None
     nominals = simulator.repeated(every, (), NOMINAL, "new conditions")
     there = simulator.repeated(every, setting(values), POLISH, "new conditions")
@@ -83,17 +85,10 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Map
     e = gather(simulator.laboratory, [names[i] for i in every], measured, plain, changes, sizes, {}, scales, search.evidence)
     signature = e.mean_signature(there)
     assert signature is not None
-    known = list(e.space.blocks)[:diagnosed]
-    rows, here = e.space.rows(known), e.space.only(known)
-
-    def energy(left: FloatArray, unsure: FloatArray | None = None) -> float:
-        """Of the new conditions, given the diagnosed ones; a part of `unsure`, of deviation 1, is free."""
-        before = _energy(here, left[rows], None if unsure is None else unsure[rows])
-        return _energy(e.space, left, unsure) - before
-
-    before, after = energy(e.space.y), energy(e.space.y - signature, doubt * signature)
-    noise = float(e.expected.sum() - e.expected[rows].sum())
-    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * energy(signature), doubt)
+    space = e.space
+    before, after = _energy(space, space.y, None), _energy(space, space.y - signature, doubt * signature)
+    noise = float(e.expected.sum())
+    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * _energy(space, signature, None), doubt)
 
 
 def _energy(space: Space, left: FloatArray, unsure: FloatArray | None) -> float:

@@ -14,6 +14,7 @@ from diagnosis.catalogue import Candidate, Catalogue, Nuisance
 from diagnosis.localise import Projection
 from diagnosis.marginal import TEMPERATURE
 from diagnosis.measured import DataError
+from diagnosis.repeats import as_share
 from diagnosis.replay import Replay
 from diagnosis.segments import array_of, structure
 from diagnosis.simulation import Laboratory
@@ -107,7 +108,7 @@ def locate(replay: Replay, figures: Mapping[str, FloatArray], projections: Mappi
                 "output": r.output,
                 "components": list(r.components),
                 "residual": r.residual,
-                "interval": list(r.interval),
+                "interval": r.interval,
                 "unit": replay.unit(r.output),
                 "whitened": r.whitened,
                 "unexplained": r.unexplained,
@@ -115,7 +116,7 @@ def locate(replay: Replay, figures: Mapping[str, FloatArray], projections: Mappi
             }
             for r in readings
         ],
-        "swap": [{"figure": s.figure, "component": s.component, "share": s.share, "interval": list(s.interval)} for s in swapped],
+        "swap": [{"figure": s.figure, "component": s.component, "share": s.share, "interval": s.interval} for s in swapped],
     }
 
 
@@ -131,20 +132,20 @@ def _entry(
     parts: dict[str, list[FloatArray]] = {}
     for s in swapped:
         part = replay.part(b.component, [x.component for x in blamed], s.component)
-        parts.setdefault(s.figure, []).append(part * np.array([s.share, *s.interval]))
-    totals = {figure: np.sum(p, axis=0) for figure, p in parts.items()}
-    share = totals.pop(WHOLE, np.zeros(3))
+        parts.setdefault(s.figure, []).append(part * np.array([s.share, *(s.interval or ())]))
+    totals = {figure: [as_share(float(x)) for x in np.sum(p, axis=0)] for figure, p in parts.items()}
+    share = totals.pop(WHOLE, [0.0])
     inside = Inside(replay, b.component, [x.component for x in blamed if x is not b])
     outputs = [o for o in significant if replay.arrays.index(o) in replay.reach[b.component]]
     return {
         "component": b.component,
-        "share": float(share[0]),
-        "interval": [float(share[1]), float(share[2])],
+        "share": share[0],
+        "interval": share[1:] or None,
         "log_odds": b.log_odds,
         "alternatives": list(b.alternatives),
         "outputs": outputs,
         **inside.place(outputs, projections),
-        "shares": {figure: {"share": float(t[0]), "interval": [float(t[1]), float(t[2])]} for figure, t in totals.items()},
+        "shares": {figure: {"share": t[0], "interval": t[1:] or None} for figure, t in totals.items()},
         "dependence": inside.dependence(outputs),
     }
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import sys
 from argparse import Namespace
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from diagnosis import adopt
-from diagnosis.answer import Menu
+from diagnosis.answer import Diagnosis, Menu, as_json
 from diagnosis.catalogue import LOGGING, Catalogue
 from diagnosis.engine import diagnose
 from diagnosis.next_run import Offer
@@ -26,19 +26,10 @@ from robomill.joints import PROJECTIONS
 CATALOGUE = "catalogue.toml"
 SIMULATIONS = "simulations"
 """Folder in that of the answer: what has been simulated, until the diagnosis is finished."""
-TITLES = {
-    "compliance.p_BT_B": "tool-tip path error",
-    "sensor.f_T_T": "compensated force error",
-    "sensor.f_S_raw": "sensor force error",
-    "drive.torque_motor": "motor torque error",
-    "drive.q_motor": "motor angle error",
-    "controller.correction_B": "correction error",
-    "milling.spindle_torque": "spindle torque error",
-}
 
 
 def menu(system: System, folder: Path) -> Menu:
-    """What the engine is told about a system: titles and, for a milling cell, runs that could be made next (tables go to `folder`)."""
+    """What the engine is told about a system; for a milling cell, runs that could be made next (tables go to `folder`)."""
 
     def offers() -> dict[str, Offer]:
         made = {}
@@ -48,12 +39,11 @@ def menu(system: System, folder: Path) -> Menu:
             made[kind] = Offer(r.system, r.parameters, r.seconds, r.minutes, r.repeats, {c: v for c, v in shown.items() if v})
         return made
 
-    return Menu(titles=TITLES, offers=offers, projections=PROJECTIONS)
+    return Menu(offers=offers, projections=PROJECTIONS)
 
 
 def run(options: Namespace) -> int:
     """Exit status 0: answered; 1: the log is not usable."""
-    from robomill import report
     from robomill.commands import _progress
 
     file = options.catalogue or options.system.parent / CATALOGUE
@@ -86,21 +76,27 @@ def run(options: Namespace) -> int:
             raise KeyboardInterrupt(
                 f"interrupted; {len(store)} simulations are kept in {store.folder}/: the same command goes on"
             ) from None
-    options.out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(found.result, indent=1)
-    (options.out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
+    page = write(found, system, [*runs, *held], catalogue, options.out)
     store.remove()
-    if found.result["verdict"] in ("identified", "ambiguous"):
-        adopt.write(found.adopted, options.out / "adopt.ssv")
-    else:
-        (options.out / "adopt.ssv").unlink(missing_ok=True)  # of an earlier answer
-    page = report.write(report.Subject(found, system, [*runs, *held], catalogue, TITLES), options.out)
     if options.json:
-        print(text)
+        print(as_json(found.result))
     else:
         print("\n".join(lines(found.result)))
         print(f"report: {page}; beside it diagnosis.json{' and adopt.ssv' if (options.out / 'adopt.ssv').is_file() else ''}")
     return 1 if found.result["verdict"] == "bad_log" else 0
+
+
+def write(found: Diagnosis, system: System, runs: Sequence[Run], catalogue: Catalogue, folder: Path) -> Path:
+    """diagnosis.json, adopt.ssv where there is something to adopt, and the report, which is returned."""
+    from robomill import report
+
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "diagnosis.json").write_text(as_json(found.result) + "\n", encoding="utf-8")
+    if found.result["verdict"] in ("identified", "ambiguous"):
+        adopt.write(found.adopted, folder / "adopt.ssv")
+    else:
+        (folder / "adopt.ssv").unlink(missing_ok=True)  # of an earlier answer
+    return report.write(report.Subject(found, system, runs, catalogue), folder)
 
 
 @cache

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from typing import Any
+
+import numpy as np
 
 from diagnosis.isolability import CONFUSABLE
 from orchestration.slave import base_name
@@ -109,9 +112,11 @@ def _spoken(name: object) -> str:
     return str(name).replace("_", " ").replace(" @ ", ", ").replace(" + ", " with ")
 
 
-def _times(regime: Sequence[Sequence[float]]) -> str:
-    """Intervals of time, the first few."""
-    shown = ", ".join(f"{number(a, 0.1)} to {number(b, 0.1)}" for a, b in regime[:4])
+def _times(s: Subject, regime: Sequence[Sequence[float]]) -> str:
+    """Intervals of time, the first few, to about a hundredth of the longest run."""
+    longest = max((float(np.ptp(c["t"])) for c in s.found.curves.values()), default=0.0)
+    spacing = 10.0 ** math.floor(math.log10(0.05 * longest)) if longest > 0.0 else 0.1
+    shown = ", ".join(f"{number(a, spacing)} to {number(b, spacing)}" for a, b in regime[:4])
     return f"{shown}{' …' if len(regime) > 4 else ''} s" if regime else ""
 
 
@@ -209,7 +214,7 @@ def _where(s: Subject, figures: Mapping[str, str]) -> str:
                 f"{percent(w['share'])}<small>{percent_interval(w['interval'])}</small>",
                 escape(_direction(str(w["direction"]), s)) if w.get("direction") not in (None, channel) else "–",
                 f"{escape(s.label(channel))}<small>{_code(channel)}</small>" if channel else "",
-                escape(_times(w.get("regime") or [])),
+                escape(_times(s, w.get("regime") or [])),
                 "<br/>".join(depends) or "–",
             )
         )
@@ -274,7 +279,7 @@ def _unknown(s: Subject) -> str:
     text = (
         f"The catalogue's nearest answer is {_spoken(known['nearest'])}, and it is not good enough. What it leaves is strongest in "
         f"the outputs of {known['component']} ({_direction(str(known['direction']), s)})"
-        + (f", at {_times(known['regime'])}." if known.get("regime") else ".")
+        + (f", at {_times(s, known['regime'])}." if known.get("regime") else ".")
         + (
             " The cause is there or upstream of it."
             if not s.blamed
@@ -485,7 +490,7 @@ def _about(s: Subject) -> str:
         kind = "diagnosed"
         if condition.endswith(HELD_OUT):
             kind = KINDS[1] if condition.removesuffix(HELD_OUT) in s.found.curves else KINDS[0]
-        rows.append((escape(condition.removesuffix(HELD_OUT)), kind, f"{number(float(t[-1] - t[0]), 0.1)} s", str(len(t))))
+        rows.append((escape(condition.removesuffix(HELD_OUT)), kind, f"{number(float(t[-1] - t[0]))} s", str(len(t))))
     parts = [_table(("Condition", "Used as", "Length", "Samples"), rows, (2, 3))] if rows else []
     gap = s.result.get("gap")
     lines = []

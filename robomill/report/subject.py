@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -34,13 +34,16 @@ class Subject:
     system: System
     runs: Sequence[Run]
     catalogue: Catalogue
-    titles: Mapping[str, str] = field(default_factory=dict)
-    """array or column -> what people call the difference between machine and simulation there."""
 
     @property
     def result(self) -> dict[str, Any]:
         """As in diagnosis.json."""
         return self.found.result
+
+    @property
+    def titles(self) -> Mapping[str, str]:
+        """Array -> what people call the difference between machine and simulation there."""
+        return self.found.titles
 
     @property
     def verdict(self) -> str:
@@ -59,7 +62,10 @@ class Subject:
 
     def unit(self, channel: str) -> str:
         """Of a channel or array; "" where nobody knows."""
-        return next((r.unit(channel) for r in self.runs if channel in r.columns or base_name(channel) in map(base_name, r.columns)), "")
+        measured = (r.unit(channel) for r in self.runs if channel in r.columns or base_name(channel) in map(base_name, r.columns))
+        return next((u for u in measured if u), "") or next(
+            (p.unit or "" for c, p in self.found.ports.items() if base_name(c) == base_name(channel)), ""
+        )
 
     def gap(self, condition: str, channel: str, simulated: str = "nominal") -> FloatArray:
         """Measured mean minus simulation, [samples]."""

@@ -81,8 +81,13 @@ def percent(share: float) -> str:
     return join("0" if plain == "-0" else plain.replace("-", "−"), "%")
 
 
-def percent_interval(interval: Sequence[float]) -> str:
-    """`0.962, 0.984` -> `96 % to 98 %`; with a decimal where both ends are the same without, and one of them if they still are."""
+def percent_interval(interval: Sequence[float] | None) -> str:
+    """`0.962, 0.984` -> `96 % to 98 %`; with a decimal where both ends are the same without, and one of them if they still are.
+
+    Empty where there is none.
+    """
+    if interval is None:
+        return ""
     low, high = (percent(x) for x in interval)
     if low == high:
         low, high = (join(f"{100.0 * x:.1f}".replace("-", "−"), "%") for x in interval)

@@ -18,8 +18,8 @@ SECONDS = 8.0
 
 
 def growing(t: FloatArray, y: FloatArray) -> FloatArray:
-    """A sensor whose gain grows by 0.8 %."""
-    return y * (1.0 + 0.008 * t / SECONDS)
+    """A sensor whose gain is 0.1 % too large and grows by 0.8 %."""
+    return y * (1.001 + 0.008 * t / SECONDS)
 
 
 def late(t: FloatArray, y: FloatArray) -> FloatArray:

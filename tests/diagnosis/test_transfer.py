@@ -12,6 +12,7 @@ from diagnosis.engine import diagnose
 from diagnosis.transfer import TELLING, Transfer
 from diagnosis.verdict import stands
 from orchestration.results import Run
+from tests.diagnosis import axis
 from tests.diagnosis.demo import CATALOGUE, SYSTEM, catalogue, measure, resolve
 
 RUBBING = {"masses": {"friction[1]": 0.03}}
@@ -88,3 +89,31 @@ def test_a_promise_is_no_surer_than_the_fitted_values() -> None:
     assert Transfer(1.06, 1.03, 43.4, 114.1, doubt=0.16).holds
     assert not Transfer(1.06, 1.03, 43.4, 114.1, doubt=0.04).holds
     assert not Transfer(1.06, 1.03, -43.4, 114.1, doubt=0.16).holds
+
+
+TOLERATED = '[[nuisance]]\ncomponent = "drive"\nparameters = ["inertia_error"]\nabsolute = 0.002\nsource = "made up"\n'
+HEAVY = {"inertia_error": 0.06}
+
+
+def tolerated(folder: Path, held: list[Run]) -> dict[str, Any]:
+    """The axis with 30 times as much of an effect as the tolerance of the calibrated number that it is."""
+    found = axis.catalogue(folder)
+    (folder / "axis.toml").write_text((folder / "axis.toml").read_text() + TOLERATED)
+    found = Catalogue.load(folder / "axis.toml")
+    return diagnose(axis.system(), axis.measure(HEAVY, repeats=3), found, held_out=held, resolver=axis.resolve).result
+
+
+def test_who_moves_a_calibrated_number_in_a_new_condition_pays_for_it(tmp_path: Path) -> None:
+    """30 deviations that had to be moved in the diagnosed runs are not moved for nothing in the next."""
+    result = tolerated(tmp_path, axis.measure(HEAVY, repeats=2, size=0.6, seed=2))
+    assert result["verdict"] == "identified"
+    moved = result["transfer"]
+    assert moved["promised"] == pytest.approx(0.5 * 30.0**2, rel=0.1)
+    assert moved["gain"] == pytest.approx(moved["promised"], rel=0.1)
+    assert moved["after"] < 1.4 < moved["before"]
+
+
+def test_a_calibrated_number_that_is_right_in_a_new_condition_was_not_the_cause(tmp_path: Path) -> None:
+    result = tolerated(tmp_path, axis.measure(repeats=2, size=0.6, seed=2))
+    assert result["verdict"] == "unknown"
+    assert result["transfer"]["gain"] < 0.0 < result["transfer"]["promised"]

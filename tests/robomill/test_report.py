@@ -37,13 +37,16 @@ from tests.tolerances import EXACT
 
 SCENARIOS = Path("scenarios")
 STIFF = {"masses": {"stiffness_error[2]": -0.08}}
-TITLES = {"sensors.y": "displacement error"}
 VERDICTS = ("none", "identified", "ambiguous", "unknown", "bad_log", "late")
 
 
 def _catalogue(folder: Path, twin: bool = False) -> Catalogue:
     """The demo's; with an effect that does exactly what another does."""
-    text = CATALOGUE + ("\n[[effect]]" + CATALOGUE.split("[[effect]]")[3].replace('"gain"', '"scale"') if twin else "")
+    text = (
+        CATALOGUE
+        + '\n[titles]\n"sensors.y" = "displacement error"\n'
+        + ("\n[[effect]]" + CATALOGUE.split("[[effect]]")[3].replace('"gain"', '"scale"') if twin else "")
+    )
     (folder / "catalogue.toml").write_text(text)
     return Catalogue.load(folder / "catalogue.toml")
 
@@ -56,8 +59,8 @@ def _offers() -> Mapping[str, Offer]:
 def _subject(folder: Path, runs: list[Run], twin: bool = False, **more: Any) -> Subject:
     found = _catalogue(folder, twin)
     held = more.pop("held_out", [])
-    result = diagnose(SYSTEM, runs, found, held_out=held, resolver=resolve, menu=Menu(titles=TITLES, offers=_offers), **more)
-    return Subject(result, SYSTEM, [*runs, *held], found, TITLES)
+    result = diagnose(SYSTEM, runs, found, held_out=held, resolver=resolve, menu=Menu(offers=_offers), **more)
+    return Subject(result, SYSTEM, [*runs, *held], found)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +79,7 @@ def subject(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Subject
             gain = {"sensors": {"gain_error[1]": 0.04}}
             return _subject(folder, measure(gain) + measure(gain, amplitude=0.6, seed=2), twin=True)
         if verdict == "growing":
-            return _subject(folder, changed(measure(), "sensors.y[1]", lambda t, y: y * (1.0 + 0.001 * t)))
+            return _subject(folder, changed(measure(), "sensors.y[1]", lambda t, y: y * (1.001 + 0.001 * t)))
         if verdict == "unknown":
             return _subject(folder, changed(measure(), "sensors.y[1]", lambda t, y: y + 2e-3 * np.sin(9.0 * t) * (t > 5.0)))
         if verdict == "unknown elsewhere":
@@ -342,7 +345,8 @@ def test_labels_are_those_that_people_use() -> None:
         "compliance.p_BT_B": "tool-tip path error",
         "milling.spindle_torque": "spindle torque error",
     }
-    s = replace(_cell({}), titles=titles)
+    s = _cell({})
+    s = replace(s, found=replace(s.found, titles=titles))
     channels = ("drive.q_motor[3]", "compliance.p_BT_B[2]", "milling.spindle_torque", "sensor.f_T_T[1]")
     assert [s.label(c) for c in channels] == [
         "motor angle error, joint 3",
