@@ -141,7 +141,8 @@ class Model:
     """A component's model: its variables, its two functions and its error messages.
 
     `errors[i]` is the message of status i; `{field}` and `{field[0]}` in it are replaced from the
-    record and `{t}` by the time in s. `errors[0]` is empty.
+    record and `{t}` by the time in s. An array of integers is shown up to its last one that is not
+    zero. `errors[0]` is empty.
     """
 
     name: str
@@ -287,3 +288,9 @@ class _RecordFormatter(string.Formatter):
 
     def get_value(self, key: int | str, args: Sequence[Any], kwargs: Any) -> Any:
         return kwargs[key]
+
+    def format_field(self, value: Any, format_spec: str) -> Any:
+        if isinstance(value, np.ndarray) and value.dtype.kind == "i":
+            shown = np.trim_zeros(value.ravel(), "b")
+            return f"[{' '.join(str(int(x)) for x in shown)}]"
+        return super().format_field(value, format_spec)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from models import workpiece
+from models import tool_table, workpiece
 from models.cutting import (
     LEAST_LAG,
     MAX_TEETH,
@@ -61,7 +61,7 @@ def _count(name: str, description: str) -> Variable:
     return Variable(name, "state", description, kind="integer")
 
 
-_DEPENDS = ("p_BT_B", "quat_BT", "v_BT_B", "spindle_speed")
+_DEPENDS = ("p_BT_B", "quat_BT", "v_BT_B", "spindle_speed", "tool")
 _P_BP_B = (1.595, -0.018, 1.099)
 
 VARIABLES = (
@@ -76,6 +76,7 @@ VARIABLES = (
     ),
     Variable("v_BT_B", "input", "commanded feed velocity of T, in B: gives chip thickness and feed direction", "m/s", (3,)),
     Variable("spindle_speed", "input", "spindle speed, clockwise seen from the spindle (M3)", "rad/s", minimum=0.0, display_unit="rpm"),
+    Variable("tool", "input", "T number of the tool in the spindle; 0: the one that the parameters describe", kind="integer", minimum=0),
     Variable("f_T_B", "output", "cutting force on the tool at T in B, mean over the step", "N", (3,), depends_on=_DEPENDS),
     Variable("m_T_B", "output", "cutting moment on the tool about T in B, mean over the step", "N.m", (3,), depends_on=_DEPENDS),
     Variable("f_peak", "output", "largest magnitude of the cutting force at a sub-step within the step", "N", depends_on=_DEPENDS),
@@ -102,6 +103,13 @@ VARIABLES = (
     Variable("teeth", "parameter", "number of teeth", kind="integer", start=_MILL.teeth, minimum=1, maximum=MAX_TEETH),
     _parameter("helix", "helix angle; right-hand, pulls the tool into the work", "rad", _MILL.helix, 0.0, 1.2),
     _parameter("cutting_length", "length of the cutting edges; a deeper engagement is an error", "m", _MILL.cutting_length, 0.0),
+    Variable(
+        "tools",
+        "parameter",
+        "tools by T number: number, diameter in m, teeth, helix in rad, cutting length in m; may be empty",
+        shape=(tool_table.CAPACITY, len(tool_table.COLUMNS)),
+        kind="table",
+    ),
     _parameter("Ktc", "tangential cutting coefficient", "Pa", _K.Ktc, 0.0, tunable=True),
     _parameter("Krc", "radial cutting coefficient", "Pa", _K.Krc, 0.0, tunable=True),
     _parameter("Kac", "axial cutting coefficient", "Pa", _K.Kac, 0.0, tunable=True),
@@ -128,6 +136,13 @@ VARIABLES = (
         maximum=10000,
     ),
     _parameter("size_reference", "chip thickness at which the size effect changes nothing", "m", _CUT.size_reference, 1e-7),
+    Variable(
+        "spindle_start_angle",
+        "parameter",
+        "angle of tooth 1 at the start, clockwise from +y of P",
+        "rad",
+        display_unit="deg",
+    ),
     _parameter("runout_angle", "direction of the runout, clockwise from tooth 1", "rad", 0.0),
     _effect("cutting_coefficient_error", "relative error of Ktc, Krc, Kac", "1", -0.9, 2.0, tunable=True),
     _effect("tool_wear", "relative growth of the edge coefficients Kte, Kre, Kae by wear", "1", -0.9, 10.0, tunable=True),
@@ -159,6 +174,13 @@ VARIABLES = (
     _scratch("spindle_angle", "angle of tooth 1, clockwise from +y of P", "rad"),
     _scratch("contact_share", "share of the end face that bites", "1"),
     _count("imprinted", "1 when the block has been cut with the tool at p_last"),
+    _count("tool_now", "T number of the tool that the following fields describe"),
+    _scratch("mill_diameter", "its diameter", "m"),
+    _count("mill_teeth", "its number of teeth"),
+    _scratch("mill_helix", "its helix angle", "rad"),
+    _scratch("mill_cutting_length", "length of its cutting edges", "m"),
+    Variable("tool_numbers", "state", "T numbers of the tool table, 0 behind the last", shape=(tool_table.CAPACITY,), kind="integer"),
+    Variable("tool_row", "state", "values of a row of the tool table, for the message", shape=(len(tool_table.COLUMNS),)),
     _count("nx", "cells along x of P"),
     _count("ny", "cells along y of P"),
     _scratch("dx", "cell size along x", "m"),
@@ -195,13 +217,20 @@ ERRORS = (
     "the cutter is right-hand and turns clockwise (M3); check the program",
     "at t = {t} s the tool is in the workpiece with its axis tilted against z of the block: cosine of the angle {tilt_cosine:.6f}, "
     "expected 0.9848 or more (10 deg), the model knows cutters parallel to z only; turn the block (quat_BP) or the tool",
-    "at t = {t} s the feed per tooth is {chip:.6f} m, more than the radius of the cutter (diameter {diameter} m); "
+    "at t = {t} s the feed per tooth is {chip:.6f} m, more than the radius of the cutter (diameter {mill_diameter} m); "
     "the spindle ({spindle_speed} rad/s) is too slow for the feed",
-    "at t = {t} s material reaches {depth:.6f} m above the tool tip, more than the cutting edges ({cutting_length} m); "
+    "at t = {t} s material reaches {depth:.6f} m above the tool tip, more than the cutting edges ({mill_cutting_length} m); "
     "the shank would hit: cut less deep or use a longer tool",
     "the step size must be positive",
+    "the table 'tools' has a row with number {tool_row[0]:g}, diameter {tool_row[1]:g} m, {tool_row[2]:g} teeth, "
+    "helix {tool_row[3]:g} rad, cutting length {tool_row[4]:g} m; expected a whole number of 1 or more that no row before has, "
+    "1 to 12 teeth, a helix from 0 to 1.2 rad and lengths above zero; correct that row",
+    "at t = {t} s tool T{tool} is not in the table 'tools', which has {tool_numbers}; add it there or correct the program",
+    "at t = {t} s tool T{tool} (diameter {mill_diameter} m) stands {depth:.6f} m deep in material when it comes into the spindle; "
+    "change it clear of the workpiece",
 )
 _BAD_PARAMETER, _BAD_QUATERNION, _TOO_MANY_CELLS, _NOT_FINITE, _REVERSE, _TILTED, _CHIP_TOO_THICK, _TOO_DEEP, _BAD_STEP = range(1, 10)
+_BAD_TOOL, _NO_TOOL, _TOOL_IN_MATERIAL = range(10, 13)
 
 
 def init(s: Record) -> int:
@@ -214,6 +243,9 @@ def init(s: Record) -> int:
     _clear(s)
     if not _finite(s):
         return _NOT_FINITE
+    status = _take_tool(s)
+    if status != 0:
+        return status
     _place(s)
     x, y, z = s.p_PT_P[0], s.p_PT_P[1], s.p_PT_P[2]
     if _near(s, x, y, z, x, y, z) and s.tilt_cosine >= LEAST_TILT_COSINE:
@@ -232,8 +264,12 @@ def step(s: Record, t: float, h: float) -> int:
         return _NOT_FINITE
     if s.spindle_speed < 0.0:
         return _REVERSE
-    _place(s)
     _clear(s)
+    if s.tool != s.tool_now:
+        status = _change_tool(s)
+        if status != 0:
+            return status
+    _place(s)
     xa, ya, za = s.p_last[0], s.p_last[1], s.p_last[2]
     x, y, z = s.p_PT_P[0], s.p_PT_P[1], s.p_PT_P[2]
     turn = s.spindle_speed * h
@@ -270,11 +306,11 @@ def _force(s: Record, turn: float, h: float) -> int:
     ux, uy = 1.0, 0.0
     if feed > 0.0:
         ux, uy = vx / feed, vy / feed
-    per_tooth = TWO_PI * h / (s.teeth * turn)
+    per_tooth = TWO_PI * h / (s.mill_teeth * turn)
     s.chip = feed * per_tooth
     thrust, torque = _end_face(s, -vz * per_tooth, h)
     peak = abs(thrust)
-    radius = 0.5 * s.diameter
+    radius = 0.5 * s.mill_diameter
     low = 0.0
     if s.stock_bottom > s.p_PT_P[2]:
         low = s.stock_bottom - s.p_PT_P[2]
@@ -304,7 +340,7 @@ def _force(s: Record, turn: float, h: float) -> int:
         s.depth = largest - low
         if s.chip > radius:
             return _CHIP_TOO_THICK
-        if largest > s.cutting_length:
+        if largest > s.mill_cutting_length:
             s.depth = largest
             return _TOO_DEEP
         peak = _edges(s, s.spindle_angle + atan2(uy, ux), turn, low, largest, thrust)
@@ -339,7 +375,7 @@ def _end_face(s: Record, plunge: float, h: float) -> tuple[float, float]:
             s.p_PT_P[0],
             s.p_PT_P[1],
             s.p_PT_P[2],
-            0.5 * s.diameter,
+            0.5 * s.mill_diameter,
             s.stock_bottom,
             s.contact_zone,
         )
@@ -350,23 +386,23 @@ def _end_face(s: Record, plunge: float, h: float) -> tuple[float, float]:
         return 0.0, 0.0
     cutting = (1.0 + s.cutting_coefficient_error) * plunge
     edge = (1.0 + s.tool_wear) * (plunge / s.edge_onset if plunge < s.edge_onset else 1.0)
-    length = s.teeth * s.contact_share * s.bottom_edge * 0.5 * s.diameter
-    arm = (1.0 - 0.5 * s.bottom_edge) * 0.5 * s.diameter
+    length = s.mill_teeth * s.contact_share * s.bottom_edge * 0.5 * s.mill_diameter
+    arm = (1.0 - 0.5 * s.bottom_edge) * 0.5 * s.mill_diameter
     return length * (s.Krc * cutting + s.Kre * edge), length * arm * (s.Ktc * cutting + s.Kte * edge)
 
 
 @kernel
 def _edges(s: Record, theta: float, turn: float, low: float, highest: float, thrust: float) -> float:
     """Integrals over the helical edges (s.total) while tooth 1 turns from `theta` on by `turn` [rad]; the peak force [N]."""
-    tables = s.teeth if s.runout > 0.0 else 1
+    tables = s.mill_teeth if s.runout > 0.0 else 1
     _densities(s, tables)
-    lag = 2.0 * tan(s.helix) / s.diameter
+    lag = 2.0 * tan(s.mill_helix) / s.mill_diameter
     lag = max(lag, LEAST_LAG)
-    mean_over_rotation(theta, theta + turn, s.teeth, tables, s.bounds, BINS, lag, low, highest, s.bin_depth, s.density, s.total)
+    mean_over_rotation(theta, theta + turn, s.mill_teeth, tables, s.bounds, BINS, lag, low, highest, s.bin_depth, s.density, s.total)
     peak2 = 0.0
     for k in range(s.substeps):
         angle = theta + turn * (k + 0.5) / s.substeps
-        at_angle(angle, s.teeth, tables, s.bounds, BINS, lag, low, highest, s.bin_depth, s.density, s.now)
+        at_angle(angle, s.mill_teeth, tables, s.bounds, BINS, lag, low, highest, s.bin_depth, s.density, s.now)
         up = thrust - s.now[2]
         peak2 = max(peak2, s.now[0] * s.now[0] + s.now[1] * s.now[1] + up * up)
     return math.sqrt(peak2)
@@ -402,22 +438,64 @@ def _prepare(s: Record) -> int:
     s.ny = workpiece.cells(ly, s.spacing)
     s.dx = lx / s.nx
     s.dy = ly / s.ny
-    for j in range(MAX_TEETH):
-        s.radii[j] = 0.0
+    for i in range(tool_table.CAPACITY):
+        s.tool_numbers[i] = 0
+    for k in range(len(tool_table.COLUMNS)):
+        s.tool_row[k] = 0.0
+    for i in range(int(s.tools_rows)):
+        for k in range(len(tool_table.COLUMNS)):
+            s.tool_row[k] = s.tools[i, k]
+        if not tool_table.sound(s.tools, i):
+            return _BAD_TOOL
+        s.tool_numbers[i] = int(s.tools[i, tool_table.NUMBER])
     for b in range(BINS + 1):
         s.bounds[b] = PI * b / BINS
         s.bound_sine[b], s.bound_cosine[b] = sincos(s.bounds[b])
     for b in range(BINS):
         s.bin_sine[b], s.bin_cosine[b] = sincos(PI * (b + 0.5) / BINS)
-    tooth_radii(s.teeth, s.runout, s.runout_angle, s.radii)
     s.finest_spacing = 0.0
     return 0
 
 
 @kernel
+def _take_tool(s: Record) -> int:
+    """Put the tool of the input into the spindle: its dimensions and the radii of its teeth."""
+    s.tool_now = s.tool
+    s.mill_diameter = s.diameter
+    s.mill_teeth = s.teeth
+    s.mill_helix = s.helix
+    s.mill_cutting_length = s.cutting_length
+    if s.tool != 0 and s.tools_rows > 0:
+        row = tool_table.find(s.tools, s.tools_rows, s.tool)
+        if row < 0:
+            return _NO_TOOL
+        s.mill_diameter = s.tools[row, tool_table.DIAMETER]
+        s.mill_teeth = int(s.tools[row, tool_table.TEETH])
+        s.mill_helix = s.tools[row, tool_table.HELIX]
+        s.mill_cutting_length = s.tools[row, tool_table.CUTTING_LENGTH]
+    for j in range(MAX_TEETH):
+        s.radii[j] = 0.0
+    tooth_radii(s.mill_teeth, s.runout, s.runout_angle, s.radii)
+    return 0
+
+
+@kernel
+def _change_tool(s: Record) -> int:
+    """Another tool where the last one stood, the spindle going on at its angle; an error if there is material in its place."""
+    status = _take_tool(s)
+    if status != 0:
+        return status
+    s.contact_share = 0.0
+    s.imprinted = 0
+    x, y, z = s.p_last[0], s.p_last[1], s.p_last[2]
+    s.depth = workpiece.covered_depth(s.height, s.nx, s.ny, s.dx, s.dy, s.stock_bottom, x, y, z, 0.5 * s.mill_diameter)
+    return _TOOL_IN_MATERIAL if s.depth > 0.0 else 0
+
+
+@kernel
 def _forget(s: Record) -> None:
     """Set every state that `_prepare` and `_place` leave alone to its start, scratch included: no trace of an earlier run."""
-    s.spindle_angle = 0.0
+    s.spindle_angle = s.spindle_start_angle - TWO_PI * math.floor(s.spindle_start_angle / TWO_PI)
     s.contact_share = 0.0
     s.chip = 0.0
     for i in range(3):
@@ -476,14 +554,14 @@ def _place(s: Record) -> None:
 
 @kernel
 def _near(s: Record, xa: float, ya: float, za: float, xb: float, yb: float, zb: float) -> bool:
-    reach = 0.5 * s.diameter + (s.dx if s.dx > s.dy else s.dy)
+    reach = 0.5 * s.mill_diameter + (s.dx if s.dx > s.dy else s.dy)
     return workpiece.touches(s.nx, s.ny, s.dx, s.dy, s.stock_top + s.contact_zone, xa, ya, za, xb, yb, zb, reach)
 
 
 @kernel
 def _cut(s: Record, xa: float, ya: float, za: float, xb: float, yb: float, zb: float, done: bool) -> float:
     """Cut the block; volume removed [m3]."""
-    return workpiece.cut(s.height, s.nx, s.ny, s.dx, s.dy, s.stock_top, s.stock_bottom, xa, ya, za, xb, yb, zb, 0.5 * s.diameter, done)
+    return workpiece.cut(s.height, s.nx, s.ny, s.dx, s.dy, s.stock_top, s.stock_bottom, xa, ya, za, xb, yb, zb, 0.5 * s.mill_diameter, done)
 
 
 @kernel

@@ -248,6 +248,32 @@ def _cut_piece(
 
 
 @kernel
+def covered_depth(
+    height: FloatArray, nx: int, ny: int, dx: float, dy: float, bottom: float, x: float, y: float, z: float, radius: float
+) -> float:
+    """How far material stands above the tip [m] in the cells that a tool of that radius at (x, y, z) wholly covers; 0 if it is clear."""
+    half = 0.5 * (dx if dx > dy else dy)
+    inner = radius - half
+    depth = 0.0
+    if inner <= 0.0:
+        return depth
+    x0 = 0.5 * dx - 0.5 * nx * dx
+    y0 = 0.5 * dy - 0.5 * ny * dy
+    first_row = max(math.ceil((y - inner - y0) / dy), 0)
+    last_row = min(math.floor((y + inner - y0) / dy), ny - 1)
+    for iy in range(first_row, last_row + 1):
+        v = y0 + iy * dy - y
+        r = math.sqrt(max(inner * inner - v * v, 0.0))
+        first = max(math.ceil((x - r - x0) / dx), 0)
+        last = min(math.floor((x + r - x0) / dx), nx - 1)
+        for ix in range(first, last + 1):
+            top = height[iy * nx + ix]
+            if top > bottom and top - z > LEAST_DEPTH:
+                depth = max(depth, top - z)
+    return depth
+
+
+@kernel
 def height_at(height: FloatArray, nx: int, ny: int, dx: float, dy: float, x: float, y: float) -> float:
     """Height [m] at a point by bilinear interpolation between cell centres; outside the block that of the nearest edge."""
     u = x / dx + 0.5 * nx - 0.5

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from models import tool_table
 from models.cutting import CuttingCoefficients, EndMill, ideal_force, immersion, mean_force, mean_torque, slot_force
 from models.declaration import record
 from models.milling_force import BINS, MODEL
@@ -46,7 +47,10 @@ class Mill:
         self.s = record(self.data)
         self.init, self.step = MODEL.compiled() if compiled else MODEL.plain()
         for name, value in parameters.items():
-            self.data[name] = value
+            if name == "tools":
+                MODEL.load_table(self.data, name, np.asarray(value, dtype=float))
+            else:
+                self.data[name] = value
         self.R_BP = Rotation.from_quat(self.data["quat_BP"][0], scalar_first=True)
         self.data["quat_BT"] = (self.R_BP * DOWN).as_quat(scalar_first=True)
         self.data["spindle_speed"] = spindle
@@ -447,6 +451,89 @@ def test_yielding_workpiece_shifts_the_cut_by_compliance_times_force() -> None:
     y = (np.arange(len(profile)) + 0.5 - 0.5 * len(profile)) * float(mill.s.dy)
     assert (profile * y).sum() / profile.sum() == pytest.approx(c * last[1], rel=0.01)  # centre of the slot
     assert h.min() == pytest.approx(-0.01 + c * last[2], abs=1e-8)
+
+
+# ---------------------------------------------------------------- several tools
+TOOLS = [[1, 0.016, 3, math.radians(30), 0.032], [5, 0.010, 2, math.radians(45), 0.012], [12, 0.020, 4, 0.0, 0.040]]
+"""A tool table: number, diameter, teeth, helix, cutting length in SI."""
+
+
+def scalars(row: list[float]) -> dict[str, Any]:
+    """A row of the table as the parameters that describe tool 0."""
+    return dict(zip(tool_table.COLUMNS[1:], row[1:], strict=True))
+
+
+@pytest.mark.parametrize("row", TOOLS)
+def test_a_tool_of_the_table_is_the_one_with_these_parameters(row: list[float]) -> None:
+    """Bit by bit, with runout: diameter, teeth, helix and the radii of the teeth all come from the row."""
+    options = {"ap": 0.006, "spindle": GROOVE, "runout": 1e-5}
+    assert np.array_equal(slot(tools=TOOLS, tool=row[0], **options), slot(**scalars(row), **options))
+
+
+def test_tool_0_and_an_empty_table_mean_the_parameters() -> None:
+    reference = slot(steps=10)
+    assert np.array_equal(slot(steps=10, tools=TOOLS), reference)
+    assert np.array_equal(slot(steps=10, tool=5), reference)
+
+
+def test_a_change_of_tool_goes_on_as_if_the_new_one_had_always_been_there_but_for_the_block() -> None:
+    """Half of a slot with T1, up, change, beside it with T5: force and cut are those of T5 alone in a fresh block at that spindle angle."""
+    changed = Mill([-0.02, 0.005, -0.005], tools=TOOLS, tool=1, spindle=GROOVE, runout=1e-5)
+    changed.line([-0.02, 0.005, -0.005], [FEED, 0, 0], 100)
+    changed.go([-0.02, 0.005, 0.01], [0, 0, 0])
+    alone = Mill([-0.02, 0.005, 0.01], spindle=GROOVE, runout=1e-5, spindle_start_angle=float(changed.s.spindle_angle), **scalars(TOOLS[1]))
+    changed.data["tool"] = 5
+    results = []
+    for mill in (changed, alone):
+        above = mill.line([-0.02, -0.02, 0.01], [0, 0, 0], 1)
+        results.append(np.vstack([above, mill.line([-0.06, -0.015, -0.005], [FEED, 0, 0], 400)]))
+    assert np.array_equal(*results)
+    assert np.abs(results[0][-1, :3]).max() > 10.0
+    assert int(changed.s.mill_teeth) == 2
+
+
+def test_a_tool_that_is_not_in_the_table_names_those_that_are() -> None:
+    mill = Mill([0, 0, 0.1], tools=TOOLS)
+    mill.data["tool"] = 3
+    text = message(mill, mill.step(mill.s, 0.1, H))
+    assert "at t = 0.1 s tool T3 is not in the table 'tools', which has [1 5 12]; add it there or correct the program" in text
+    wrong = Mill([0, 0, 0.1], tools=TOOLS, tool=4)
+    assert "tool T4 is not in the table" in message(wrong, wrong.status)
+
+
+def test_a_larger_tool_does_not_come_into_the_spindle_in_a_narrow_slot() -> None:
+    mill = Mill([0, 0, -0.005], tools=TOOLS, tool=1)
+    mill.line([0, 0, -0.005], [FEED, 0, 0], 10)
+    mill.data["tool"] = 12
+    text = message(mill, mill.step(mill.s, 0.1, H))
+    assert "tool T12 (diameter 0.02 m) stands 0.005000 m deep in material when it comes into the spindle; change it clear" in text
+    smaller = Mill([0, 0, -0.005], tools=TOOLS, tool=1)
+    smaller.line([0, 0, -0.005], [FEED, 0, 0], 10)
+    smaller.data["tool"] = 5
+    assert smaller.step(smaller.s, 0.1, H) == 0
+    same = Mill([0, 0, -0.005], tools=TOOLS)  # D16 by its parameters, then D16 of the table: stands in its own hole
+    same.data["tool"] = 1
+    assert same.step(same.s, 0.1, H) == 0
+
+
+@pytest.mark.parametrize("row", [[1, 0.01, 2, 0.5, 0.01], [2, 0.0, 2, 0.5, 0.01], [2, 0.01, 13, 0.5, 0.01], [2.5, 0.01, 2, 0.5, 0.01]])
+def test_a_row_that_is_no_tool_is_shown(row: list[float]) -> None:
+    mill = Mill([0, 0, 0.1], tools=[TOOLS[0], row])
+    text = message(mill, mill.status)
+    assert f"the table 'tools' has a row with number {row[0]:g}, diameter {row[1]:g} m, {row[2]:g} teeth, helix 0.5 rad" in text
+    assert "expected a whole number of 1 or more that no row before has, 1 to 12 teeth" in text
+
+
+# ---------------------------------------------------------------- spindle start angle
+def test_spindle_start_angle_is_the_rotation_that_the_tool_starts_with() -> None:
+    """A whole number of steps of 1.5 rad later is the same as starting there: the pattern of the runout goes on, to roundoff."""
+    options = {"spindle": 1.5 / H, "runout": 1e-5, "feed": 0.01}
+    pattern = slot(steps=40, **options)[:, :9]
+    shifted = slot(steps=36, spindle_start_angle=4 * 1.5, **options)[:, :9]
+    assert shifted == pytest.approx(pattern[4:], rel=1e5 * ROUNDOFF, abs=1e-9)
+    assert np.abs(shifted[:, :3] - pattern[:36, :3]).max() > 10.0
+    whole_turn = slot(steps=36, spindle_start_angle=4 * 1.5 - 2 * math.pi, **options)[:, :9]
+    assert whole_turn == pytest.approx(shifted, rel=1e5 * ROUNDOFF, abs=1e-9)
 
 
 # ---------------------------------------------------------------- parity

@@ -10,6 +10,7 @@ import fmpy.fmi3
 import numpy as np
 import pytest
 
+from fmus.components import COMPONENTS
 from fmus.in_process import InProcessSlave
 from fmus.instance import ComponentError
 from fmus.interface import Interface
@@ -73,6 +74,22 @@ def test_the_message_is_that_of_the_model_in_process(
     in_process, in_fmu = both(fmu, parameters, inputs, t, h)
     assert expected in in_process
     assert in_process in in_fmu
+
+
+def test_a_list_of_numbers_is_shown_as_in_process(built_native: Callable[..., Path], tmp_path: Path) -> None:
+    """A tool that is not in the table of milling_force."""
+    np.save(tmp_path / "tools.npy", [[1.0, 0.016, 3.0, 0.5, 0.032], [20.0, 0.01, 2.0, 0.5, 0.02]])
+    model = COMPONENTS["milling_force"]
+    rows = np.array([float(p.start) for p in Interface(model).inputs])
+    rows[Interface(model).arrays["tool"]] = 3
+    texts = []
+    for slave in (InProcessSlave(model, "mill"), FmuSlave(built_native("milling_force"), "mill")):
+        with pytest.raises((ComponentError, SlaveError)) as error:
+            one_step(slave, {"tools": str(tmp_path / "tools.npy")}, rows, 0.0, runs.H)
+        texts.append(str(error.value))
+        slave.close()
+    assert "tool T3 is not in the table 'tools', which has [1 20]; add it there" in texts[0]
+    assert texts[0].partition(" (")[0] in texts[1]
 
 
 def set_now(fmu: FmuSlave, values: dict[str, Any]) -> None:

@@ -51,6 +51,12 @@ TANK = Model(
 )
 
 
+def test_a_list_of_whole_numbers_in_a_message_ends_before_its_zeros() -> None:
+    numbers = Variable("numbers", "state", "Numbers", shape=(5,), kind="integer", start=(3, 0, 12, 0, 0))
+    model = Model("m", "Numbers", (numbers,), init, step, ("", "has {numbers}, first {numbers[0]}"))
+    assert model.message(1, record(model.new()), 0.0) == "m: has [3 0 12], first 3"
+
+
 class TestVariable:
     """One declared variable."""
 

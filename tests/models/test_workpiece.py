@@ -243,6 +243,22 @@ def test_contact_of_the_end_face_fades_with_the_gap() -> None:
     assert contact(0.0, BOTTOM - 1e-3) == 0.0  # cut through: nothing to stand on
 
 
+def test_depth_under_a_tool_counts_cells_that_it_covers_wholly() -> None:
+    block = Block()
+    block.cut((0.0011, -0.0007, -0.004), (0.0011, -0.0007, -0.004))
+    depth = njit(**COMPILER_OPTIONS)(workpiece.covered_depth)
+
+    def covered(x: float, y: float, z: float, radius: float) -> float:
+        return float(depth(block.height, *block.grid, BOTTOM, x, y, z, radius))
+
+    assert covered(0.0011, -0.0007, -0.004, RADIUS) == EXACT  # in its own hole
+    assert covered(0.0011, -0.0007, -0.004, RADIUS + 3e-4) == pytest.approx(0.004)
+    assert covered(0.0011, -0.0007, 0.0, RADIUS + 3e-4) == EXACT
+    assert covered(0.0, 0.0, -0.006, 0.001) == pytest.approx(0.002)
+    assert covered(0.1, 0.0, -0.006, RADIUS) == EXACT  # beside the block
+    assert covered(0.0, 0.0, -0.006, 5e-5) == EXACT  # covers no cell wholly
+
+
 def test_touches_is_a_bounding_box() -> None:
     grid = Block().grid
     assert workpiece.touches(*grid, 0.0, -0.05, 0.0, -0.01, 0.05, 0.0, -0.01, RADIUS)

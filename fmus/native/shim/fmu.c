@@ -111,8 +111,12 @@ static void put_message(Text *t, const Instance *I, int64_t status, double time)
         else if (p->kind && !p->count)
             put_word(t, I->record[p->first], p, 17);
         else if (p->kind) {
-            for (uint32_t i = 0; i < p->count; i++) {
-                put(t, i ? " " : "[");
+            uint32_t count = p->count;
+            while (p->kind == 'i' && count && !I->record[p->first + count - 1].integer)
+                count--;
+            put(t, "[");
+            for (uint32_t i = 0; i < count; i++) {
+                put(t, i ? " " : "");
                 put_word(t, I->record[p->first + i], p, 8);
             }
             put(t, "]");
