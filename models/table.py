@@ -11,7 +11,7 @@ import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -48,16 +48,11 @@ def from_rows(rows: Any, columns: int) -> Table:
 def from_file(path: str | Path, columns: int) -> Table:
     """The table in a ``.npy`` file: float64 (n, columns) in C order. OSError or ValueError say what is wrong with it."""
     with Path(path).open("rb") as stream:
-        try:
-            version = np.lib.format.read_magic(stream)
-            header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            shape, fortran_order, dtype = header(stream)
-        except ValueError:
-            raise ValueError("is not a .npy file") from None
+        shape, fortran_order, dtype = _header(stream)
         if dtype != np.dtype("<f8") or fortran_order:
             raise ValueError(
-                f"expected float64 numbers in C order (descr '<f8', fortran_order False), found descr {dtype.str!r}, "
-                f"fortran_order {fortran_order}"
+                "expected float64 numbers in C order (descr '<f8', fortran_order False), found "
+                f"{{'descr': {dtype.str!r}, 'fortran_order': {fortran_order}, 'shape': {shape}, }}"
             )
         if len(shape) != 2 or shape[1] != columns:
             raise ValueError(f"has shape {shape}, expected rows of {columns} columns")
@@ -66,6 +61,18 @@ def from_file(path: str | Path, columns: int) -> Table:
             raise ValueError("ends before its last row")
         rows = np.fromfile(stream, np.float64, count).reshape(shape)
     return _finite(rows, str(path))
+
+
+def _header(stream: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, whether in Fortran order, and type of the numbers that follow."""
+    try:
+        version = np.lib.format.read_magic(stream)
+    except ValueError:
+        raise ValueError("is not a .npy file") from None
+    try:
+        return (np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0)(stream)
+    except ValueError:
+        raise ValueError("has a header that is too long or incomplete") from None
 
 
 def _finite(rows: FloatArray, path: str = "") -> Table:
