@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from fmus.in_process import InProcessSlave
+from models.cell import cell
 from models.declaration import FloatArray, Model, Record, Variable
 from orchestration.slave import Slave
 
 FINE = 2
 """Communication steps of the generator in one of the recording."""
-CAPACITY = 10_000
-"""Steps (2 ms) for which there may be noise."""
+CHANNELS = 6
+"""Force and moment."""
 
 
 def init(s: Record) -> int:
@@ -40,7 +41,7 @@ def step(s: Record, t: float, h: float) -> int:
             s.past[1, j] = s.f[i] if k == 0 else s.m[i]
             y = (s.past[0, j] + s.past[1, j]) / 2.0
             if rows > 0:
-                y = y + s.noise[row, j]
+                y = y + cell(s.noise_at, rows, CHANNELS, row, j)
             if k == 0:
                 s.f_out[i] = y
             else:
@@ -57,7 +58,7 @@ MODEL = Model(
         Variable("m", "input", "Moment", "N.m", (3,)),
         Variable("f_out", "output", "Mean force plus noise", "N", (3,)),
         Variable("m_out", "output", "Mean moment plus noise", "N.m", (3,)),
-        Variable("noise", "parameter", "Noise of each step: force [N], moment [N m]; empty: none", "1", (CAPACITY, 6), kind="table"),
+        Variable("noise", "parameter", "Noise of each step: force [N], moment [N m]; empty: none", "1", (CHANNELS,), kind="table"),
         Variable("past", "state", "Force and moment of the last two steps", "1", (FINE, 6)),
         Variable("row", "state", "Steps made", "1", kind="integer"),
     ),

@@ -20,7 +20,7 @@ from scipy.signal import lfilter
 
 from blind.conditions import Condition, known, planned
 from blind.effects import Instance
-from blind.felt import CAPACITY, FINE, felt
+from blind.felt import FINE, felt
 from blind.insert import Function, Insert, insert, resolver
 from blind.outside import Changes, Columns
 from models.declaration import FloatArray
@@ -64,6 +64,8 @@ NOISE: Mapping[str, tuple[float, float, float]] = {
 """White part, coloured part (AR(1), 0.2 s) and offset of the run: standard deviations in the unit of the column."""
 QUIET: Mapping[str, Mapping[str, Any]] = {"sensor": {"noise_f": 0.0, "noise_m": 0.0, "walk_f": 0.0, "walk_m": 0.0}}
 """No noise in the sensor."""
+_NOISE_STEPS = 10_000
+"""Steps (2 ms) for which noise is made: longer than any run of the benchmark."""
 SENSOR_COLOURED = (0.4, 0.04)
 """AR(1) noise, 0.1 s, in force [N] and moment [N m] before the sensor: inside the loop."""
 
@@ -243,7 +245,7 @@ def _slave(name: str, inputs: Any, outputs: Any, make: Callable[[], Function]) -
 
 def _sensor_noise(random: np.random.Generator) -> FloatArray:
     """AR(1) noise in force [N] and moment [N m] of each fine step, float64[steps, 6]; it begins at zero."""
-    white = np.random.default_rng(int(random.integers(2**31))).standard_normal((CAPACITY, 6))
+    white = np.random.default_rng(int(random.integers(2**31))).standard_normal((_NOISE_STEPS, 6))
     decay = math.exp(-STEP / FINE / 0.1)
     noise: FloatArray = lfilter([math.sqrt(1.0 - decay * decay)], [1.0, -decay], white, axis=0) * np.repeat(SENSOR_COLOURED, 3)
     return noise

@@ -45,7 +45,7 @@ class InProcessSlave:
         """
         instance = self.instance
         for name, value in parameters.items():
-            if name in instance.paths:
+            if name in instance.tables:
                 instance.load_table(name, value)
                 continue
             port = self.interface.by_name.get(name)

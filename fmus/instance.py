@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from fmus.interface import WORD, Interface, Port
-from models.declaration import FloatArray, Model, record
+from models.declaration import FloatArray, Model, point, record
+from models.table import Table, from_file, from_rows
 
 _READY: set[tuple[Any, np.dtype[np.void]]] = set()
 """Dispatchers and the records that they are compiled for: to ask Numba takes a millisecond."""
@@ -22,14 +23,22 @@ class ComponentError(RuntimeError):
     """What a component refuses or cannot do; the text names component, variable or time, value and what is expected."""
 
 
+class TableState(NamedTuple):
+    """What a state says about a table. Its rows are in a file or built in; rows that were given as such are in the state."""
+
+    path: str
+    digest: str
+    rows: FloatArray | None
+
+
 class State(NamedTuple):
-    """A copy of everything an instance knows. The tables are shared between copies: they only change when loaded."""
+    """A copy of everything an instance knows. No address is in it: a table is known by its file and the hash of its rows."""
 
     words: bytes
     stale: bool
     running: bool
-    tables: bytes
-    paths: tuple[tuple[str, str], ...]
+    tables: tuple[TableState, ...]
+    """In the order of the declaration."""
 
 
 class Instance:
@@ -43,12 +52,12 @@ class Instance:
         self.data = self.model.new()
         self.floats: FloatArray = self.data.view(np.float64)
         self.integers: npt.NDArray[np.int64] = self.data.view(np.int64)
-        self.paths = {p.name: "" for p in interface.parameters if p.type == "string"}
+        self.tables: dict[str, Table] = dict(self.model.built_in)
+        """What the record points to."""
         self.running = False
         """Whether the first step has been taken."""
         self.stale = True
         """Whether `init` has to run before outputs are read."""
-        self._tables = self._table_bytes()
         self._functions: tuple[Any, Any, Any] | None = None
         reals = [p.reference for p in interface.outputs if p.type == "real"]
         self._real_outputs = self.floats[min(reals, default=0) : max(reals, default=-1) + 1]
@@ -92,7 +101,7 @@ class Instance:
         if port.type == "real":
             return float(self.floats[port.reference])
         if port.type == "string":
-            return self.paths[port.name]
+            return self.tables[port.name].path
         value = int(self.integers[port.reference])
         return bool(value) if port.type == "boolean" else value
 
@@ -136,21 +145,22 @@ class Instance:
         """Fill the table `name` from a .npy file or rows; "" or None puts the built-in rows back. ComponentError says what does not fit."""
         if self.running:
             raise ComponentError(f"{self.name}: table {name} is fixed: it can be set before the first step only")
-        path = ""
-        try:
-            if source is None or (isinstance(source, str) and not source):
-                rows = self.model.default_tables.get(name, np.zeros((0, self.model.variable(name).shape[1])))
-            elif isinstance(source, str | Path):
-                path = str(source)
-                rows = np.load(path, allow_pickle=False)
-            else:
-                rows = np.asarray(source)
-            self.model.load_table(self.data, name, np.asarray(rows, dtype=np.float64))
-        except (OSError, ValueError, TypeError, EOFError) as error:
-            raise ComponentError(f"{self.name}: table {name}{f' from {path!r}' if path else ''}: {error}") from None
-        self.paths[name] = path
-        self._tables = self._table_bytes()
+        self._put_table(name, self._read_table(name, source))
         self.stale = True
+
+    def _read_table(self, name: str, source: str | Path | Sequence[Any] | FloatArray | None) -> Table:
+        columns = self.model.variable(name).shape[0]
+        path = str(source) if isinstance(source, str | Path) else ""
+        try:
+            if path:
+                return from_file(path, columns)
+            return self.model.built_in[name] if source is None or isinstance(source, str) else from_rows(source, columns)
+        except (OSError, ValueError, TypeError, MemoryError) as error:
+            raise ComponentError(f"{self.name}: table {name}{f' from {path!r}' if path else ''}: {error}") from None
+
+    def _put_table(self, name: str, table: Table) -> None:
+        self.tables[name] = table
+        point(self.data, name, table)
 
     # Running
 
@@ -208,31 +218,42 @@ class Instance:
     def state(self) -> State:
         """A copy of everything."""
         words = self.data.view(np.uint8)[: self.interface.tables_at].tobytes()
-        return State(words, self.stale, self.running, self._tables, tuple(self.paths.items()))
+        return State(words, self.stale, self.running, tuple(self._table_state(name, table) for name, table in self.tables.items()))
+
+    def _table_state(self, name: str, table: Table) -> TableState:
+        found = bool(table.path) or table is self.model.built_in[name]
+        return TableState(table.path, table.digest, None if found else table.rows)
 
     def restore(self, state: State) -> None:
-        """Back to a copy, bit by bit. ComponentError if it is not one of this model."""
+        """Back to a copy, bit by bit. ComponentError if it is not one of this model, or the rows of a table are no longer to be found."""
         image = self.data.view(np.uint8)
         split = self.interface.tables_at
-        if len(state.words) != split or len(state.tables) != len(image) - split:
+        if len(state.words) != split or len(state.tables) != len(self.tables):
             raise ComponentError(
-                f"{self.name}: a state of {len(state.words) + len(state.tables)} bytes; one of {self.model.name} has {len(image)}"
+                f"{self.name}: a state of {len(state.words)} bytes and {len(state.tables)} tables; "
+                f"one of {self.model.name} has {split} and {len(self.tables)}"
             )
+        tables = {name: self._find_table(name, kept) for name, kept in zip(self.tables, state.tables, strict=True)}
         image[:split] = np.frombuffer(state.words, np.uint8)
-        if state.tables is not self._tables:
-            image[split:] = np.frombuffer(state.tables, np.uint8)
-            self._tables = state.tables
-        self.stale, self.running, self.paths = state.stale, state.running, dict(state.paths)
+        for name, table in tables.items():
+            self._put_table(name, table)
+        self.stale, self.running = state.stale, state.running
+
+    def _find_table(self, name: str, kept: TableState) -> Table:
+        """The table of a state: that of this instance if it has the same rows, wherever they came from, else read again."""
+        if self.tables[name].digest == kept.digest:
+            return self.tables[name]
+        table = self._read_table(name, kept.rows if kept.rows is not None else kept.path)
+        if table.digest != kept.digest:
+            where = f"in {kept.path!r} there are" if kept.path else "built in are"
+            raise ComponentError(f"{self.name}: table {name}: {where} other rows than when the state was saved; put those back")
+        return table
 
     def reset(self) -> None:
         """As after construction: every variable at its start, built-in tables."""
         self.data[:] = self.model.new()
-        self.paths = dict.fromkeys(self.paths, "")
-        self._tables = self._table_bytes()
+        self.tables = dict(self.model.built_in)
         self.running, self.stale = False, True
-
-    def _table_bytes(self) -> bytes:
-        return self.data.view(np.uint8)[self.interface.tables_at :].tobytes()
 
 
 def all_finite(values: FloatArray, scratch: npt.NDArray[np.bool_]) -> bool:

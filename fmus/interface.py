@@ -80,7 +80,7 @@ class Interface:
 
     @cached_property
     def tables_at(self) -> int:
-        """Byte of the record at which the tables begin; everything a step changes stands before it."""
+        """Byte of the record at which the tables begin: before it stands everything a step changes, behind it are addresses."""
         names = [v.name for v in self.model.variables if v.kind == "table"]
         fields: Any = self.model.dtype.fields
         return min((fields[f"{name}_rows"][1] for name in names), default=self.model.dtype.itemsize)
@@ -100,8 +100,7 @@ def _ports(model: Model, v: Variable) -> list[Port]:
     """One port per element of a declared variable; one for a table."""
     fields: Any = model.dtype.fields
     if v.kind == "table":
-        rows, columns = v.shape
-        text = f"{v.description} [path of a .npy file with up to {rows} rows of {columns} columns; empty = the built-in rows]"
+        text = f"{v.description} [path of a .npy file with rows of {v.shape[0]} columns; empty = the built-in rows]"
         return [_port(model, v, v.name, fields[f"{v.name}_rows"][1] // WORD, "", text)]
     first = fields[v.name][1] // WORD
     starts = v.start_values.ravel().tolist()

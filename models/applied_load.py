@@ -5,10 +5,16 @@ Force and moment on the tool at T, in B, linear in time between the rows of a ta
 
 from __future__ import annotations
 
+from models.cell import cell, row_at
 from models.declaration import Model, Record, Variable, kernel
 
-CAPACITY = 1024
 COLUMNS = 7
+
+
+@kernel
+def _profile(s: Record, row: int, column: int) -> float:
+    """A number of the table."""
+    return cell(s.profile_at, s.profile_rows, COLUMNS, row, column)
 
 
 @kernel
@@ -20,26 +26,24 @@ def _look_up(s: Record, t: float) -> int:
             s.f_T_B[i] = 0.0
             s.m_T_B[i] = 0.0
         return 0
-    row = int(s.row)
-    while row < last and s.profile[row + 1, 0] <= t:
-        row += 1
+    row = row_at(s.profile_at, s.profile_rows, COLUMNS, t, int(s.row))
     s.row = row
     weight = 0.0
-    if row < last and t > s.profile[row, 0]:
-        weight = (t - s.profile[row, 0]) / (s.profile[row + 1, 0] - s.profile[row, 0])
+    if row < last and t > _profile(s, row, 0):
+        weight = (t - _profile(s, row, 0)) / (_profile(s, row + 1, 0) - _profile(s, row, 0))
     for i in range(3):
-        s.f_T_B[i] = s.profile[row, 1 + i]
-        s.m_T_B[i] = s.profile[row, 4 + i]
+        s.f_T_B[i] = _profile(s, row, 1 + i)
+        s.m_T_B[i] = _profile(s, row, 4 + i)
         if weight > 0.0:
-            s.f_T_B[i] += weight * (s.profile[row + 1, 1 + i] - s.profile[row, 1 + i])
-            s.m_T_B[i] += weight * (s.profile[row + 1, 4 + i] - s.profile[row, 4 + i])
+            s.f_T_B[i] += weight * (_profile(s, row + 1, 1 + i) - _profile(s, row, 1 + i))
+            s.m_T_B[i] += weight * (_profile(s, row + 1, 4 + i) - _profile(s, row, 4 + i))
     return 0
 
 
 def init(s: Record) -> int:
     """Load at t = 0."""
     for row in range(int(s.profile_rows) - 1):
-        if s.profile[row + 1, 0] <= s.profile[row, 0]:
+        if _profile(s, row + 1, 0) <= _profile(s, row, 0):
             s.row = row
             return 1
     s.row = 0
@@ -57,7 +61,7 @@ MODEL = Model(
     variables=(
         Variable("f_T_B", "output", "Force on the tool at T, in B", "N", (3,), depends_on=()),
         Variable("m_T_B", "output", "Moment on the tool at T, in B", "N.m", (3,), depends_on=()),
-        Variable("profile", "parameter", "Rows: time [s], force [N] and moment [N.m] in B", "1", (CAPACITY, COLUMNS), kind="table"),
+        Variable("profile", "parameter", "Rows: time [s], force [N] and moment [N.m] in B", "1", (COLUMNS,), kind="table"),
         Variable("row", "state", "Row of the table that the time is behind", "1", kind="integer"),
     ),
     init=init,

@@ -6,8 +6,9 @@ A model is a tuple of `Variable` plus two plain functions::
     def step(s: Record, t: float, h: float) -> int: ...    # from t to t + h, inputs held
 
 All data of an instance live in ONE aligned numpy record `s` (a C struct), so the complete state
-of a component is its bytes. The two functions return a status: 0, or the index of a message in
-`Model.errors`. They allocate nothing: scalar loops over record fields, scratch kept in the record.
+of a component is its bytes; only tables stand beside it, which are never changed. The two functions
+return a status: 0, or the index of a message in `Model.errors`. They allocate nothing: scalar loops
+over record fields, scratch kept in the record.
 The same two functions run in plain Python, compiled in process, and inside an FMU.
 """
 
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import math
 import string
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,6 +25,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from models.table import Table, from_rows
 from models.units import UNITS
 
 Causality = Literal["input", "output", "parameter", "state"]
@@ -63,9 +66,9 @@ class Variable:
     """One declared variable of a model.
 
     Arrays have a `shape`; their elements are called `name[1]`, `name[2]` or `name[1,2]` outside
-    (counted from one, as the axes of a robot are). A `table` is an array parameter with `shape`
-    (capacity, columns) that is loaded from a ``.npy`` file; its record also has the field
-    `<name>_rows`, the number of rows in use.
+    (counted from one, as the axes of a robot are). A `table` is a parameter of `shape` (columns,) with any
+    number of rows, loaded from a ``.npy`` file. The record holds `<name>_rows`, their number, and `<name>_at`, their
+    address: see `models.cell`.
     """
 
     name: str
@@ -94,8 +97,8 @@ class Variable:
                 raise ValueError(f"variable {self.name!r}: unknown unit {unit!r}; known units: {', '.join(sorted(UNITS))}")
         if UNITS[self.unit].factor != 1.0 or UNITS[self.unit].offset != 0.0:
             raise ValueError(f"variable {self.name!r}: unit {self.unit!r} is not SI; use it as display_unit")
-        if self.kind == "table" and (self.causality != "parameter" or len(self.shape) != 2):
-            raise ValueError(f"variable {self.name!r}: a table is a parameter of shape (capacity, columns)")
+        if self.kind == "table" and (self.causality != "parameter" or len(self.shape) != 1):
+            raise ValueError(f"variable {self.name!r}: a table is a parameter of shape (columns,); found {self.causality} of {self.shape}")
         if not self.description:
             raise ValueError(f"variable {self.name!r}: a description is missing")
         if self.kind != "table":
@@ -180,37 +183,45 @@ class Model:
         """The aligned record type (a C struct) that holds everything an instance knows: words of eight bytes.
 
         Order: inputs, outputs (reals first in each, so that they are flat float64 images), parameters,
-        states, tables (last: they only change when a file is loaded), each in the order of declaration.
+        states, tables (last: number and address of their rows), each in the order of declaration.
         """
         fields: list[tuple[Any, ...]] = []
         for v in sorted(self.variables, key=_place):
             if v.kind == "table":
-                fields.append((f"{v.name}_rows", np.int64))
-            fields.append((v.name, v.dtype, v.shape))
+                fields += [(f"{v.name}_rows", np.int64), (f"{v.name}_at", np.int64)]
+            else:
+                fields.append((v.name, v.dtype, v.shape))
         return np.dtype(fields, align=True)
+
+    @cached_property
+    def built_in(self) -> dict[str, Table]:
+        """Every table as it is until rows are loaded."""
+        tables = [v for v in self.variables if v.kind == "table"]
+        return {v.name: self.table(v.name, self.default_tables.get(v.name, np.zeros((0, *v.shape)))) for v in tables}
+
+    def table(self, name: str, rows: Any) -> Table:
+        """`rows` (n, columns) as a table `name` of this model; ValueError says what does not fit."""
+        try:
+            return from_rows(rows, self.variable(name).shape[0])
+        except ValueError as error:
+            raise ValueError(f"table {name!r} of {self.name!r}: {error}") from None
 
     def new(self) -> npt.NDArray[np.void]:
         """A fresh instance: a one-element array of `dtype` with every variable at its start value."""
         data = np.zeros(1, self.dtype)
         for v in self.variables:
             if v.kind == "table":
-                self.load_table(data, v.name, self.default_tables.get(v.name, np.zeros((0, v.shape[1]))))
+                point(data, v.name, self.built_in[v.name])
             else:
                 data[v.name] = v.start_values
+        _keep(data, self.built_in)
         return data
 
     def load_table(self, data: npt.NDArray[np.void], name: str, rows: FloatArray) -> None:
-        """Put `rows` (n, columns) into the table `name` of an instance; ValueError says what does not fit."""
-        capacity, columns = self.variable(name).shape
-        if rows.ndim != 2 or rows.shape[1] != columns or rows.shape[0] > capacity:
-            raise ValueError(
-                f"table {name!r} of {self.name!r}: has shape {rows.shape}, expected at most {capacity} rows of {columns} columns"
-            )
-        if not np.all(np.isfinite(rows)):
-            raise ValueError(f"table {name!r} of {self.name!r}: holds values that are not finite")
-        data[name] = 0.0
-        data[name][0, : len(rows)] = rows
-        data[f"{name}_rows"] = len(rows)
+        """Let the record of `new` have `rows` (n, columns) as its table `name`; ValueError says what does not fit."""
+        table = self.table(name, rows)
+        point(data, name, table)
+        _keep(data, table)
 
     def message(self, status: int, s: Record, t: float) -> str:
         """The text of a non-zero status, with the values of the record put in."""
@@ -265,6 +276,16 @@ def _compiled(
             first, second = functions()
             _COMPILED[key] = njit(**options)(first), njit(**options)(second)
     return _COMPILED[key]
+
+
+def point(data: npt.NDArray[np.void], name: str, table: Table) -> None:
+    """Let a record have a table; the caller keeps the table as long as the record."""
+    data[f"{name}_rows"], data[f"{name}_at"] = len(table.rows), table.rows.ctypes.data
+
+
+def _keep(data: npt.NDArray[np.void], tables: object) -> None:
+    """Keep tables as long as a record."""
+    weakref.finalize(data, id, tables).atexit = False  # what is called in the end does nothing; until then it has its argument
 
 
 def record(data: npt.NDArray[np.void]) -> Record:

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from models.cell import cell, row_at
 from models.declaration import FloatArray, Model, Record, Variable, kernel
 from models.double_s import profile
 from models.elementary import sincos
@@ -22,7 +23,6 @@ from models.segment_table import (
     AXIS_1,
     AXIS_2,
     BLOCK,
-    CAPACITY,
     COLUMNS,
     F_1,
     F_2,
@@ -40,13 +40,25 @@ from models.segment_table import (
     TOOL,
 )
 
-PILOT_CAPACITY = 4096
-"""Rows that the pilot table can hold."""
+PILOT_COLUMNS = 4
+"""Columns of the pilot table: path time [s], force [N] in B."""
 _DEG = math.pi / 180.0
 _ANY_ANGLE = 1e3
 """Limit [rad] that stands for none."""
 _LARGE_MOVE = 0.5
 """Axis move [rad] in one step from which on the branch is checked; another shoulder, elbow or wrist is farther away."""
+
+
+@kernel
+def segment(s: Record, row: int, column: int) -> float:
+    """A number of the segment table."""
+    return cell(s.segments_at, s.segments_rows, COLUMNS, row, column)
+
+
+@kernel
+def pilot(s: Record, row: int, column: int) -> float:
+    """A number of the pilot table."""
+    return cell(s.pilot_at, s.pilot_rows, PILOT_COLUMNS, row, column)
 
 
 @kernel
@@ -59,7 +71,7 @@ def advance(s: Record, h: float) -> None:
     step = s.speed_ratio * h - s.path_time_carry
     total = s.path_time + step
     s.path_time_carry = (total - s.path_time) - step
-    end = s.segments[int(s.segments_rows) - 1, TAU]
+    end = segment(s, int(s.segments_rows) - 1, TAU)
     if total >= end:
         total = end
         s.path_time_carry = 0.0
@@ -68,53 +80,47 @@ def advance(s: Record, h: float) -> None:
 
 @kernel
 def locate(s: Record) -> int:
-    """Row of the segment table at the path time; moves on from the last one found."""
-    row = int(s.row)
-    last = int(s.segments_rows) - 1
-    while row < last and s.path_time >= s.segments[row + 1, TAU]:
-        row += 1
-    while row > 0 and s.path_time < s.segments[row, TAU]:
-        row -= 1
-    s.row = row
-    return row
+    """Row of the segment table at the path time; looked for from the last one found."""
+    s.row = row_at(s.segments_at, s.segments_rows, COLUMNS, s.path_time, int(s.row))
+    return int(s.row)
 
 
 @kernel
 def position(s: Record, row: int, sigma: float, speed: float) -> None:
     """Set p_BT_B [m] and v_BT_B [m/s] from the shape of a row at the path coordinate sigma [m] and its rate [m/s]."""
-    if int(s.segments[row, KIND]) == POLYNOMIAL:
+    if int(segment(s, row, KIND)) == POLYNOMIAL:
         for i in range(3):
             c = GEOMETRY + 6 * i
-            p = s.segments[row, c + 5]
+            p = segment(s, row, c + 5)
             d = 0.0
             for k in range(4, -1, -1):
                 d = d * sigma + p
-                p = p * sigma + s.segments[row, c + k]
+                p = p * sigma + segment(s, row, c + k)
             s.p_BT_B[i] = p
             s.v_BT_B[i] = d * speed
         return
-    rate = s.segments[row, GEOMETRY + 12]
+    rate = segment(s, row, GEOMETRY + 12)
     sin, cos = sincos(rate * sigma)
     for i in range(3):
-        e1 = s.segments[row, GEOMETRY + 3 + i]
-        e2 = s.segments[row, GEOMETRY + 6 + i]
-        climb = s.segments[row, GEOMETRY + 9 + i]
-        s.p_BT_B[i] = s.segments[row, GEOMETRY + i] + cos * e1 + sin * e2 + sigma * climb
+        e1 = segment(s, row, GEOMETRY + 3 + i)
+        e2 = segment(s, row, GEOMETRY + 6 + i)
+        climb = segment(s, row, GEOMETRY + 9 + i)
+        s.p_BT_B[i] = segment(s, row, GEOMETRY + i) + cos * e1 + sin * e2 + sigma * climb
         s.v_BT_B[i] = (rate * (cos * e2 - sin * e1) + climb) * speed
 
 
 @kernel
 def turn(s: Record, row: int, axis: int, f: int, sigma: float) -> None:
     """Multiply quat_BT from the right by the rotation about the axis in column `axis` by the quintic in column `f` at sigma."""
-    if s.segments[row, axis] == 0.0 and s.segments[row, axis + 1] == 0.0 and s.segments[row, axis + 2] == 0.0:
+    if segment(s, row, axis) == 0.0 and segment(s, row, axis + 1) == 0.0 and segment(s, row, axis + 2) == 0.0:
         return
-    angle = s.segments[row, f + 5]
+    angle = segment(s, row, f + 5)
     for k in range(4, -1, -1):
-        angle = angle * sigma + s.segments[row, f + k]
+        angle = angle * sigma + segment(s, row, f + k)
     sin, c = sincos(0.5 * angle)
-    x = sin * s.segments[row, axis]
-    y = sin * s.segments[row, axis + 1]
-    z = sin * s.segments[row, axis + 2]
+    x = sin * segment(s, row, axis)
+    y = sin * segment(s, row, axis + 1)
+    z = sin * segment(s, row, axis + 2)
     q0, q1, q2, q3 = s.quat_BT[0], s.quat_BT[1], s.quat_BT[2], s.quat_BT[3]
     s.quat_BT[0] = q0 * c - q1 * x - q2 * y - q3 * z
     s.quat_BT[1] = q0 * x + q1 * c + q2 * z - q3 * y
@@ -131,20 +137,16 @@ def pilot_force(s: Record) -> None:
             s.f_pilot_B[i] = 0.0
         return
     t = s.path_time + s.lead_time
-    row = int(s.pilot_row)
-    while row + 2 < n and t >= s.pilot[row + 1, 0]:
-        row += 1
-    while row > 0 and t < s.pilot[row, 0]:
-        row -= 1
+    row = max(min(row_at(s.pilot_at, n, PILOT_COLUMNS, t, int(s.pilot_row)), n - 2), 0)
     s.pilot_row = row
     share = 0.0
     if n > 1:
-        span = s.pilot[row + 1, 0] - s.pilot[row, 0]
+        span = pilot(s, row + 1, 0) - pilot(s, row, 0)
         if span > 0.0:
-            share = min(max((t - s.pilot[row, 0]) / span, 0.0), 1.0)
+            share = min(max((t - pilot(s, row, 0)) / span, 0.0), 1.0)
     for i in range(3):
-        f = s.pilot[row, 1 + i]
-        s.f_pilot_B[i] = f if share == 0.0 else f + share * (s.pilot[row + 1, 1 + i] - f)
+        f = pilot(s, row, 1 + i)
+        s.f_pilot_B[i] = f if share == 0.0 else f + share * (pilot(s, row + 1, 1 + i) - f)
 
 
 @kernel
@@ -209,26 +211,26 @@ def follow(s: Record, anywhere: bool) -> int:
 def evaluate(s: Record, anywhere: bool) -> int:
     """All outputs at the path time; status as in `MODEL.errors`. `anywhere`: see `follow`."""
     row = locate(s)
-    t = s.path_time - s.segments[row, TAU]
-    v0 = s.segments[row, SPEED]
-    a0 = s.segments[row, ACCELERATION]
-    jerk = s.segments[row, JERK]
-    sigma = s.segments[row, SIGMA] + t * (v0 + t * (0.5 * a0 + t * jerk / 6.0))
+    t = s.path_time - segment(s, row, TAU)
+    v0 = segment(s, row, SPEED)
+    a0 = segment(s, row, ACCELERATION)
+    jerk = segment(s, row, JERK)
+    sigma = segment(s, row, SIGMA) + t * (v0 + t * (0.5 * a0 + t * jerk / 6.0))
     speed = v0 + t * (a0 + t * jerk * 0.5)
     position(s, row, sigma, speed * s.speed_ratio)
     for i in range(4):
-        s.quat_BT[i] = s.segments[row, QUAT + i]
+        s.quat_BT[i] = segment(s, row, QUAT + i)
     turn(s, row, AXIS_1, F_1, sigma)
     turn(s, row, AXIS_2, F_2, sigma)
     if s.quat_BT[0] < 0.0:
         for i in range(4):
             s.quat_BT[i] = -s.quat_BT[i]
-    s.spindle_speed = s.segments[row, SPINDLE]
-    s.block = int(s.segments[row, BLOCK])
-    s.tool = int(s.segments[row, TOOL])
+    s.spindle_speed = segment(s, row, SPINDLE)
+    s.block = int(segment(s, row, BLOCK))
+    s.tool = int(segment(s, row, TOOL))
     s.finished = 1 if row == int(s.segments_rows) - 1 else 0
     pilot_force(s)
-    s.fault_line = int(s.segments[row, LINE])
+    s.fault_line = int(segment(s, row, LINE))
     return follow(s, anywhere)
 
 
@@ -331,7 +333,7 @@ MODEL = Model(
             "parameter",
             "Planned path, made by `robomill plan`: see models/segment_table.py",
             "1",
-            (CAPACITY, COLUMNS),
+            (COLUMNS,),
             kind="table",
         ),
         Variable(
@@ -339,7 +341,7 @@ MODEL = Model(
             "parameter",
             "Offline force on the tool: path time in s, force in B in N; may be empty",
             "1",
-            (PILOT_CAPACITY, 4),
+            (PILOT_COLUMNS,),
             kind="table",
         ),
         Variable("path_time_carry", "state", "Rounding of the path time, carried on", "s"),

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from models.cell import cell, row_at
 from models.declaration import FloatArray, Model, Record, Variable, kernel
 
 _T = TypeVar("_T")
@@ -88,7 +89,7 @@ def from_specification(specification: dict[str, Any], rows: FloatArray) -> Repla
             "recording",
             "parameter",
             f"Recorded outputs: columns {', '.join(names[:4])}{', ...' if len(names) > 4 else ''} (all: see the documentation)",
-            shape=(max(len(rows), 1), len(names)),
+            shape=(len(names),),
             kind="table",
         ),
         Variable(
@@ -121,60 +122,55 @@ def from_specification(specification: dict[str, Any], rows: FloatArray) -> Repla
 
 
 @kernel
-def locate(s: Record, time: float) -> int:
-    """Find row and weight of a recorded time [s]; the status is 0, 1 outside of the recording, 2 empty."""
+def locate(s: Record, columns: int, time: float) -> int:
+    """Find row and weight of a recorded time [s], `columns` of the recording given; the status is 0, 1 outside of it, 2 empty."""
     rows = int(s.recording_rows)
     if rows == 0:
         return 2
     s.replay_time = time
-    s.replay_first = s.recording[0, 0]
-    s.replay_last = s.recording[rows - 1, 0]
+    s.replay_first = cell(s.recording_at, rows, columns, 0, 0)
+    s.replay_last = cell(s.recording_at, rows, columns, rows - 1, 0)
     if time < s.replay_first - SAME_TIME or time > s.replay_last + SAME_TIME:
         return 1
-    low, high = 0, rows - 1  # the row wanted is in low..high: the last one with time[row] <= time + SAME_TIME
-    while low < high:
-        middle = (low + high + 1) // 2
-        if s.recording[middle, 0] <= time + SAME_TIME:
-            low = middle
-        else:
-            high = middle - 1
-    s.replay_row = low
+    row = row_at(s.recording_at, rows, columns, time + SAME_TIME, int(s.replay_row))
+    s.replay_row = row
     s.replay_weight = 0.0
-    if low < rows - 1:
-        before, after = s.recording[low, 0], s.recording[low + 1, 0]
+    if row < rows - 1:
+        before, after = cell(s.recording_at, rows, columns, row, 0), cell(s.recording_at, rows, columns, row + 1, 0)
         if s.interpolation == LINEAR and time > before + SAME_TIME:
             s.replay_weight = (time - before) / (after - before)
     return 0
 
 
 @kernel
-def real_value(s: Record, column: int) -> float:
+def real_value(s: Record, columns: int, column: int) -> float:
     """Value of a table column at the row and weight found by `locate`."""
     row = int(s.replay_row)
-    value = float(s.recording[row, column])
+    value = float(cell(s.recording_at, s.recording_rows, columns, row, column))
     if s.replay_weight > 0.0:
-        value += s.replay_weight * (float(s.recording[row + 1, column]) - value)
+        value += s.replay_weight * (float(cell(s.recording_at, s.recording_rows, columns, row + 1, column)) - value)
     return value
 
 
 @kernel
-def held_value(s: Record, column: int) -> int:
+def held_value(s: Record, columns: int, column: int) -> int:
     """Value of a table column at the row found by `locate`, as a whole number."""
-    return int(s.recording[int(s.replay_row), column])
+    return int(cell(s.recording_at, s.recording_rows, columns, int(s.replay_row), column))
 
 
 def _functions(outputs: list[Variable]) -> tuple[Callable[..., int], Callable[..., int]]:
     """`init` and `step` for outputs in table order."""
+    columns = 1 + sum(len(v.element_names) for v in outputs)
     column = 1
     writers: list[Callable[[Record], None]] = []
     for (array, whole), make in _WRITERS.items():
         group = [v for v in outputs if (bool(v.shape), v.kind != "real") == (array, whole)]
-        writers.append(make(tuple(v.name for v in group), column) if group else _nothing)
+        writers.append(make(tuple(v.name for v in group), columns, column) if group else _nothing)
         column += sum(len(v.element_names) for v in group)
     write_0, write_1, write_2, write_3 = writers
 
     def look_up(s: Record, time: float) -> int:
-        status = locate(s, time)
+        status = locate(s, columns, time)
         if status == 0:
             write_0(s)
             write_1(s)
@@ -186,7 +182,7 @@ def _functions(outputs: list[Variable]) -> tuple[Callable[..., int], Callable[..
 
     def init(s: Record) -> int:
         for row in range(int(s.recording_rows) - 1):
-            if s.recording[row + 1, 0] <= s.recording[row, 0]:
+            if cell(s.recording_at, s.recording_rows, columns, row + 1, 0) <= cell(s.recording_at, s.recording_rows, columns, row, 0):
                 s.replay_row = row
                 return 3
         return look_up(s, s.time_offset)
@@ -211,45 +207,45 @@ def _nothing(s: Record) -> None:
     """No outputs of that kind."""
 
 
-def _real_scalars(names: tuple[str, ...], first: int) -> Callable[[Record], None]:
+def _real_scalars(names: tuple[str, ...], columns: int, first: int) -> Callable[[Record], None]:
     def write(s: Record) -> None:
         column = first
         for name in literal_unroll(names):
-            s[name] = real_value(s, column)
+            s[name] = real_value(s, columns, column)
             column += 1
 
     return kernel(write)
 
 
-def _real_vectors(names: tuple[str, ...], first: int) -> Callable[[Record], None]:
+def _real_vectors(names: tuple[str, ...], columns: int, first: int) -> Callable[[Record], None]:
     def write(s: Record) -> None:
         column = first
         for name in literal_unroll(names):
             vector = s[name]
             for i in range(len(vector)):
-                vector[i] = real_value(s, column)
+                vector[i] = real_value(s, columns, column)
                 column += 1
 
     return kernel(write)
 
 
-def _whole_scalars(names: tuple[str, ...], first: int) -> Callable[[Record], None]:
+def _whole_scalars(names: tuple[str, ...], columns: int, first: int) -> Callable[[Record], None]:
     def write(s: Record) -> None:
         column = first
         for name in literal_unroll(names):
-            s[name] = held_value(s, column)
+            s[name] = held_value(s, columns, column)
             column += 1
 
     return kernel(write)
 
 
-def _whole_vectors(names: tuple[str, ...], first: int) -> Callable[[Record], None]:
+def _whole_vectors(names: tuple[str, ...], columns: int, first: int) -> Callable[[Record], None]:
     def write(s: Record) -> None:
         column = first
         for name in literal_unroll(names):
             vector = s[name]
             for i in range(len(vector)):
-                vector[i] = held_value(s, column)
+                vector[i] = held_value(s, columns, column)
                 column += 1
 
     return kernel(write)

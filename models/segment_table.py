@@ -4,8 +4,6 @@ A row is a time span of constant jerk on one shape. Everything in SI and in the 
 at the end of the path; a path time behind its beginning stays there.
 """
 
-CAPACITY = 2048
-"""Rows that the segment table of the component can hold."""
 COLUMNS = 50
 TAU, KIND, BLOCK, LINE, SPINDLE, TOOL, SIGMA, SPEED, ACCELERATION, JERK = range(10)
 """Columns: path time at the start [s]; kind of geometry; block (N) number; line of the file; spindle speed [rad/s]; number of the tool,

@@ -28,7 +28,6 @@ from models.segment_table import (
     AXIS_1,
     AXIS_2,
     BLOCK,
-    CAPACITY,
     COLUMNS,
     F_1,
     F_2,
@@ -264,7 +263,7 @@ class Plan:
 def plan(program: Program | PointPath, placement: Placement, limits: PathLimits = LIMITS) -> Plan:
     """Plan `program` at `placement`: from rest at its first point to rest at its last.
 
-    PlanError if there is nothing to move or the table would not hold it.
+    PlanError if there is nothing to move.
     """
     if isinstance(program, Program):
         items, final = _moves(program, placement, limits), program.final_spindle_speed
@@ -300,11 +299,6 @@ def plan(program: Program | PointPath, placement: Placement, limits: PathLimits 
         rows.insert(0, wait)
     table = np.array(rows)
     table = table[np.append(np.diff(table[:, TAU]) > 0.0, True)]
-    if len(table) > CAPACITY:
-        raise PlanError(
-            f"{program.name}: needs {len(table)} rows, the table holds {CAPACITY}; split the program, or merge short moves "
-            "(arcs instead of chords)"
-        )
     table.flags.writeable = False
     return Plan(program.name, table, length, tuple(reduced), program.source, placement)
 

@@ -44,7 +44,7 @@ def data_c(interface: Interface, token: str) -> str:
         _array("const Variable VARIABLES[]", (_variable(v, fields[v.name][1] // WORD) for v in shown), 1),
     ]
     for i, v in enumerate(tables):
-        parts.append(_array(f"static const double ROWS_{i}[]", (float(x).hex() for x in _rows(model, v).ravel()), 6))
+        parts.append(_array(f"static const double ROWS_{i}[]", (float(x).hex() for x in model.built_in[v.name].rows.ravel()), 6))
     parts.append(_array("const Table TABLES[]", (_table(model, v, i, fields) for i, v in enumerate(tables)), 1))
     for i, message in enumerate(model.errors):
         parts.append(_array(f"static const Part MESSAGE_{i}[]", [*_message(model, message), "{0}"], 1))
@@ -82,14 +82,9 @@ def _variable(v: Variable, first: int) -> str:
     )
 
 
-def _rows(model: Model, v: Variable) -> Any:
-    return np.asarray(model.default_tables.get(v.name, np.zeros((0, v.shape[1]))), dtype=np.float64)
-
-
 def _table(model: Model, v: Variable, index: int, fields: Any) -> str:
-    capacity, columns = v.shape
-    reference, first = (fields[name][1] // WORD for name in (f"{v.name}_rows", v.name))
-    return f"{{{_text(v.name)}, {reference}, {first}, {capacity}, {columns}, ROWS_{index}, {len(_rows(model, v))}}}"
+    reference, address = (fields[f"{v.name}_{what}"][1] // WORD for what in ("rows", "at"))
+    return f"{{{_text(v.name)}, {reference}, {address}, {v.shape[0]}, ROWS_{index}, {len(model.built_in[v.name].rows)}}}"
 
 
 def _message(model: Model, message: str) -> list[str]:

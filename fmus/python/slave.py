@@ -27,7 +27,7 @@ from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
-from fmus.instance import ComponentError, Instance, State
+from fmus.instance import ComponentError, Instance, State, TableState
 from fmus.interface import Interface, Port, PortType
 from models.declaration import Model
 
@@ -259,23 +259,22 @@ class Slave(Fmi2Slave):
 
     @classmethod
     def _fmu_state_to_bytes(cls, state: tuple[State, bool, str] | BadState) -> bytes:
-        """A line of JSON, then the record: first the words, then the tables."""
+        """A line of JSON, then the words of the record. Tables come from files, so path and hash say what they are."""
         if isinstance(state, BadState):
             return b""
-        words, stale, running, tables, paths = state[0]
-        header = {"fmu": cls.identity, "words": len(words), "stale": stale, "running": running, "paths": paths}
-        return b"\n".join((json.dumps({**header, "initialised": state[1], "failed": state[2]}).encode(), words + tables))
+        words, stale, running, tables = state[0]
+        header = {"fmu": cls.identity, "stale": stale, "running": running, "tables": [(t.path, t.digest) for t in tables]}
+        return b"\n".join((json.dumps({**header, "initialised": state[1], "failed": state[2]}).encode(), words))
 
     @classmethod
     def _fmu_state_from_bytes(cls, serialised: bytes) -> tuple[State, bool, str] | BadState:
         try:
-            line, record = serialised.split(b"\n", 1)
+            line, words = serialised.split(b"\n", 1)
             header = json.loads(line)
             if header["fmu"] != cls.identity:
                 return BadState(f"the state is one of FMU {header['fmu']}; this is {cls.identity}")
-            paths = tuple((name, path) for name, path in header["paths"])
-            words, tables = record[: header["words"]], record[header["words"] :]
-            return State(words, header["stale"], header["running"], tables, paths), header["initialised"], header["failed"]
+            tables = tuple(TableState(path, digest, None) for path, digest in header["tables"])
+            return State(words, header["stale"], header["running"], tables), header["initialised"], header["failed"]
         except Exception as error:
             return BadState(f"not a state of this FMU ({type(error).__name__}: {error})")
 

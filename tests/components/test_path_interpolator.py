@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fmus.interface import interface_of
 from models.declaration import FloatArray, Record, record
 from models.gcode import parse, read
 from models.path_interpolator import MODEL
@@ -77,6 +78,11 @@ def run(s: Record, steps: int, h: float = H, compiled: bool = True) -> dict[str,
         for name in names:
             trace[name].append(np.copy(getattr(s, name)))
     return {name: np.array(values) for name, values in trace.items()}
+
+
+def words(s: Record) -> bytes:
+    """Every byte of the record but those that say where its tables are."""
+    return bytes(s.tobytes()[: interface_of(MODEL).tables_at])
 
 
 @cache
@@ -265,7 +271,7 @@ class TestParity:
         assert plain_step(plain, 0.0, start) == step(compiled, 0.0, start) == 0
         for k in range(300):
             assert plain_step(plain, k * H, H) == step(compiled, k * H, H) == 0
-            assert plain.tobytes() == compiled.tobytes(), f"step {k}"
+            assert words(plain) == words(compiled), f"step {k}"
 
 
 class TestTool:
@@ -345,10 +351,8 @@ class TestErrors:
         assert MODEL.message(plain_step(s, 0.0, H), s, 0.0) == f"path_interpolator: speed_ratio is {ratio}, expected 0 .. 1.5"
 
     def test_table_that_does_not_fit(self) -> None:
-        with pytest.raises(
-            ValueError, match=r"table 'segments' of 'path_interpolator': has shape \(2049, 50\), expected at most 2048 rows"
-        ):
-            MODEL.load_table(MODEL.new(), "segments", np.zeros((2049, COLUMNS)))
+        with pytest.raises(ValueError, match=r"table 'segments' of 'path_interpolator': has shape \(3, 49\), expected rows of 50 columns"):
+            MODEL.load_table(MODEL.new(), "segments", np.zeros((3, COLUMNS - 1)))
 
 
 class TestReachability:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from models.cell import cell
 from models.declaration import Model, Record, Variable, kernel
 from models.elementary import sin
 
@@ -23,7 +24,7 @@ def outputs(s: Record) -> None:
     s.count = s.steps
     s.on = 1 if s.enable != 0 and s.number > 0 else 0
     s.delayed = s.total
-    s.curve_value = s.curve[0, 1] if s.curve_rows > 0 else 0.0
+    s.curve_value = cell(s.curve_at, s.curve_rows, 2, 0, 1) if s.curve_rows > 0 else 0.0
 
 
 outputs = kernel(outputs)
@@ -67,7 +68,7 @@ MODEL = Model(
         Variable("curve_value", "output", "First value of the curve", "N", depends_on=()),
         Variable("stiffness", "parameter", "Stiffness", "N/m", (2, 1), [[100.0], [50.0]], minimum=0.0, maximum=1e6),
         Variable("drift", "parameter", "Drift of both forces", "N/s", effect=True, minimum=-10.0, maximum=10.0, tunable=True),
-        Variable("curve", "parameter", "A curve", "1", (10, 2), kind="table"),
+        Variable("curve", "parameter", "A curve", "1", (2,), kind="table"),
         Variable("steps", "state", "Steps taken", kind="integer"),
         Variable("total", "state", "Sum"),
         Variable("time", "state", "Time", "s"),

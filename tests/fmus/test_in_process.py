@@ -98,10 +98,10 @@ def test_an_input_that_is_not_finite_is_refused_by_name(bad: float) -> None:
         ({"x[1]": 1.0}, "springs: x[1] is an input, not a parameter"),
         ({"force": [1.0, 2.0]}, "springs: force is an output, not a parameter"),
         (
-            {"curve": np.zeros((11, 2))},
-            "springs: table curve: table 'curve' of 'demo': has shape (11, 2), expected at most 10 rows of 2 columns",
+            {"curve": np.zeros((11, 3))},
+            "springs: table curve: has shape (11, 3), expected rows of 2 columns",
         ),
-        ({"curve": [[0.0, np.nan]]}, "springs: table curve: table 'curve' of 'demo': holds values that are not finite"),
+        ({"curve": [[0.0, np.nan]]}, "springs: table curve: holds values that are not finite"),
         ({"curve": "/no/such.npy"}, "springs: table curve from '/no/such.npy': [Errno 2] No such file or directory: '/no/such.npy'"),
     ],
 )
@@ -190,7 +190,7 @@ def test_a_state_saved_during_initialisation_returns_there() -> None:
 
 def test_the_state_of_another_model_is_refused() -> None:
     state = ready().get_state()
-    with pytest.raises(ComponentError, match=r"springs: a state of \d+ bytes; one of demo has \d+"):
+    with pytest.raises(ComponentError, match=r"springs: a state of \d+ bytes and 1 tables; one of demo has \d+ and 1"):
         ready().set_state(state._replace(words=state.words[8:]))
 
 

@@ -57,7 +57,7 @@ def test_attributes_follow_the_declaration() -> None:
     assert drift.variability == "tunable"
     assert (on.type, on.variability, on.initial, on.unit) == ("boolean", "discrete", "calculated", None)
     assert (curve.type, curve.start) == ("string", "")
-    assert "up to 10 rows of 2 columns" in curve.description
+    assert "rows of 2 columns" in curve.description
 
 
 def test_dependencies_are_elements_and_none_declared_means_all_inputs() -> None:

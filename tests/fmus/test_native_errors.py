@@ -167,34 +167,7 @@ def test_a_table_from_a_file(fmu: FmuSlave, tmp_path: Path) -> None:
     assert curve(fmu, "") == 7.0, "an empty name puts the built-in rows back"
 
 
-@pytest.mark.parametrize(
-    ("rows", "expected"),
-    [
-        (np.zeros((11, 2)), r"has shape \(11, 2\), expected at most 10 rows of 2 columns"),
-        (np.zeros((3, 3)), r"has shape \(3, 3\), expected at most 10 rows of 2 columns"),
-        (np.zeros(4), r"has shape \(4,\), expected at most 10 rows of 2 columns"),
-        (np.zeros((2, 2, 2)), r"has shape \(2, 2, 2\), expected at most 10 rows of 2 columns"),
-        (np.zeros((3, 2), np.float32), r"expected float64 numbers in C order .*'<f4'"),
-        (np.asfortranarray(np.zeros((3, 2))), "expected float64 numbers in C order .*'fortran_order': True"),
-        (np.array([[0.0, np.nan]]), "holds values that are not finite"),
-        (None, "is not a .npy file"),
-    ],
-)
-def test_a_table_that_does_not_fit(rows: Any, expected: str, fmu: FmuSlave, tmp_path: Path) -> None:
-    file = tmp_path / "curve.npy"
-    file.write_bytes(b"PK\3\4 something else") if rows is None else np.save(file, rows)
-    with pytest.raises(SlaveError, match=rf"spring 1: table curve from '{file}': {expected}"):
-        curve(fmu, file)
-
-
-def test_a_table_that_is_cut_off_or_missing(fmu: FmuSlave, tmp_path: Path) -> None:
-    file = tmp_path / "curve.npy"
-    np.save(file, np.zeros((5, 2)))
-    whole = file.read_bytes()
-    for length, expected in ((len(whole) - 1, "ends before its last row"), (40, "has a header that is too long or incomplete")):
-        file.write_bytes(whole[:length])
-        with pytest.raises(SlaveError, match=expected):
-            curve(fmu, file)
+def test_a_table_that_is_missing(fmu: FmuSlave, tmp_path: Path) -> None:
     with pytest.raises(SlaveError, match="the file does not exist or cannot be read"):
         curve(fmu, tmp_path / "none.npy")
 

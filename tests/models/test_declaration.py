@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from models.cell import cell
 from models.declaration import Model, Record, Variable, kernel, record
 from tests.tolerances import EXACT
 
@@ -39,7 +41,7 @@ LEVEL = Variable("level", "output", "Levels", "m", (2,), display_unit="mm", depe
 COUNT = Variable("count", "output", "Steps so far", kind="integer", depends_on=())
 RATE = Variable("rate", "parameter", "Decay rate", "1/s", (), 2.0, 0.0, 10.0)
 START = Variable("start_level", "parameter", "Levels at t = 0", "m", (2,), (1.0, 3.0))
-CURVE = Variable("curve", "parameter", "A table", shape=(4, 2), kind="table")
+CURVE = Variable("curve", "parameter", "A table", shape=(2,), kind="table")
 TANK = Model(
     "tank",
     "Two leaking tanks",
@@ -84,7 +86,7 @@ class TestVariable:
             ({"start": 11.0}, r"variable 'rate': start 11\.0 violates the bound 10\.0 1/s"),
             ({"start": (1.0, 2.0)}, r"variable 'rate': start has shape \(2,\), declared is \(\)"),
             ({"effect": True}, r"variable 'rate': an effect is off, that is zero, by default"),
-            ({"kind": "table"}, r"variable 'rate': a table is a parameter of shape \(capacity, columns\)"),
+            ({"kind": "table"}, r"variable 'rate': a table is a parameter of shape \(columns,\)"),
         ],
     )
     def test_a_bad_declaration_is_refused_at_once(self, change: dict[str, Any], text: str) -> None:
@@ -96,14 +98,20 @@ class TestVariable:
             replace(CURVE, causality="input")
 
 
+def curve(data: Any) -> list[list[float]]:
+    """The rows that a record points to."""
+    at, rows = data["curve_at"][0], data["curve_rows"][0]
+    return [[float(cell(at, rows, 2, row, column)) for column in range(2)] for row in range(rows)]
+
+
 class TestRecord:
     """The record that holds an instance."""
 
     def test_order_is_inputs_outputs_parameters_states_tables(self) -> None:
-        """Reals before integers in each, so that inputs and outputs are flat images; tables last, behind their row count."""
-        assert TANK.dtype.names == ("inflow", "level", "count", "rate", "start_level", "curve_rows", "curve")
+        """Reals before integers in each, so that inputs and outputs are flat images; tables last, as number and address of their rows."""
+        assert TANK.dtype.names == ("inflow", "level", "count", "rate", "start_level", "curve_rows", "curve_at")
         assert TANK.dtype.isalignedstruct
-        assert TANK.dtype.itemsize == 8 * (1 + 2 + 1 + 1 + 2 + 1 + 8)
+        assert TANK.dtype.itemsize == 8 * (1 + 2 + 1 + 1 + 2 + 2)
 
     def test_types_follow_the_kind(self) -> None:
         assert TANK.dtype["level"].base == np.float64
@@ -115,7 +123,7 @@ class TestRecord:
         assert data["rate"][0] == 2.0
         assert data["start_level"][0].tolist() == [1.0, 3.0]
         assert data["curve_rows"][0] == 2
-        assert data["curve"][0].tolist() == [[0.0, 1.0], [2.0, 5.0], [0.0, 0.0], [0.0, 0.0]]
+        assert curve(data) == [[0.0, 1.0], [2.0, 5.0]]
 
     def test_the_record_is_a_view(self) -> None:
         data = TANK.new()
@@ -134,13 +142,29 @@ class TestRecord:
         data = TANK.new()
         TANK.load_table(data, "curve", np.array([[7.0, 8.0]]))
         assert data["curve_rows"][0] == 1
-        assert data["curve"][0].tolist() == [[7.0, 8.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]
+        assert curve(data) == [[7.0, 8.0]]
+
+    def test_there_is_no_limit_on_the_rows_of_a_table_and_the_record_stays_as_small(self) -> None:
+        data = TANK.new()
+        TANK.load_table(data, "curve", np.arange(2e6).reshape(-1, 2))
+        assert data["curve_rows"][0] == 1_000_000
+        assert cell(data["curve_at"][0], 1_000_000, 2, 999_999, 1) == 2e6 - 1.0
+        assert data.nbytes == TANK.new().nbytes
+
+    def test_loaded_rows_stay_as_long_as_the_record_and_cannot_be_changed_behind_it(self) -> None:
+        """The record alone is kept, as `init` and `step` have it."""
+        data, rows = TANK.new(), np.array([[7.0, 8.0]])
+        TANK.load_table(data, "curve", rows)
+        rows[:] = 0.0
+        s = record(data)
+        del data, rows
+        gc.collect()
+        assert cell(s.curve_at, s.curve_rows, 2, 0, 1) == 8.0
 
     @pytest.mark.parametrize(
         ("rows", "text"),
         [
-            (np.zeros((5, 2)), r"table 'curve' of 'tank': has shape \(5, 2\), expected at most 4 rows of 2 columns"),
-            (np.zeros((2, 3)), r"table 'curve' of 'tank': has shape \(2, 3\), expected"),
+            (np.zeros((2, 3)), r"table 'curve' of 'tank': has shape \(2, 3\), expected rows of 2 columns"),
             (np.zeros(2), r"table 'curve' of 'tank': has shape \(2,\), expected"),
             (np.array([[0.0, np.nan]]), r"table 'curve' of 'tank': holds values that are not finite"),
         ],

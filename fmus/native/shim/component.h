@@ -2,7 +2,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* All data of an instance are one record, an array of words. A value reference is the number of a word in it. */
+/* All data of an instance but the rows of its tables are one record, an array of words. A value reference is the number of a word in it. */
 typedef union {
     double real;
     int64_t integer;
@@ -19,10 +19,10 @@ typedef struct {
     double minimum, maximum;  /* of parameters; infinite without a bound */
 } Variable;
 
-/* A parameter array that a file can fill. Its value reference is the word that holds the number of rows in use. */
+/* Rows that a file can replace. Its value reference is the word with their number; another word holds their address. */
 typedef struct {
     const char *name;
-    uint32_t reference, first, capacity, columns;
+    uint32_t reference, address, columns;
     const double *rows;       /* built in */
     uint32_t count;
 } Table;

@@ -35,10 +35,18 @@ typedef struct {
     size_t length;
 } Text;
 
+/* The rows of a table. They do not change; a record points to them. */
+typedef struct {
+    char *path;        /* "" = built in */
+    double *owned;     /* NULL = built in */
+    const double *rows;
+    uint64_t count, hash;
+} Rows;
+
 typedef struct {
     Word *record;      /* with one word more, the time */
     char *name;
-    char **paths;      /* of the tables; "" = built-in rows */
+    Rows *tables;
     bool stale;        /* init has to run before outputs are read */
     bool running;      /* the first step may come */
     bool failed;       /* a step failed: only a reset or a state helps */
@@ -48,7 +56,8 @@ typedef struct {
     void *environment;
 } Instance;
 
-/* A state is one block of memory: this head, the words before the tables, the rows in use, the paths, the text of the failure. */
+/* A state is one block of memory without addresses: this head, the words before the tables, the hashes of the tables, their paths,
+   the text of the failure. */
 typedef struct {
     char token[64];
     uint64_t size;
@@ -167,13 +176,15 @@ static FILE *open_file(const char *path) {
 #endif
 }
 
-static void fill_table(Instance *I, const Table *T, const double *rows, uint64_t count) {
-    size_t used = (size_t)count * T->columns, before = (size_t)I->record[T->reference].integer * T->columns;
-    if (used)
-        memcpy(&I->record[T->first], rows, used * sizeof(double));
-    if (before > used)
-        memset(&I->record[T->first + used], 0, (before - used) * sizeof(double));
-    I->record[T->reference].integer = (int64_t)count;
+/* Number of rows and all bits of them, by which a state knows a table. FNV-1a over words, with a fold, as its product only moves bits up. */
+static uint64_t hash_rows(const double *rows, uint64_t count, uint32_t columns) {
+    uint64_t hash = 14695981039346656037u ^ count;
+    for (uint64_t i = 0; i < count * columns; i++) {
+        Word w = {.real = rows[i]};
+        hash = (hash ^ (uint64_t)w.integer) * 1099511628211u;
+        hash ^= hash >> 32;
+    }
+    return hash;
 }
 
 /* Reads a .npy file (NumPy format 1 to 3) of float64 rows in C order. NULL and `why` if it does not fit. */
@@ -197,13 +208,14 @@ static double *read_npy(FILE *file, const Table *T, uint64_t *count, Text *why) 
     char *end = NULL;
     unsigned long long rows = shape ? strtoull(shape + 10, &end, 10) : 0;
     unsigned long long columns = end && *end == ',' ? strtoull(end + 1, &end, 10) : 0;
-    if (!end || *end != ')' || columns != T->columns || rows > T->capacity) {
+    if (!end || *end != ')' || columns != T->columns) {
         int shown = shape && strchr(shape, ')') ? (int)(strchr(shape, ')') - shape) - 8 : 0;
-        put(why, "has shape %.*s, expected at most %u rows of %u columns", shown, shown ? shape + 9 : "", T->capacity, T->columns);
+        put(why, "has shape %.*s, expected rows of %u columns", shown, shown ? shape + 9 : "", T->columns);
         return NULL;
     }
-    size_t n = (size_t)rows * T->columns;
-    double *values = malloc((n + 1) * sizeof(double));
+    bool possible = rows < SIZE_MAX / sizeof(double) / T->columns;
+    size_t n = possible ? (size_t)rows * T->columns : 0;
+    double *values = possible ? malloc((n + 1) * sizeof(double)) : NULL;
     if (!values || fread(values, sizeof(double), n, file) != n)
         return put(why, values ? "ends before its last row" : "needs more memory than there is"), free(values), NULL;
     for (size_t i = 0; i < n; i++)
@@ -213,31 +225,49 @@ static double *read_npy(FILE *file, const Table *T, uint64_t *count, Text *why) 
     return values;
 }
 
-static int load_table(Instance *I, uint32_t index, const char *path) {
-    const Table *T = &TABLES[index];
-    if (I->running)
-        FAIL(I, "table %s is fixed: it can be set before the first step only", T->name);
+static void drop(Rows *rows) {
+    free(rows->path);
+    free(rows->owned);
+    *rows = (Rows){.path = NULL};
+}
+
+/* The rows of a table in a file, or those built in. */
+static int read_rows(const Instance *I, const Table *T, const char *path, Rows *found) {
     Text why = {.length = 0};
-    char *kept = malloc(strlen(path) + 1);
     FILE *file = *path ? open_file(path) : NULL;
-    uint64_t count = T->count;
-    double *values = NULL;
-    if (!kept)
+    *found = (Rows){.path = malloc(strlen(path) + 1), .count = T->count};
+    if (!found->path)
         put(&why, "needs more memory than there is");
     else if (*path && !file)
         put(&why, "the file does not exist or cannot be read");
     else if (file)
-        values = read_npy(file, T, &count, &why);
+        found->owned = read_npy(file, T, &found->count, &why);
     if (file)
         fclose(file);
     if (why.length) {
-        free(kept);
+        drop(found);
         FAIL(I, "table %s from '%s': %s", T->name, path, why.text);
     }
-    fill_table(I, T, values ? values : T->rows, count);
-    free(values);
-    free(I->paths[index]);
-    I->paths[index] = strcpy(kept, path);
+    strcpy(found->path, path);
+    found->rows = found->owned ? found->owned : T->rows;
+    found->hash = hash_rows(found->rows, found->count, T->columns);
+    return OK;
+}
+
+/* Let the record point to these rows, which are the instance's from now on. */
+static void take_rows(Instance *I, uint32_t index, Rows rows) {
+    drop(&I->tables[index]);
+    I->tables[index] = rows;
+    I->record[TABLES[index].reference].integer = (int64_t)rows.count;
+    I->record[TABLES[index].address].integer = (int64_t)(intptr_t)rows.rows;
+}
+
+static int load_table(Instance *I, uint32_t index, const char *path) {
+    Rows rows;
+    if (I->running)
+        FAIL(I, "table %s is fixed: it can be set before the first step only", TABLES[index].name);
+    TRY(read_rows(I, &TABLES[index], path, &rows));
+    take_rows(I, index, rows);
     I->stale = true;
     return OK;
 }
@@ -343,9 +373,9 @@ static int reset(Instance *I) {
 static void destroy(Instance *I) {
     if (!I)
         return;
-    for (uint32_t i = 0; I->paths && i < TABLE_COUNT; i++)
-        free(I->paths[i]);
-    free(I->paths);
+    for (uint32_t i = 0; I->tables && i < TABLE_COUNT; i++)
+        drop(&I->tables[i]);
+    free(I->tables);
     free(I->record);
     free(I->name);
     free(I);
@@ -362,11 +392,11 @@ static Instance *create(const char *name, const char *token, Logger2 *logger2, L
     if (I) {
         *I = nobody;
         I->record = malloc((WORDS + 1) * sizeof(Word));
-        I->paths = calloc(TABLE_COUNT + 1, sizeof *I->paths);
+        I->tables = calloc(TABLE_COUNT + 1, sizeof *I->tables);
         I->name = malloc(strlen(nobody.name) + 1);
         if (I->name)
             strcpy(I->name, nobody.name);
-        if (I->record && I->paths && I->name && reset(I) == OK)
+        if (I->record && I->tables && I->name && reset(I) == OK)
             return I;
         destroy(I);
     }
@@ -454,7 +484,7 @@ static int get_strings(const Instance *I, const uint32_t references[], size_t n,
     for (size_t i = 0; i < n; i++) {
         uint32_t index;
         TRY(find_table(I, references[i], &index));
-        values[i] = I->paths[index];
+        values[i] = I->tables[index].path;
     }
     return OK;
 }
@@ -472,7 +502,7 @@ static int set_strings(Instance *I, const uint32_t references[], size_t n, const
 static int get_state(Instance *I, State **state) {
     uint64_t size = sizeof(State) + TABLES_AT * sizeof(Word) + I->failure.length + 1;
     for (uint32_t i = 0; i < TABLE_COUNT; i++)
-        size += sizeof(Word) + (uint64_t)I->record[TABLES[i].reference].integer * TABLES[i].columns * sizeof(Word) + strlen(I->paths[i]) + 1;
+        size += sizeof(uint64_t) + strlen(I->tables[i].path) + 1;
     if (!*state || (*state)->size != size) {
         State *larger = realloc(*state, size);
         if (!larger)
@@ -484,36 +514,49 @@ static int get_state(Instance *I, State **state) {
     memcpy(S->token, TOKEN, strlen(TOKEN));
     char *at = memcpy(S + 1, I->record, TABLES_AT * sizeof(Word));
     at += TABLES_AT * sizeof(Word);
-    for (uint32_t i = 0; i < TABLE_COUNT; i++) {
-        size_t rows = (size_t)I->record[TABLES[i].reference].integer * TABLES[i].columns * sizeof(Word);
-        memcpy(at, &I->record[TABLES[i].reference], sizeof(Word));
-        memcpy(at + sizeof(Word), &I->record[TABLES[i].first], rows);
-        at += sizeof(Word) + rows;
-    }
+    for (uint32_t i = 0; i < TABLE_COUNT; at += sizeof(uint64_t), i++)
+        memcpy(at, &I->tables[i].hash, sizeof(uint64_t));
     for (uint32_t i = 0; i < TABLE_COUNT; at += strlen(at) + 1, i++)
-        strcpy(at, I->paths[i]);
+        strcpy(at, I->tables[i].path);
     memcpy(at, I->failure.text, I->failure.length + 1);
     return OK;
+}
+
+/* The rows that a state means: path NULL if they are those that the instance has. */
+static int find_rows(const Instance *I, uint32_t index, uint64_t hash, const char *path, Rows *found) {
+    *found = (Rows){.path = NULL};
+    if (I->tables[index].hash == hash)
+        return OK;
+    TRY(read_rows(I, &TABLES[index], path, found));
+    if (found->hash == hash)
+        return OK;
+    drop(found);
+    if (*path)
+        FAIL(I, "table %s: in '%s' there are other rows than when the state was saved; put those back", TABLES[index].name, path);
+    FAIL(I, "table %s: built in are other rows than when the state was saved; put those back", TABLES[index].name);
 }
 
 static int set_state(Instance *I, const State *S) {
     if (!S)
         FAIL(I, "no state to restore");
-    const char *at = (const char *)(S + 1) + TABLES_AT * sizeof(Word);
-    memcpy(I->record, S + 1, TABLES_AT * sizeof(Word));
-    for (uint32_t i = 0; i < TABLE_COUNT; i++) {
-        Word rows;
-        memcpy(&rows, at, sizeof rows);
-        fill_table(I, &TABLES[i], (const double *)(at + sizeof rows), (uint64_t)rows.integer);
-        at += sizeof rows + (size_t)rows.integer * TABLES[i].columns * sizeof(Word);
+    Rows *found = calloc(TABLE_COUNT + 1, sizeof *found);
+    if (!found)
+        FAIL(I, "out of memory");
+    const char *hashes = (const char *)(S + 1) + TABLES_AT * sizeof(Word), *at = hashes + TABLE_COUNT * sizeof(uint64_t);
+    int status = OK;
+    for (uint32_t i = 0; i < TABLE_COUNT && status == OK; at += strlen(at) + 1, i++) {
+        uint64_t hash;
+        memcpy(&hash, hashes + i * sizeof hash, sizeof hash);
+        status = find_rows(I, i, hash, at, &found[i]);
     }
-    for (uint32_t i = 0; i < TABLE_COUNT; at += strlen(at) + 1, i++)
-        if (strcmp(at, I->paths[i])) {
-            char *path = realloc(I->paths[i], strlen(at) + 1);
-            if (!path)
-                FAIL(I, "out of memory");
-            I->paths[i] = strcpy(path, at);
-        }
+    for (uint32_t i = 0; i < TABLE_COUNT; i++)
+        if (status != OK)
+            drop(&found[i]);
+        else if (found[i].path)
+            take_rows(I, i, found[i]);
+    free(found);
+    TRY(status);
+    memcpy(I->record, S + 1, TABLES_AT * sizeof(Word));
     *time_of(I) = S->time;
     I->stale = S->stale;
     I->running = S->running;
@@ -544,17 +587,7 @@ static bool sound(const char *bytes, uint64_t size) {
     memcpy(&head, bytes, size < sizeof head ? size : sizeof head);
     if (head.size < sizeof head + TABLES_AT * sizeof(Word) || head.size > size || strncmp(head.token, TOKEN, sizeof head.token))
         return false;
-    uint64_t at = sizeof head + TABLES_AT * sizeof(Word);
-    for (uint32_t i = 0; i < TABLE_COUNT; i++) {
-        int64_t rows;
-        if (head.size - at < sizeof rows)
-            return false;
-        memcpy(&rows, bytes + at, sizeof rows);
-        at += sizeof rows;
-        if (rows < 0 || rows > TABLES[i].capacity || (head.size - at) / sizeof(Word) < (uint64_t)rows * TABLES[i].columns)
-            return false;
-        at += (uint64_t)rows * TABLES[i].columns * sizeof(Word);
-    }
+    uint64_t at = sizeof head + TABLES_AT * sizeof(Word) + TABLE_COUNT * sizeof(uint64_t);
     for (uint32_t i = 0; i <= TABLE_COUNT; i++) {
         const char *end = at < head.size ? memchr(bytes + at, 0, head.size - at) : NULL;
         if (!end)
