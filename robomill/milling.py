@@ -79,7 +79,7 @@ def prepare(
     if scenario.program.suffix == ".toml":
         planned = plan(point_path.read_points(scenario.program), placement)
     else:
-        planned = plan(gcode.read(scenario.program, work_offsets=workpiece.work_offsets), placement)
+        planned = plan(gcode.read(scenario.program, gcode.Setup(work_offsets=workpiece.work_offsets)), placement)
     folder = Path(folder)
     (folder / "plan").mkdir(parents=True, exist_ok=True)
     segments, pilot = ((folder / "plan" / f"{name}.npy").resolve() for name in ("segments", "pilot"))  # also found from elsewhere

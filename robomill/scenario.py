@@ -40,7 +40,7 @@ ComponentParameters = Mapping[str, Mapping[str, Any]]
 """component -> parameter -> value as written; checked and converted against the component's ports when the system is assembled."""
 
 KINDS = ("milling", "static_loads")
-PLAIN_OFFSETS: Mapping[int, Vector] = {54: (0.0, 0.0, 0.0)}
+PLAIN_OFFSETS: Mapping[float, Vector] = {54: (0.0, 0.0, 0.0)}
 """Work offsets where a scenario names none."""
 _SECTIONS = {"scenario", "parameters", "workpiece", "variants", "paper"}
 _PAPER_UNITS = {"_m": "m", "_n": "N", "_s": "s", "_percent": "%"}
@@ -60,7 +60,7 @@ class Workpiece:
     """Extent along x, y, z of P [m]."""
     abc: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Orientation of P in B: A, B, C [rad]."""
-    work_offsets: Mapping[int, Vector] = field(default_factory=lambda: dict(PLAIN_OFFSETS))
+    work_offsets: Mapping[float, Vector] = field(default_factory=lambda: dict(PLAIN_OFFSETS))
     """Origins of G54 (54) .. G59 (59) in P [m]; G54 is the origin of P unless it is named."""
 
 
@@ -174,9 +174,9 @@ def _workpiece(file: Path, table: Any) -> Workpiece:
     )
 
 
-def _work_offsets(file: Path, table: Any) -> dict[int, Vector]:
+def _work_offsets(file: Path, table: Any) -> dict[float, Vector]:
     """`{G55 = ["10 mm", 0, 0]}` as the reader of programs takes it."""
-    known = {f"G{n}": n for n in range(54, 60)}
+    known = {f"G{n}": float(n) for n in range(54, 60)}
     _keys(file, "[workpiece] work_offsets", table, required=set(), optional=set(known))
     given = {known[name]: _vector(file, f"[workpiece] work_offsets.{name}", value, "m") for name, value in table.items()}
     return {**PLAIN_OFFSETS, **given}

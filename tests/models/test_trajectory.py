@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from models.declaration import FloatArray
 from models.double_s import Phase, profile, ramp_length, reachable_speed
-from models.gcode import parse, read
+from models.gcode import Setup, parse, read
 from models.path_geometry import (
     Polynomial,
     arc_length,
@@ -43,7 +43,7 @@ SPEED_BAND = 1e-4
 
 
 def planned(text: str, placement: Placement = FLAT, limits: PathLimits = LIMITS, tolerance: float = 2e-4) -> Plan:
-    return plan(parse(START + text, "part.ngc", tolerance=tolerance), placement, limits)
+    return plan(parse(START + text, "part.ngc", Setup(tolerance=tolerance)), placement, limits)
 
 
 def speed(p: Plan, tau: FloatArray) -> FloatArray:

@@ -146,7 +146,7 @@ class TestWorkOffsets:
         scenario = load_scenario(tmp_path / "moved.toml")
         assert scenario.workpiece is not None
         assert scenario.workpiece.work_offsets == {54: (0.0, 0.0, 0.0), 55: (1e-3, 0.0, -2e-3)}
-        moved = gcode.read(tmp_path / "groove.ngc", work_offsets=scenario.workpiece.work_offsets).actions[0]
+        moved = gcode.read(tmp_path / "groove.ngc", gcode.Setup(work_offsets=scenario.workpiece.work_offsets)).actions[0]
         plain = gcode.read(SCENARIOS / "groove.ngc").actions[0]
         assert isinstance(moved, gcode.Move)
         assert isinstance(plain, gcode.Move)
