@@ -46,6 +46,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from orchestration.toml_text import parse
+
 LOGGING = "logging"
 """Component that stands for the log itself."""
 OBSERVATIONS = ("lag", "smooth", "gain", "offset")
@@ -183,7 +185,7 @@ class Catalogue:
         if not file.is_file():
             raise FileNotFoundError(f"no catalogue {file}")
         try:
-            table = tomllib.loads(file.read_text(encoding="utf-8"))
+            table = parse(file.read_text(encoding="utf-8"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise CatalogueError(f"{file}: not valid TOML: {error}") from None
         return _Reader(file).catalogue(table)
