@@ -49,6 +49,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from orchestration.toml_text import parse
+
 LOGGING = "logging"
 """Component that stands for the log itself."""
 OBSERVATIONS = ("lag", "smooth", "gain", "offset")
@@ -188,7 +190,7 @@ class Catalogue:
         if not file.is_file():
             raise FileNotFoundError(f"no catalogue {file}")
         try:
-            table = tomllib.loads(file.read_text(encoding="utf-8"))
+            table = parse(file.read_text(encoding="utf-8"))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise CatalogueError(f"{file}: not valid TOML: {error}") from None
         return _Reader(file).catalogue(table)

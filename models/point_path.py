@@ -62,7 +62,7 @@ def parse_points(text: str, name: str = "path") -> PointPath:
     """Read the point list `text`; PathError (a ValueError) at the first thing that is not as in the module's example."""
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:  # the latter: nested too deep
         raise PathError(f"{name}: not valid TOML: {error}") from None
     unknown = sorted(set(table) - {"orientation", "point"})
     if unknown:

@@ -17,6 +17,9 @@ MAX_FILES = 20_000
 MAX_XML = 256 * 1024**2
 MAX_NAME, MAX_DEPTH = 1000, 50
 """Of the path of an entry: characters, levels of folders."""
+MAX_XML_DEPTH = 100
+"""Levels of elements within each other: readers of XML follow them by recursion."""
+_CHUNK = 1024**2
 
 
 def unpack(file: Path, target: Path, max_total: int = MAX_TOTAL, max_files: int = MAX_FILES, kind: str = "FMU") -> list[str]:
@@ -24,7 +27,8 @@ def unpack(file: Path, target: Path, max_total: int = MAX_TOTAL, max_files: int 
 
     SlaveError for: no such file, not a zip archive, damaged or encrypted, an entry that would leave
     the folder (absolute, drive letter, backslash, `..`), a symbolic link or other special file, more
-    than `max_files` entries, more than `max_total` bytes unpacked.
+    than `max_files` entries, more than `max_total` bytes unpacked, a file twice with different contents
+    (twice the same is fine: some tools write it so).
     """
     if not file.exists():
         raise SlaveError(f"{file}: no such file{_siblings(file, kind)}")
@@ -38,16 +42,31 @@ def unpack(file: Path, target: Path, max_total: int = MAX_TOTAL, max_files: int 
             total = sum(e.file_size for e in entries)
             if total > max_total:
                 raise SlaveError(f"{file}: refused: unpacks to {total} bytes, at most {max_total} are allowed")
-            seen: set[str] = set()
+            seen: dict[str, zipfile.ZipInfo] = {}
             for entry in entries:
                 _check_entry(file, entry)
-                if entry.filename in seen:
-                    raise SlaveError(f"{file}: refused: entry {_short(entry.filename)} is there twice")
-                seen.add(entry.filename)
-            archive.extractall(target)
+                place = str(PurePosixPath(entry.filename))  # where it is unpacked to: "a//b" and "a/./b" are "a/b"
+                first = seen.setdefault(place, entry)
+                if not (first is entry or (entry.is_dir() and first.is_dir())) and not _same_bytes(archive, first, entry):
+                    raise SlaveError(
+                        f"{file}: refused: entry {_short(entry.filename)} is there twice with different contents "
+                        f"({first.file_size} and {entry.file_size} bytes): which one is meant cannot be told; pack it anew"
+                    )
+            archive.extractall(target, list(seen.values()))
     except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, EOFError, OSError, ValueError) as error:
         raise SlaveError(f"{file}: cannot be unpacked: {error}") from None
-    return [e.filename for e in entries if not e.is_dir()]
+    return [e.filename for e in seen.values() if not e.is_dir()]
+
+
+def _same_bytes(archive: zipfile.ZipFile, one: zipfile.ZipInfo, other: zipfile.ZipInfo) -> bool:
+    """Whether two entries are files that hold the same; compared piece by piece, as they may be large."""
+    if one.is_dir() or other.is_dir() or (one.file_size, one.CRC) != (other.file_size, other.CRC):
+        return False
+    with archive.open(one) as a, archive.open(other) as b:
+        while chunk := a.read(_CHUNK):
+            if chunk != b.read(len(chunk)):
+                return False
+    return True
 
 
 def _check_entry(file: Path, entry: zipfile.ZipInfo) -> None:
@@ -69,23 +88,33 @@ def _check_entry(file: Path, entry: zipfile.ZipInfo) -> None:
 
 
 def check_xml(file: Path, source: Path) -> dict[str, str]:
-    """Refuse XML with a document type or entities (they can explode or read other files); return the attributes of its root.
+    """Refuse XML with a document type or entities (they can explode or read other files), or nested too deep; return its root's attributes.
 
     `source` is the archive that errors name.
     """
     if file.stat().st_size > MAX_XML:
         raise SlaveError(f"{source}: refused: {file.name} has {file.stat().st_size} bytes, at most {MAX_XML} are allowed")
 
+    attributes: dict[str, str] = {}
+    depth = 0
+
     def refuse(*_: object) -> None:
         raise SlaveError(f"{source}: refused: {file.name} has a document type declaration or entities (line {parser.CurrentLineNumber})")
 
-    def root(_: str, found: dict[str, str]) -> None:
-        attributes.update(found)
-        parser.StartElementHandler = None
+    def begin(_: str, found: dict[str, str]) -> None:
+        nonlocal depth
+        if depth == 0:
+            attributes.update(found)
+        depth += 1
+        if depth > MAX_XML_DEPTH:
+            raise SlaveError(f"{source}: refused: {file.name} is nested more than {MAX_XML_DEPTH} deep (line {parser.CurrentLineNumber})")
 
-    attributes: dict[str, str] = {}
+    def end(_: str) -> None:
+        nonlocal depth
+        depth -= 1
+
     parser = xml.parsers.expat.ParserCreate()
-    parser.StartElementHandler = root
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
     parser.StartDoctypeDeclHandler = refuse
     parser.EntityDeclHandler = refuse
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import tempfile
+import weakref
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,6 +19,8 @@ from orchestration.parameters import prepare
 from orchestration.slave import FloatArray, ParameterValue, Port, Scalar
 
 _MESSAGES = 50  # last log messages kept for error texts
+_only_once: weakref.WeakValueDictionary[tuple[str, str], FmuSlave] = weakref.WeakValueDictionary()
+"""Open FMUs of which a process can have one instance, by identifier and GUID."""
 _PROBLEMS = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 
 
@@ -35,6 +38,8 @@ class FmuSlave:
         try:
             self.description = open_fmu(Path(file), Path(self._folder.name).resolve())
             self._name = name or self.description.identifier
+            if self.description.only_once:
+                self._claim()
             self._fmi: Fmi = {2: Fmi2, 3: Fmi3}[self.description.fmi](self.description, self._name, self.messages)
             self._inputs, self._outputs = self._fmi.groups("Set", "input"), self._fmi.groups("Get", "output")
         except BaseException:
@@ -43,6 +48,16 @@ class FmuSlave:
         self._parameters: dict[str, Scalar] = {}
         self._initialising = self._stepped = self._closed = False
         self._states: list[Any] = []
+
+    def _claim(self) -> None:
+        """Be the one component of this process that runs an FMU of which it can have one instance only."""
+        other = _only_once.setdefault((self.description.identifier, self.description.guid), self)
+        if other is not self:
+            raise SlaveError(
+                f"component {self._name!r}: {self.description.file.name} can be instantiated only once per process "
+                f"(canBeInstantiatedOnlyOncePerProcess), and component {other.name!r} is that instance; "
+                "set isolate = true for one of them: it then runs in a process of its own"
+            )
 
     @property
     def name(self) -> str:
@@ -187,6 +202,8 @@ class FmuSlave:
         if self._closed:
             return
         self._closed = True
+        if self.description.only_once:
+            _only_once.pop((self.description.identifier, self.description.guid), None)
         self._free_instance()
         self._fmi.unload()
         self._folder.cleanup()

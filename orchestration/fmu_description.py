@@ -75,6 +75,8 @@ class FmuDescription:
     guid: str
     """In FMI 3.0 the instantiation token."""
     variables: tuple[Variable, ...] = field(repr=False)
+    only_once: bool
+    """A process can have one instance of it."""
     can_save_state: bool
     can_serialise_state: bool
     made_by_pythonfmu: bool
@@ -97,18 +99,22 @@ class FmuDescription:
 def open_fmu(file: Path, folder: Path) -> FmuDescription:
     """Unpack `file` into `folder` and check that it can run here.
 
-    SlaveError, one clear sentence each: not there, not a zip, unsafe archive, no or invalid
-    modelDescription.xml, FMI version other than 2.0 and 3.0, not co-simulation, no binary for this platform, clocks.
+    SlaveError, one clear sentence each: not there, not a zip, unsafe archive, and what `describe` refuses.
     """
-    names = unpack(file, folder)
+    return describe(file, folder, unpack(file, folder))
+
+
+def describe(file: Path, folder: Path, names: Sequence[str]) -> FmuDescription:
+    """What the FMU `file`, unpacked into `folder`, says about itself; `names` are those of its files.
+
+    SlaveError, one clear sentence each: no or invalid modelDescription.xml, FMI version other than 2.0 and 3.0 with its
+    patches, not co-simulation, no binary for this platform, clocks.
+    """
     xml = folder / "modelDescription.xml"
     if not xml.is_file():
         top = sorted({n.split("/")[0] for n in names})
         raise SlaveError(f"{file}: no modelDescription.xml in it, so not an FMU; it holds {', '.join(top[:20]) or 'nothing'}")
-    version = check_xml(xml, file).get("fmiVersion", "unknown")
-    if version not in ("2.0", "3.0"):
-        raise SlaveError(f"{file}: has FMI version {version}; only FMI 2.0 and 3.0 can be run: export it as co-simulation of one of these")
-    fmi = int(version[0])
+    fmi = _version(file, check_xml(xml, file).get("fmiVersion", "unknown"))
     md = _read(file, folder)
     if md.coSimulation is None:
         only = "scheduled execution" if getattr(md, "scheduledExecution", None) is not None else "model exchange"
@@ -122,12 +128,26 @@ def open_fmu(file: Path, folder: Path) -> FmuDescription:
         identifier=md.coSimulation.modelIdentifier,
         guid=md.guid,
         variables=variables,
+        only_once=bool(md.coSimulation.canBeInstantiatedOnlyOncePerProcess),
         can_save_state=bool(md.coSimulation.canGetAndSetFMUstate),
         can_serialise_state=bool(md.coSimulation.canSerializeFMUstate),
         made_by_pythonfmu=(folder / "resources" / "slavemodule.txt").is_file(),
         log_categories=tuple(c.name for c in md.logCategories),
         units={u.name: u for u in md.unitDefinitions},
     )
+
+
+_FMI3 = re.compile(r"3\.0(\.0|\.[1-9]\d*(-.+)?)?")
+"""FMI 3.0 and its patch releases, which change nothing but the wording of the standard; a pre-release of a patch is one, too."""
+
+
+def _version(file: Path, text: str) -> int:
+    """2 or 3. SlaveError for every other version; a pre-release of 3.0 itself ("3.0-beta.2") has other functions than 3.0."""
+    if text == "2.0":
+        return 2
+    if _FMI3.fullmatch(text):
+        return 3
+    raise SlaveError(f"{file}: has FMI version {text[:50]}; only FMI 2.0 and 3.0 can be run: export it as co-simulation of one of these")
 
 
 _SCHEMA = re.compile(r"\w+ \(line \d+, column \d+\)")  # how FMPy words what the XML schema refuses

@@ -19,6 +19,7 @@ import pyarrow.parquet
 
 from orchestration.errors import ResultsError, unknown
 from orchestration.slave import FloatArray, PortData, base_name
+from orchestration.toml_text import parse
 
 _ROWS_PER_GROUP = 50_000
 RUN, SIGNALS, LIVE, CSV = "run.toml", "signals.parquet", "signals.arrow", "signals.csv"
@@ -119,7 +120,7 @@ def read_info(folder: Path) -> dict[str, Any]:
         held = ", ".join(sorted(f.name for f in folder.iterdir())[:20])
         raise ResultsError(f"{folder} is not a run: there is no {RUN} in it; it holds {held or 'nothing'}")
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
+        return parse(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ResultsError(f"{file}: not valid TOML: {error}") from None
 

@@ -111,24 +111,24 @@ class _Package:
             connections = SubElement(inner, "ssd:Connections")
             for (a, x), (b, y), _ in self.pairs:
                 SubElement(connections, "ssd:Connection", startElement=a, startConnector=x, endElement=b, endConnector=y)
-        simulation = SubElement(_annotation(inner, "org.openmodelica"), "oms:Annotations")
-        simulation = SubElement(simulation, "oms:SimulationInformation")
-        SubElement(
-            simulation,
-            "oms:FixedStepMaster",
-            description="oms-ma",
-            stepSize=repr(s.step),
-            absoluteTolerance="1e-4",
-            relativeTolerance="1e-4",
-        )
+        annotations = SubElement(inner, "ssd:Annotations")
+        self._for_omsimulator(_annotation(annotations, "org.openmodelica"))  # first: version 2 looks at no other
+        self._master(_annotation(annotations, ANNOTATION))
         self._units(root)
         experiment = SubElement(root, "ssd:DefaultExperiment", startTime="0.0")
         if s.stop is not None:
             experiment.set("stopTime", repr(float(s.stop)))
-        algorithm = SubElement(_annotation(experiment, "com.opensimulationplatform"), "osp:Algorithm")
+        algorithm = SubElement(_annotation(SubElement(experiment, "ssd:Annotations"), "com.opensimulationplatform"), "osp:Algorithm")
         SubElement(algorithm, "osp:FixedStepAlgorithm", baseStepSize=repr(s.step))
-        self._master(_annotation(root, ANNOTATION))
         return _text(root)
+
+    def _for_omsimulator(self, annotation: Element) -> None:
+        """The fixed step, where OMSimulator 3 (attributes; this name is that of its default for co-simulation) and 2 (element) look."""
+        step = repr(self.system.step)
+        name = {"name": "oms_ma_default", "method": "oms_ma", "fixedStepSize": step}
+        simulation = SubElement(SubElement(annotation, "oms:Annotations"), "oms:SimulationInformation", name)
+        tolerances = {"absoluteTolerance": "1e-4", "relativeTolerance": "1e-4"}  # must be there, have no effect with a fixed step
+        SubElement(simulation, "oms:FixedStepMaster", {"description": "oms-ma", "stepSize": step, **tolerances})
 
     def _component(self, parent: Element, c: Component, sources: dict[bytes, str]) -> None:
         fmu = (self.system.folder / c.source).read_bytes()
@@ -218,8 +218,8 @@ class _Package:
                 SubElement(master, "robomill:Label", name=key, type=type(value).__name__, value=_literal(value))
 
 
-def _annotation(parent: Element, kind: str) -> Element:
-    return SubElement(SubElement(parent, "ssd:Annotations"), "ssc:Annotation", type=kind)
+def _annotation(annotations: Element, kind: str) -> Element:
+    return SubElement(annotations, "ssc:Annotation", type=kind)
 
 
 def _some(**attributes: str | None) -> dict[str, str]:

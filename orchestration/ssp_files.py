@@ -14,11 +14,10 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import unquote, urlsplit
 from xml.etree.ElementTree import Element, TreeBuilder
 
-from orchestration.archive import MAX_XML
+from orchestration.archive import MAX_XML, MAX_XML_DEPTH
 from orchestration.errors import SystemFileError, available
 
 MODEL = "modelDescription.xml"
-MAX_DEPTH = 100
 
 
 @dataclass(frozen=True)
@@ -100,8 +99,8 @@ class Files:
         def start(tag: str, attributes: dict[str, str]) -> None:
             nonlocal depth
             depth += 1
-            if depth > MAX_DEPTH:
-                raise self.fail(f"refused: {name} is nested more than {MAX_DEPTH} deep (line {parser.CurrentLineNumber})")
+            if depth > MAX_XML_DEPTH:
+                raise self.fail(f"refused: {name} is nested more than {MAX_XML_DEPTH} deep (line {parser.CurrentLineNumber})")
             builder.start(tag.rpartition(":")[2], attributes)
 
         def end(tag: str) -> None:

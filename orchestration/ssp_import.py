@@ -77,8 +77,8 @@ class _Reader:
         if not structure.sources:
             raise self.fail("the system has no components")
         names = self.identifiers(structure)
-        master = _annotation(root, ANNOTATION)
-        master = child(master, "Master") if master is not None else None
+        # packages of earlier versions have it at the root
+        master = next((a for a in (_annotation(e, ANNOTATION, "Master") for e in (inner, root)) if a is not None), None)
         experiment = child(root, "DefaultExperiment")
         system = System(
             name=root.get("name") or self.files.file.stem,
@@ -161,6 +161,7 @@ class _Reader:
             (master, "step"),
             (_annotation(experiment, "com.opensimulationplatform", "Algorithm/FixedStepAlgorithm"), "baseStepSize"),
             (_annotation(inner, "org.openmodelica", "Annotations/SimulationInformation/FixedStepMaster"), "stepSize"),
+            (_annotation(inner, "org.openmodelica", "Annotations/SimulationInformation"), "fixedStepSize"),
         )
         for element, attribute in places:
             value = self.number(element, attribute)

@@ -38,7 +38,7 @@ from typing import Any
 from orchestration.acceleration import DEFAULT, Iteration
 from orchestration.errors import SystemFileError, unknown
 from orchestration.parameters import Convert, quantity, same_unit_only
-from orchestration.toml_text import find_line
+from orchestration.toml_text import find_line, parse
 
 ALGORITHMS = ("jacobi", "gauss-seidel", "iterated")
 LOOPS = ("auto", "compiled", "python")
@@ -248,8 +248,8 @@ def load(file: Path, convert: Convert = same_unit_only) -> System:
         raise SystemFileError(f"no system file {file}; TOML files in that folder: {', '.join(near) or 'none'}")
     try:
         text = file.read_text(encoding="utf-8")
-        table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        table = parse(text)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SystemFileError(f"{file.name}: not valid TOML: {error}") from None
     return _Loader(file, text, convert).system(table)
 

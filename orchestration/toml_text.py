@@ -1,16 +1,39 @@
-"""TOML beyond the standard library: where a key stands in a file, and writing."""
+"""TOML beyond the standard library: files of strangers read safely, where a key stands in a file, and writing."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _KEY = re.compile(r"""\s*((?:[\w-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[\w-]+|"[^"]*"|'[^']*'))*)\s*=""")
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+MAX_DEPTH = 50
+"""Levels of tables and arrays within each other."""
+
+
+def parse(text: str) -> dict[str, Any]:
+    """The table that a TOML text is; `tomllib.TOMLDecodeError` if it is not valid, or nested more than `MAX_DEPTH` deep."""
+    try:
+        table = tomllib.loads(text)
+    except RecursionError:  # the reader follows arrays and inline tables by recursion; headers and dotted keys it does not
+        raise _too_deep() from None
+    level: list[Any] = [table]
+    for _ in range(MAX_DEPTH):
+        level = [v for x in level for v in (x.values() if isinstance(x, dict) else x) if isinstance(v, dict | list)]
+        if not level:
+            return table
+    raise _too_deep()
+
+
+def _too_deep() -> tomllib.TOMLDecodeError:
+    return tomllib.TOMLDecodeError(f"tables and arrays are nested more than {MAX_DEPTH} deep")
 
 
 def find_line(text: str, *path: str | int) -> int | None:

@@ -36,6 +36,7 @@ from orchestration.errors import OrchestrationError
 from orchestration.results import Run
 from orchestration.ssp_import import open_ssp
 from orchestration.system import System
+from orchestration.toml_text import parse
 from robomill import conformance, experiments, milling, ssp, static_loads
 from robomill.binding import convert, resolve, with_fmus
 from robomill.evaluation import Result, evaluate
@@ -66,7 +67,7 @@ def run(options: Namespace) -> int:
             f"{options.file} is a program: `robomill plan` looks at it, a scenario that names it (scenarios/groove.toml) mills it"
         )
     try:
-        is_scenario = "scenario" in tomllib.loads(options.file.read_text(encoding="utf-8"))
+        is_scenario = "scenario" in parse(options.file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
         is_scenario = False  # the system loader names the line
     if not is_scenario:

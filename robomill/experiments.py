@@ -50,7 +50,7 @@ from orchestration.assembly import run
 from orchestration.parameters import quantity
 from orchestration.results import RUN, Run, read_info
 from orchestration.system import System
-from orchestration.toml_text import dump
+from orchestration.toml_text import dump, parse
 from robomill.binding import convert, resolve, with_fmus
 from robomill.milling import Progress, with_parameters
 from robomill.scenario import ComponentParameters, ScenarioError
@@ -98,7 +98,7 @@ class Experiment:
 def is_experiment(file: Path) -> bool:
     """Whether a TOML file is a scenario of kind "experiment"."""
     try:
-        return bool(tomllib.loads(file.read_text(encoding="utf-8"))["scenario"]["kind"] == "experiment")
+        return bool(parse(file.read_text(encoding="utf-8"))["scenario"]["kind"] == "experiment")
     except (OSError, KeyError, TypeError, tomllib.TOMLDecodeError, UnicodeDecodeError):
         return False
 
@@ -106,7 +106,7 @@ def is_experiment(file: Path) -> bool:
 def load_experiment(path: str | Path) -> Experiment:
     """Read and check an experiment file. ScenarioError or FileNotFoundError says what is wrong and what is possible."""
     file = Path(path).resolve()
-    table = tomllib.loads(file.read_text(encoding="utf-8"))
+    table = parse(file.read_text(encoding="utf-8"))
     _only(file, "the file", table, _TOP, {"scenario", "experiment", "condition"})
     head = _only(file, "[scenario]", table["scenario"], {"name", "kind", "title", "system"}, {"name", "system"})
     about = _only(file, "[experiment]", table["experiment"], {"kind", "repeats"}, {"kind"})

@@ -34,6 +34,7 @@ from typing import Any
 
 from models.gcode import Vector
 from orchestration.parameters import quantity
+from orchestration.toml_text import parse
 from robomill.binding import convert
 
 ComponentParameters = Mapping[str, Mapping[str, Any]]
@@ -97,7 +98,7 @@ def load_scenario(path: str | Path) -> Scenario:
         beside = sorted(str(f) for f in file.parent.glob("*.toml")) if file.parent.is_dir() else []
         raise FileNotFoundError(f"no scenario {file}; TOML files in that folder: {', '.join(beside) or 'none'}")
     try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
+        table = parse(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{file}: not valid TOML: {error}") from None
     _keys(file, "the file", table, required={"scenario"}, optional=_SECTIONS - {"scenario"})

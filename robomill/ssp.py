@@ -10,6 +10,7 @@ from pathlib import Path
 from fmus.components import COMPONENTS
 from orchestration.ssp_export import export
 from orchestration.system import System
+from orchestration.toml_text import parse
 from robomill import milling
 from robomill.binding import convert, with_fmus
 from robomill.scenario import ScenarioError, load_scenario
@@ -21,7 +22,7 @@ def systems(file: Path, work: Path, variants: Sequence[str] | None = None) -> li
     A scenario is planned, and its offline run done, in the folder `work`; the tables stay there.
     """
     try:
-        is_scenario = file.is_file() and "scenario" in tomllib.loads(file.read_text(encoding="utf-8"))
+        is_scenario = file.is_file() and "scenario" in parse(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
         is_scenario = False  # the system loader names the line
     if not is_scenario:

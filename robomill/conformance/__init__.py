@@ -3,9 +3,9 @@
     for result in check_fmu("component.fmu"):
         print(result.outcome, result.check, result.detail)
 
-Everything that runs the FMU does so in a new process, outside of this repository, which may crash
-or hang without harm. This package runs on its own there (see `__main__`): standard library and FMPy
-only, imports of its own files relative, nothing else of the project.
+It is opened as for a run, so what cannot be run is refused with the same text. Everything that runs the FMU does so
+in a new process, outside of this repository, which may crash or hang without harm. This package runs on its own there
+(see `__main__`): standard library and FMPy only, imports of its own files relative, nothing else of the project.
 
 The checks (`battery`) are the same for both versions of FMI; `fmi2` and `fmi3` know how the calls look.
 
@@ -22,8 +22,8 @@ import os
 import subprocess
 import sys
 import tempfile
-import zipfile
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,6 @@ TIMEOUT = 300.0
 _RUNNABLE = "units and descriptions"
 """The first check of an FMU that can be run: of the right kind, with a description that can be read."""
 _SHOWN_PROBLEMS = 3
-_VERSIONS = ("2.0", "3.0")
 _REALS = ("Real", "Float64", "Float32")
 
 
@@ -50,43 +49,35 @@ def check_fmu(file: str | Path, timeout: float = TIMEOUT) -> list[Result]:
     path = Path(file).resolve()
     if not path.is_file():
         raise FileNotFoundError(f"{file}: no such file")
-    results = list(_static_checks(path))
-    if not any(r.check == _RUNNABLE for r in results):
-        return results
     with tempfile.TemporaryDirectory(prefix="robomill_check_", ignore_cleanup_errors=True) as folder:
-        return results + _dynamic_checks(path, Path(folder), timeout)
+        results = list(_static_checks(path, Path(folder).resolve() / "opened"))
+        if any(r.check == _RUNNABLE for r in results):
+            results += _dynamic_checks(path, Path(folder), timeout, _only_once(Path(folder) / "opened"))
+    return results
 
 
 # Checks that only read
 
 
-def _static_checks(path: Path) -> Iterator[Result]:
+def _static_checks(path: Path, folder: Path) -> Iterator[Result]:
     import fmpy
     from fmpy.validation import validate_fmu
 
+    from orchestration.archive import unpack  # here, as the other process has nothing of the project
+    from orchestration.errors import SlaveError
+    from orchestration.fmu_description import describe
+
+    check = "archive"
     try:
-        with zipfile.ZipFile(path) as archive:
-            names = archive.namelist()
-            bad = archive.testzip()
-    except (zipfile.BadZipFile, OSError) as error:
-        yield Result("archive", "failed", f"not a readable zip archive: {error}")
+        names = unpack(path, folder)
+        yield Result(check, "passed", f"{len(names)} files, {path.stat().st_size} bytes")
+        check = "model description"
+        describe(path, folder, names)
+    except SlaveError as error:
+        yield Result(check, "failed", str(error).removeprefix(f"{path}: "))
         return
-    unsafe = [n for n in names if n.startswith("/") or ".." in n.split("/") or "\\" in n or ":" in n]
-    if bad or unsafe or "modelDescription.xml" not in names:
-        problem = f"damaged entry {bad}" if bad else f"unsafe path {unsafe[0]}" if unsafe else "no modelDescription.xml in it"
-        yield Result("archive", "failed", problem)
-        return
-    yield Result("archive", "passed", f"{len(names)} files, {path.stat().st_size} bytes")
     problems = validate_fmu(str(path))
-    try:
-        md = fmpy.read_model_description(str(path), validate=False)
-    except Exception as error:  # FMPy raises whatever its parsing meets
-        yield Result("model description", "failed", f"cannot be read: {error}")
-        return
-    if md.fmiVersion not in _VERSIONS or md.coSimulation is None:
-        kind = "co-simulation" if md.coSimulation is not None else "no co-simulation"
-        yield Result("model description", "failed", f"FMI {md.fmiVersion}, {kind}; co-simulation of FMI {' or '.join(_VERSIONS)} is needed")
-        return
+    md = fmpy.read_model_description(str(folder), validate=False)
     if problems:
         # what follows does not need a description without fault, and says more about the FMU
         shown = "; ".join(problems[:_SHOWN_PROBLEMS]) + ("; ..." if len(problems) > _SHOWN_PROBLEMS else "")
@@ -102,6 +93,12 @@ def _static_checks(path: Path) -> Iterator[Result]:
     )
 
 
+def _only_once(folder: Path) -> bool:
+    import fmpy
+
+    return bool(fmpy.read_model_description(str(folder), validate=False).coSimulation.canBeInstantiatedOnlyOncePerProcess)
+
+
 def _documented(md: Any) -> Result:
     shown = [v for v in md.modelVariables if v.causality in ("input", "output", "parameter")]
     bare = [v.name for v in shown if not v.description]
@@ -115,16 +112,24 @@ def _documented(md: Any) -> Result:
 # Checks that run it: this side
 
 
-def _dynamic_checks(path: Path, folder: Path, timeout: float) -> list[Result]:
+def _dynamic_checks(path: Path, folder: Path, timeout: float, only_once: bool) -> list[Result]:
+    """All checks that run the FMU: in one process, or, if a process can have one instance only, each in one of its own."""
+    if not only_once:
+        return _process(path, folder, timeout, ())
+    deadline = time.monotonic() + timeout
+    found = [r for check in CHECKS for r in _process(path, folder, max(deadline - time.monotonic(), 0.0), (check,))]
+    return list(dict.fromkeys(found))  # what keeps every process from its check is said once
+
+
+def _process(path: Path, folder: Path, timeout: float, checks: Sequence[str]) -> list[Result]:
     """Run `battery.run` in a process of its own and collect what it wrote, also if it did not come to its end."""
     report = folder / "report.jsonl"
-    report.touch()
-    work = folder / "work"
-    work.mkdir()
+    report.write_text("", encoding="utf-8")
+    work = Path(tempfile.mkdtemp(prefix="work", dir=folder))
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     output = folder / "output.txt"
     with output.open("wb") as stream:
-        command = [sys.executable, "-P", str(Path(__file__).with_name("__main__.py").resolve()), str(path), str(report)]
+        command = [sys.executable, "-P", str(Path(__file__).with_name("__main__.py").resolve()), str(path), str(report), *checks]
         process = subprocess.Popen(command, cwd=work, env=environment, stdout=stream, stderr=subprocess.STDOUT)
         try:
             code = process.wait(timeout)

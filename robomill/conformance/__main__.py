@@ -1,4 +1,4 @@
-"""The process that runs an FMU: `python __main__.py FMU REPORT`. Nothing of this project can be imported in it but this package."""
+"""The process that runs an FMU: `python __main__.py FMU REPORT [CHECK ...]`. Of this project it can import this package only."""
 
 from __future__ import annotations
 
@@ -26,5 +26,5 @@ def _alone() -> None:
 if __name__ == "__main__":
     _alone()
     battery = importlib.import_module(f"{_NAME}.battery")
-    battery.run(Path(sys.argv[1]), Path(sys.argv[2]))
+    battery.run(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:])
     os._exit(0)  # whatever the libraries of the FMU do at the end is not of interest

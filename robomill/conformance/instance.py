@@ -18,7 +18,8 @@ from .fmi3 import Fmi3
 STEPS = 20
 STEP = 0.004
 """Communication step where the FMU does not name one [s]."""
-_VERSIONS: Mapping[str, type[Calls]] = {"2.0": Fmi2, "3.0": Fmi3}
+_VERSIONS: Mapping[str, type[Calls]] = {"2": Fmi2, "3": Fmi3}
+"""By the first digit of the version of FMI."""
 _LABELS = ("OK", "warning", "discard", "error", "fatal", "pending")
 
 
@@ -85,7 +86,7 @@ class Fmu:
         self.flags: Any = self.md.coSimulation
         self.log: list[str] = []
         """Messages of all instances since the check began."""
-        self.calls = _VERSIONS[self.md.fmiVersion](self.folder, self.md, self.log)
+        self.calls = _VERSIONS[self.md.fmiVersion[0]](self.folder, self.md, self.log)
         self.inputs = [e for v in self._variables("input") if v.type.kind != "string" for e in v.elements]
         self.outputs = [e for v in self._variables("output") if v.type.kind != "string" for e in v.elements]
         self.parameters = [e for v in self._variables("parameter") for e in v.elements]
@@ -95,6 +96,8 @@ class Fmu:
         self.parameter_values: dict[str, Any] = {}
         self.reference_rows: list[list[float]] = []
         self.rows = self._excitation()
+        self.instances = 0
+        """How many were made in this process."""
         self.trajectory: list[list[float]] | None = None
         """Outputs of the first run, which the other checks compare with."""
 
@@ -142,6 +145,10 @@ def some(names: Sequence[str], limit: int = 4) -> str:
     return ", ".join(names[:limit]) + (f", ... ({len(names)} in all)" if len(names) > limit else "")
 
 
+class OnlyOnce(Exception):  # noqa: N818  # not an error
+    """There has been an instance of an FMU of which a process can have one only."""
+
+
 class Instance:
     """One instance of the FMU; raw calls, every status looked at, its log kept."""
 
@@ -149,6 +156,9 @@ class Instance:
         self.fmu, self.log, self._calls = fmu, fmu.log, fmu.calls
         self._set: dict[str, Any] = {}
         """What was set, by element: in FMI 3.0 an array is set as a whole, the elements that are not meant included."""
+        if fmu.instances and fmu.flags.canBeInstantiatedOnlyOncePerProcess:
+            raise OnlyOnce("canBeInstantiatedOnlyOncePerProcess is true, and this check needs a second instance")
+        fmu.instances += 1
         made = self._calls.instantiate(name)
         if not made:
             raise CallFailed(f"{self._calls.prefix}Instantiate: no instance: {self.logged()}")

@@ -14,7 +14,7 @@ from fmus.components import COMPONENTS
 from models.declaration import Model, Variable
 from models.units import UNITS, compatible, to_si
 from orchestration.errors import unknown
-from orchestration.toml_text import find_line
+from orchestration.toml_text import find_line, parse
 from robomill.logs.reading import READERS, FloatArray, LogError
 
 _TOP = ("log", "clock", "about", "components", "labels", "parameters", "signal")
@@ -136,7 +136,7 @@ def load_mapping(file: Path) -> LogMapping:
         raise LogError(f"no mapping file {file}")
     try:
         text = file.read_text(encoding="utf-8")
-        content = tomllib.loads(text)
+        content = parse(text)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise LogError(f"{file}: not valid TOML: {error}") from None
     read = _Reader(file, text)

@@ -61,6 +61,24 @@ def test_a_size_that_lies_writes_no_more_than_it_says(tmp_path):
     assert (tmp_path / "out/zeros").stat().st_size <= 10
 
 
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+class TestTwice:
+    """Some tools write an entry twice. The same twice is one file; which of two different ones is meant, nobody knows."""
+
+    @pytest.mark.parametrize("again", ["a/b.txt", "a//b.txt", "a/./b.txt"])
+    def test_the_same(self, tmp_path, again):
+        file = archive(tmp_path, ("a/", ""), ("a/b.txt", "x"), (again, "x"), ("a/", ""))
+        assert unpack(file, tmp_path / "out") == ["a/b.txt"]
+        assert (tmp_path / "out/a/b.txt").read_text() == "x"
+
+    @pytest.mark.parametrize("again", ["a/b.txt", "a//b.txt"])
+    def test_another(self, tmp_path, again):
+        file = archive(tmp_path, ("a/b.txt", "x"), (again, "y"))
+        with pytest.raises(SlaveError, match=r"entry 'a/*b.txt' is there twice with different contents \(1 and 1 bytes\)"):
+            unpack(file, tmp_path / "out")
+        assert not (tmp_path / "out").exists()
+
+
 def test_damaged(tmp_path):
     file = archive(tmp_path, ("a", "some text that is long enough"))
     data = bytearray(file.read_bytes())
@@ -115,3 +133,7 @@ class TestXml:
     def test_not_xml(self, tmp_path):
         with pytest.raises(SlaveError, match=r"m.xml is not valid XML: mismatched tag"):
             self.check(tmp_path, "<a><b></a>")
+
+    def test_nested_too_deep(self, tmp_path):
+        with pytest.raises(SlaveError, match=r"a.fmu: refused: m.xml is nested more than 100 deep \(line 1\)"):
+            self.check(tmp_path, "<a>" * 200_000 + "</a>" * 200_000)

@@ -16,6 +16,7 @@ from orchestration.fmu import FmuSlave
 from orchestration.results import Run
 from orchestration.slave import PortData, Slave, arrays, inputs, outputs
 from orchestration.system import Component, Connection, System
+from robomill.conformance import check_fmu
 from tests.orchestration import c_fmu, c_fmu3
 from tests.orchestration.mocks import resolver, source
 
@@ -220,6 +221,18 @@ def test_in_a_process_of_its_own(plain, tmp_path):
 LIBRARY = {f"binaries/{fmpy.platform_tuple}/types{c_fmu.SUFFIX}": b"not a library"}
 
 
+@pytest.mark.parametrize("version", ["3.0.0", "3.0.1", "3.0.2", "3.0.14", "3.0.3-rc.1"])
+def test_patch_releases_are_the_same_fmi(tmp_path, plain, version):
+    """They change the wording of the standard only; what is run and checked is FMI 3.0."""
+    file = c_fmu3.build(tmp_path, c_fmu3.PLAIN.replace('fmiVersion="3.0"', f'fmiVersion="{version}"'))
+    found, expected = (run(System("one", 0.004, (Component("x", str(f)),), stop=0.04)) for f in (file, plain))
+    assert np.array_equal(found["x.y"], expected["x.y"])
+    checked = {r.check: r for r in check_fmu(file)}
+    assert checked["runs in a fresh process"].outcome == "passed"
+    assert f"FMI {version}" in checked["model description"].detail or checked["model description"].outcome == "failed"
+    assert "model description" not in checked["exports"].detail  # the library says 3.0
+
+
 class TestRefused:
     """One clear sentence for each."""
 
@@ -228,6 +241,8 @@ class TestRefused:
         [
             ("<CoSimulation", "<ModelExchange", "is an FMU for model exchange only; a co-simulation FMU is needed"),
             ("<CoSimulation", "<ScheduledExecution", "is an FMU for scheduled execution only; a co-simulation FMU is needed"),
+            ('fmiVersion="3.0"', 'fmiVersion="3.0-beta.2"', "has FMI version 3.0-beta.2; only FMI 2.0 and 3.0 can be run"),
+            ('fmiVersion="3.0"', 'fmiVersion="3.0.01"', "has FMI version 3.0.01; only FMI 2.0 and 3.0 can be run"),
             ('fmiVersion="3.0"', 'fmiVersion="3.1"', "has FMI version 3.1; only FMI 2.0 and 3.0 can be run: export it as co-simulation"),
             (
                 '<Int64 name="in_Int64" valueReference="11"',

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import fmpy
@@ -252,6 +253,20 @@ class TestPythonfmu:
         with pytest.raises(SlaveError, match=r"component 'x': Amplifier.fmu cannot save its state \(canGetAndSetFMUstate is false\)"):
             slave.get_state()
         slave.close()
+
+
+def test_an_fmu_of_which_a_process_can_have_one_instance(tmp_path):
+    once = c_fmu.DESCRIPTION.replace("<CoSimulation ", '<CoSimulation canBeInstantiatedOnlyOncePerProcess="true" ')
+    file = c_fmu.build(tmp_path, description=once)
+    two = System("two", 0.004, (Component("x", str(file)), Component("y", str(file))), stop=0.04)
+    with pytest.raises(SystemFileError) as caught:
+        run(two)
+    assert "component 'y': euler.fmu can be instantiated only once per process (canBeInstantiatedOnlyOncePerProcess)" in str(caught.value)
+    assert "component 'x' is that instance; set isolate = true for one of them" in str(caught.value)
+    remedied = replace(two, components=(two.components[0], replace(two.components[1], isolate=True)))
+    first, second = run(remedied), run(remedied)  # and one after the other: the first was closed
+    assert np.array_equal(first["x.y"], first["y.y"])
+    assert np.array_equal(first["x.y"], second["x.y"])
 
 
 BAD = c_fmu.DESCRIPTION

@@ -162,6 +162,35 @@ class TestProfile:
         (oms,) = ssd.iterfind("{*}System/{*}Annotations/{*}Annotation[@type='org.openmodelica']//{*}FixedStepMaster")
         assert oms.get("stepSize") == "0.01"
 
+    def test_as_omsimulator_reads_it(self, package):
+        """Version 2 takes another child of the root for a fault and of a system's annotations reads the first; 3 reads attributes."""
+        ssd = self.parse(package, "SystemStructure.ssd", "SystemStructureDescription.xsd")
+        assert {etree.QName(e).localname for e in ssd} <= {"System", "Enumerations", "Units", "DefaultExperiment"}
+        annotations = ssd.findall("{*}System/{*}Annotations/{*}Annotation")
+        assert [a.get("type") for a in annotations] == ["org.openmodelica", "com.github.robomill"]
+        assert annotations[0][0].tag == "{https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd}Annotations"
+        (simulation,) = annotations[0][0]
+        assert dict(simulation.attrib) == {"name": "oms_ma_default", "method": "oms_ma", "fixedStepSize": "0.01"}
+        assert [dict(e.attrib) for e in simulation] == [
+            {"description": "oms-ma", "stepSize": "0.01", "absoluteTolerance": "1e-4", "relativeTolerance": "1e-4"}
+        ]
+
+    def test_packages_of_earlier_versions(self, package, tmp_path):
+        """Those had what only our master knows at the root."""
+        old = tmp_path / "old.ssp"
+        with zipfile.ZipFile(package) as source, zipfile.ZipFile(old, "w") as target:
+            for name in source.namelist():
+                data = source.read(name)
+                if name == "SystemStructure.ssd":
+                    root = etree.fromstring(data)
+                    ours = root.findall("{*}System/{*}Annotations/{*}Annotation")[1]
+                    etree.SubElement(root, root[0].tag.replace("System", "Annotations")).append(ours)
+                    data = etree.tostring(root)
+                target.writestr(name, data)
+        with open_ssp(old) as moved, open_ssp(package) as new:
+            assert replace(moved.system, file=None) == replace(new.system, file=None)
+            assert moved.system.algorithm == "gauss-seidel"
+
     def test_not_of_fmus(self, tmp_path):
         with pytest.raises(SystemFileError, match=r"an SSP holds FMUs; not one yet: g \(mock\), r \(replay:x\): build them"):
             export(System("s", 0.1, (Component("g", "mock"), Component("r", "replay:x"))), tmp_path / "s.ssp")

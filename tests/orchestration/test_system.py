@@ -10,6 +10,7 @@ from orchestration.assembly import run
 from orchestration.errors import SystemFileError
 from orchestration.system import Connection, Recording, System
 from orchestration.toml_text import dump, find_line
+from robomill.cli import main
 from tests.orchestration.mocks import gain
 from tests.tolerances import EXACT
 
@@ -169,6 +170,15 @@ class TestTomlText:
             "tables": [{"a": 1}, {"b": "c"}],
         }
         assert tomllib.loads(dump(table)) == table
+
+    @pytest.mark.parametrize("deep", ["a = " + "[" * 5000 + "]" * 5000, "a = " + "{a = " * 5000 + "1" + "}" * 5000, f"[{'a.' * 5000}a]"])
+    def test_nested_too_deep_is_one_error(self, tmp_path, deep, capsys):
+        """Read by recursion, or (headers) turned into texts by recursion later."""
+        (tmp_path / "s.toml").write_text(deep)
+        with pytest.raises(SystemFileError, match=r"^s.toml: not valid TOML: tables and arrays are nested more than 50 deep$"):
+            System.load(tmp_path / "s.toml")
+        assert main(["run", str(tmp_path / "s.toml")]) == 2
+        assert "s.toml: not valid TOML: tables and arrays are nested more than 50 deep" in capsys.readouterr().err
 
     def test_none_is_left_out_and_other_things_are_refused(self):
         assert dump({"a": None, "b": 1}) == "b = 1\n"

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from fmus.python.builder import build as build_python_fmu
+from orchestration.errors import SlaveError
+from orchestration.fmu import FmuSlave
 from robomill.conformance import CHECKS, Result, check_fmu
 from tests.fmus import demo
 from tests.orchestration import c_fmu
@@ -170,10 +172,10 @@ def test_reference_results_that_do_not_fit(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "check", "text"),
     [
-        (None, "archive", "not a readable zip archive"),
-        ({"x": b""}, "archive", "no modelDescription.xml in it"),
-        ({"modelDescription.xml": b"<a", "../x": b""}, "archive", "unsafe path ../x"),
-        ({"modelDescription.xml": b"<a"}, "model description", "cannot be read"),
+        (None, "archive", "not a zip archive, so not an FMU"),
+        ({"x": b""}, "model description", "no modelDescription.xml in it, so not an FMU; it holds x"),
+        ({"modelDescription.xml": b"<a", "../x": b""}, "archive", "refused: entry '../x' would be written outside"),
+        ({"modelDescription.xml": b"<a"}, "model description", "is not valid XML"),
         (
             {"modelDescription.xml": c_fmu.DESCRIPTION.replace('fmiVersion="2.0"', 'fmiVersion="1.0"').encode()},
             "model description",
@@ -191,6 +193,23 @@ def test_what_is_no_fmu(tmp_path: Path, content: dict[str, bytes] | None, check:
     last = check_fmu(file)[-1]
     assert (last.check, last.outcome) == (check, "failed")
     assert text in last.detail
+    with pytest.raises(SlaveError) as refused:  # a run says the same
+        FmuSlave(file)
+    assert str(refused.value) == f"{file}: {last.detail}"
+
+
+@needs_compiler
+def test_an_fmu_that_a_process_can_have_one_instance_of(tmp_path: Path) -> None:
+    """Each check has a process of its own; a second instance in one would be refused by this FMU."""
+    once = ("    m = calloc(1, sizeof *m);\n", "    static int made;\n    if (made++) return NULL;\n    m = calloc(1, sizeof *m);\n")
+    description = c_fmu.DESCRIPTION.replace("<CoSimulation ", '<CoSimulation canBeInstantiatedOnlyOncePerProcess="true" ')
+    results = outcomes(tmp_path, once, description=description)
+    assert [r for r in results.values() if not r.passed] == []
+    assert list(results)[4:] == list(CHECKS)
+    text = "canBeInstantiatedOnlyOncePerProcess is true, and this check needs a second instance"
+    assert results["two instances"] == Result("two instances", "skipped", text)
+    assert results["serialised state"] == Result("serialised state", "skipped", text)
+    assert {results[c].outcome for c in ("repeated run", "reset", "state")} == {"passed"}
 
 
 def test_a_file_that_does_not_exist() -> None:
