@@ -19,9 +19,10 @@ from orchestration.parameters import Convert, prepare, same_unit_only
 from orchestration.rate import MultiRate
 from orchestration.recorder import Recorder
 from orchestration.replay import ReplaySlave
-from orchestration.results import Run
+from orchestration.results import Run, check_vacant
 from orchestration.slave import Port, PortData, Scalar, Slave, arrays, outputs, plain
 from orchestration.system import Component, System
+from orchestration.watch import Watch
 from orchestration.wiring import Wiring, wire
 
 Resolver = Callable[[str, str], Slave]
@@ -131,6 +132,8 @@ def run(
         end = math.inf
     if math.isnan(end):
         raise OrchestrationError("stop is not a number (NaN)")
+    if folder is not None and not (overwrite or resume):
+        check_vacant([Path(folder)])
     with assemble(system, resolver, convert) as assembly:
         if folder is None:
             if resume:
@@ -147,8 +150,22 @@ def run(
         recorder.resume_after = saved.done if saved is not None else None
         save = (r.checkpoint_every, _saver(assembly, recorder)) if r.checkpoint_every else None
         master = _master(assembly, (recorder, *observers), manipulators, place)
-        master.run(end, start, progress, system.stop_when, saved, save)
+        with _watched(system, place):
+            master.run(end, start, progress, system.stop_when, saved, save)
     return Run.load(place)
+
+
+@contextmanager
+def _watched(system: System, folder: Path) -> Iterator[None]:
+    """With another process that completes the run if this one ends: where foreign code runs in it."""
+    if not any(c.source.endswith(".fmu") and not c.isolate for c in system.components):
+        yield
+        return
+    watch = Watch(folder)
+    try:
+        yield
+    finally:
+        watch.done()
 
 
 def _master(assembly: Assembly, observers: Sequence[Observer], manipulators: Sequence[Manipulator], folder: Path | None) -> Master:

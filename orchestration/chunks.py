@@ -8,7 +8,7 @@ progress and checkpoints.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,7 +62,8 @@ class CompiledLoop:
     """Steps the slaves of a master on its bus. They have made their first step in Python, which leaves initialisation.
 
     `bounds` of all outputs; `observed`: whether rows are wanted; `kept`: whether an observer keeps the array that it is shown, so that
-    each chunk needs one of its own; about `capacity` steps per chunk at most.
+    each chunk needs one of its own; about `capacity` steps per chunk at most. The number of the component that is being called stands
+    in `called`, int64[1]; `columns` makes the array of the rows.
     """
 
     def __init__(
@@ -76,7 +77,11 @@ class CompiledLoop:
         kept: bool = False,
         capacity: int | None = None,
         iteration: Iteration | None = None,
+        called: npt.NDArray[np.int64] | None = None,
+        columns: Callable[[int, int], FloatArray] = zeros_on_lines,
     ) -> None:
+        self._called = np.zeros(1, np.int64) if called is None else called
+        self._new_columns = zeros_on_lines if kept else columns
         self._slaves, self._wiring, self._bus, self._bounds = slaves, wiring, bus, bounds
         self._natives = [face_of(slave) for slave in slaves.values()]
         capacity = capacity or (min(max(_ROW_BYTES // (8 + 8 * wiring.n_outputs), 16), _MOST_STEPS) if observed else _MOST_STEPS)
@@ -120,8 +125,8 @@ class CompiledLoop:
             self._clocks[c, [compiled.COUNT, compiled.BEGAN]] = slave.count, round(slave.began * TICK)
         most, rates = int(min(steps, self._steps)), bool(self._rated)
         if self._columns is None or self._kept:
-            self._columns = zeros_on_lines(self._width, _length(most if self._kept else self.capacity))
-        tables = self._operations, self._clocks, self._places, self._bus, *self._bounds, self._columns, self._report
+            self._columns = self._new_columns(self._width, _length(most if self._kept else self.capacity))
+        tables = self._operations, self._clocks, self._places, self._bus, *self._bounds, self._columns, self._report, self._called
         if self._loops is None:
             made = compiled.advance(most, self._ticks, rates, self._wiring.any_delayed, watched, *tables)
         else:

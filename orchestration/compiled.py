@@ -164,9 +164,12 @@ def _converted(ops: Any, o: int, bus: Any, n_outputs: int, places: Any) -> int:
 
 
 @njit(inline="always", **OPTIONS)
-def operate(ops: Any, o: int, rates: bool, clocks: Any, bus: Any, n_outputs: int, places: Any, t: float, h: float) -> int:
-    """One operation in the step of the system from `t` to `t + h` [s]; returns its status."""
+def operate(
+    ops: Any, o: int, rates: bool, clocks: Any, bus: Any, n_outputs: int, places: Any, called: Any, t: float, h: float
+) -> int:  # fmt: skip
+    """One operation in the step of the system from `t` to `t + h` [s]; returns its status. `called` tells whose it is."""
     what, status = ops[o, OPERATION], 0
+    called[0] = ops[o, COMPONENT]
     if rates and clocks[ops[o, COMPONENT], COUNT] != clocks[ops[o, COMPONENT], EVERY] - 1:
         return 0
     if what == CALL:
@@ -209,11 +212,12 @@ def finish(rates: bool, clocks: Any, now: int, k: int, bus: Any, low: Any, high:
 @njit(cache=True, nogil=True, **OPTIONS)
 def advance(
     steps: int, ticks: Any, rates: bool, delayed: bool, watched: int, ops: Any, clocks: Any, places: Any, bus: Any,
-    low: Any, high: Any, columns: Any, report: Any,
+    low: Any, high: Any, columns: Any, report: Any, called: Any,
 ) -> int:  # fmt: skip
     """Make up to `steps` steps; returns how many were made and are in `columns` (t, outputs). The rest is told by `report`.
 
-    `ticks`: [start, step, done so far]. `rates`: some component has another rate. `report`: [outcome, operation, status].
+    `ticks`: [start, step, done so far]. `rates`: some component has another rate. `report`: [outcome, operation, status]. `called`:
+    [number of the component that is being called], for whoever finds it after a crash.
     """
     n, h = len(low), ticks[1] / TICK
     for k in range(steps):
@@ -224,7 +228,7 @@ def advance(
                 bus[n + i] = bus[i]
         begin(rates, clocks, now)
         for o in range(len(ops)):
-            status = operate(ops, o, rates, clocks, bus, n, places, t, h)
+            status = operate(ops, o, rates, clocks, bus, n, places, called, t, h)
             if status < 0 or status > ops[o, LIMIT]:
                 report[0], report[1], report[2] = FAILED, o, status
                 return k

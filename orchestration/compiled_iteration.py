@@ -91,7 +91,7 @@ def _back(states: Any, m: int) -> int:
 
 def _advance(
     steps: int, ticks: Any, rates: bool, watched: int, ops: Any, clocks: Any, places: Any, bus: Any, low: Any, high: Any,
-    columns: Any, report: Any, stages: Any, states: Any, unknowns: Any, method: int, most: int, accept: bool,
+    columns: Any, report: Any, called: Any, stages: Any, states: Any, unknowns: Any, method: int, most: int, accept: bool,
     tolerance: float, relaxation: float, scratch: Any, history: Any, factor: Any, found: Any,
 ) -> int:  # fmt: skip
     """As `compiled.advance`. `most` is max_iterations; `history` and `factor` belong to a `Work`.
@@ -121,7 +121,7 @@ def _advance(
                 x[i] = bus[unknowns[base + i, PLACE]]
             for rounds in range(1, most + 1 if looped else 2):
                 for o in range(stages[s, FIRST], stages[s, END]):
-                    status = operate(ops, o, rates, clocks, bus, n, places, t, h)
+                    status = operate(ops, o, rates, clocks, bus, n, places, called, t, h)
                     if status < 0 or status > ops[o, LIMIT]:
                         report[0], report[1], report[2] = FAILED, o, status
                         return k

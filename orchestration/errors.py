@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import signal
 import traceback
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -52,13 +53,17 @@ class RunError(OrchestrationError):
 
 
 class Interrupted(OrchestrationError):  # noqa: N818  # not a failure
-    """A run was stopped by the user (Ctrl-C); everything up to then is recorded."""
+    """A run was stopped from outside, by Ctrl-C or another signal; everything up to then is recorded."""
 
-    def __init__(self, time: float, folder: Path | None = None) -> None:
+    def __init__(self, time: float, folder: Path | None = None, number: int = signal.SIGINT) -> None:
         self.time = time
         """Time reached [s]: the last for which all outputs are there."""
         self.folder = folder
-        super().__init__(f"interrupted at t = {time:.9g} s" + (f"; results up to there are in {folder}" if folder else ""))
+        self.signal = int(number)
+        """Number of the signal."""
+        self.word = "the user" if number == signal.SIGINT else f"{signal.Signals(number).name} ({int(number)})"
+        by = "" if number == signal.SIGINT else f" by {self.word}"
+        super().__init__(f"interrupted{by} at t = {time:.9g} s" + (f"; results up to there are in {folder}" if folder else ""))
 
 
 def available(names: Iterable[str], limit: int = 40) -> str:

@@ -21,11 +21,14 @@ import numpy as np
 from orchestration import native
 from orchestration.acceleration import DEFAULT, Iteration
 from orchestration.checkpoint import Snapshot, alike
+from orchestration.disk import zeros_on_lines
 from orchestration.errors import Interrupted, IterationError, OrchestrationError, RunError, WiringError, describe, unknown
+from orchestration.flight import Flight, contained
 from orchestration.guard import Guard
 from orchestration.iteration import Iterated
 from orchestration.slave import FloatArray, Slave, leave_initialisation, whole_range
 from orchestration.system import ALGORITHMS, LOOPS, TICK, ticks
+from orchestration.watch import leaving
 from orchestration.wiring import Wiring
 
 Progress = Callable[[int, int], object]
@@ -35,6 +38,8 @@ Progress = Callable[[int, int], object]
 if TYPE_CHECKING:
     from orchestration.chunks import CompiledLoop
 
+STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that end a run in order."""
 _WORTH_NUMBA = 20_000  # steps that repay importing Numba, where nobody else has
 _MAX_TICKS = 2**53  # whole numbers that float64 holds exactly
 
@@ -51,7 +56,7 @@ class Observer(Protocol):
 
         An observer may also have `observe_columns(columns, count)`, called instead for many steps at once: the first `count`
         steps of float64[1 + n_outputs, capacity], t [s] and all outputs. That array, too, is reused, unless `keeps_columns` is set:
-        then each is the observer's own.
+        then each is the observer's own. One with results on disk may have a `flight` (`orchestration.flight`) once it has begun.
         """
         ...
 
@@ -105,16 +110,29 @@ class Master:
         self._u = {name: np.zeros(len(indices)) for name, indices in wiring.gather.items()}
         self._y = {name: self._fresh[s] for name, s in wiring.output_slice.items()}
         self._guard = Guard(wiring, check_ranges)
-        self._stop_requested = False
-        self._current = ""  # component being called, for messages
+        self._stop_signal = 0
+        self._names = list(self._slaves)
+        self._called = np.full(1, -1, np.int64)  # number of the component that is being called, -1: none
+        self._calling = self._called.data  # quicker to write to than the array
         self._advance = self._jacobi if algorithm == "jacobi" else self._gauss_seidel
         self._plan = [(name, s, self._gather[name], self._u[name], self._y[name]) for name, s in self._slaves.items()]
+        self._calls = [(i, *entry[1:]) for i, entry in enumerate(self._plan)]
         self._wanted_loop = loop
         self._compiled: CompiledLoop | None = None
+        self._flight: Flight | None = None
         self._iterated: Iterated | None = None
         if algorithm == "iterated":
-            self._iterated = Iterated(wiring, iteration, self._plan, self._bus, lambda name: setattr(self, "_current", name))
+            self._iterated = Iterated(wiring, iteration, self._plan, self._bus, self._announce)
             self._advance = self._iterated.advance
+
+    def _announce(self, name: str) -> None:
+        """A component is about to be called."""
+        self._calling[0] = self._names.index(name)
+
+    @property
+    def _current(self) -> str:
+        """The component that was called last, for messages; "" if none."""
+        return self._names[self._calling[0]] if self._calling[0] >= 0 else ""
 
     @property
     def time(self) -> float:
@@ -153,19 +171,34 @@ class Master:
         watched = self._watched(until, stop)
         begun: list[Observer] = []
         outcome, message = "failed", ""
+
+        def left() -> None:
+            text = str(self._ended_by("exit()"))
+            for o in begun:
+                o.end("failed", text)
+            print(text, file=sys.stderr, flush=True)
+
         try:
             for o in self._observers:
                 o.begin(self.wiring, self._step_ticks / TICK)
                 begun.append(o)
-            with self._interruptible():
+            self._follow()
+            with self._interruptible(), leaving(left):
                 self.initialise(start, stop, resume is None)
                 if resume is not None:
                     self.restore(resume)
                 self._loop(total, progress, watched, save)
             outcome = "finished"
         except KeyboardInterrupt:
-            outcome, message = "interrupted", f"interrupted by the user at t = {self.time:.9g} s"
-            raise Interrupted(self.time, self.folder) from None
+            stopped = Interrupted(self.time, self.folder, self._stop_signal or signal.SIGINT)
+            outcome, message = "interrupted", f"interrupted by {stopped.word} at t = {self.time:.9g} s"
+            raise stopped from None
+        except SystemExit as error:
+            if not self._current:
+                raise
+            failure = self._ended_by(f"sys.exit({error.code!r})")
+            message = str(failure)
+            raise failure from error
         except BaseException as error:
             message = str(error)
             raise
@@ -173,6 +206,19 @@ class Master:
             for o in begun:
                 o.end(outcome, message)
         return self.time
+
+    def _follow(self) -> None:
+        """Tell the flight recorder of a run, if an observer has one, which component is being called."""
+        self._flight = next((o.flight for o in self._observers if hasattr(o, "flight")), None)
+        if self._flight is not None:
+            self._called = self._flight.call
+            self._calling = self._called.data
+
+    def _ended_by(self, call: str) -> RunError:
+        """The error of a component that was about to end the process."""
+        name = self._current
+        text = f"component {name!r} called {call} after t = {self.time:.9g} s, which ends the process; {contained(name)}"
+        return RunError(text, name, self.time, self.folder)
 
     def initialise(self, start: float, stop: float, observed: bool = True) -> None:
         """Initialise all slaves and leave initialisation; observers see the outputs at the start if `observed`.
@@ -184,12 +230,12 @@ class Master:
         self._bus[:] = self.wiring.start_values
         try:
             for name, slave in self._slaves.items():
-                self._current = name
+                self._announce(name)
                 slave.initialise(start, stop, self._step_ticks / TICK)
             if self._iterated is not None:
                 self._iterated.initialise()
             for name, slave, _, u, y in self._plan if self._iterated is None else ():
-                self._current = name
+                self._announce(name)
                 if len(u):
                     np.take(self._bus, self.wiring.gather_first[name], out=u, mode="clip")
                     slave.set_inputs(u)
@@ -208,7 +254,7 @@ class Master:
         """Everything that `restore` goes on from, between two steps. Whatever an algorithm keeps from step to step must be in it."""
         states = {}
         for name, slave in self._slaves.items():
-            self._current = name
+            self._announce(name)
             try:
                 states[name] = slave.get_state()
             except Exception as error:
@@ -221,7 +267,7 @@ class Master:
         if (saved.step_ticks, saved.bus.shape, list(saved.states)) != (self._step_ticks, self._bus.shape, list(self._slaves)):
             raise OrchestrationError("the checkpoint is of another system: another step, or other components or ports")
         for name, slave in self._slaves.items():
-            self._current = name
+            self._announce(name)
             try:
                 slave.set_state(alike(slave.get_state(), saved.states[name]))
             except Exception as error:
@@ -241,6 +287,7 @@ class Master:
             raise self._failed_step(error, f"in the step from t = {t:.9g} s") from error
         if not self._guard.ok(self._fresh):
             raise self._violation((self._start_ticks + (self._done + 1) * self._step_ticks) / TICK)
+        self._calling[0] = -1
         self._done += 1
         t = self.time
         for o in self._observers:
@@ -249,16 +296,17 @@ class Master:
     def _jacobi(self, t: float, h: float) -> None:
         """All inputs from the last outputs; then all step; then all outputs."""
         bus = self._bus
-        for name, slave, gather, u, _ in self._plan:
+        calling = self._calling
+        for i, slave, gather, u, _ in self._calls:
             if len(u):
-                self._current = name
+                calling[0] = i
                 bus.take(gather, out=u, mode="clip")
                 slave.set_inputs(u)
-        for name, slave, _, _, _ in self._plan:
-            self._current = name
+        for i, slave, _, _, _ in self._calls:
+            calling[0] = i
             slave.step(t, h)
-        for name, slave, _, _, y in self._plan:
-            self._current = name
+        for i, slave, _, _, y in self._calls:
+            calling[0] = i
             slave.get_outputs(y)
 
     def _gauss_seidel(self, t: float, h: float) -> None:
@@ -266,8 +314,9 @@ class Master:
         bus = self._bus
         if self.wiring.any_delayed:
             self._last[:] = self._fresh
-        for name, slave, gather, u, y in self._plan:
-            self._current = name
+        calling = self._calling
+        for i, slave, gather, u, y in self._calls:
+            calling[0] = i
             if len(u):
                 bus.take(gather, out=u, mode="clip")
                 slave.set_inputs(u)
@@ -279,7 +328,7 @@ class Master:
         # each component makes its first step in Python: what it tells of itself is asked for after that
         compiled_from = self._done + max(getattr(s, "every", 1) for s in self._slaves.values()) if self._is_compiled(total) else math.inf
         while self._done < total and not (watched is not None and self._fresh[watched] != 0.0):
-            if self._stop_requested:
+            if self._stop_signal:
                 raise KeyboardInterrupt
             if save is not None and self._done % save[0] == 0:
                 save[1](self)
@@ -315,14 +364,17 @@ class Master:
             jacobi, settings = self.algorithm == "jacobi", None if self._iterated is None else self._iterated.settings
             self._compiled = CompiledLoop(
                 self._slaves, self.wiring, jacobi, self._bus, self._guard.bounds, bool(self._observers),
-                any(getattr(o, "keeps_columns", False) for o in self._observers), iteration=settings,
+                any(getattr(o, "keeps_columns", False) for o in self._observers), iteration=settings, called=self._called,
+                columns=zeros_on_lines if self._flight is None else self._flight.columns,
             )  # fmt: skip
         k = -1 if watched is None else watched
         chunk = self._compiled.advance(room, self._start_ticks, self._step_ticks, self._done, k, self._gather)
+        self._calling[0] = -1
         self._done += chunk.made
         chunk.show(self._observers)
         if chunk.failed is not None:
-            self._current, error = chunk.failed
+            name, error = chunk.failed
+            self._announce(name)
             raise self._failed_step(error, f"in the step from t = {self.time:.9g} s") from error
         if not chunk.in_range:
             raise self._violation((self._start_ticks + (self._done + 1) * self._step_ticks) / TICK)
@@ -397,23 +449,26 @@ class Master:
 
     @contextmanager
     def _interruptible(self) -> Iterator[None]:
-        """Ctrl-C ends the run between two steps; a second one at once.
+        """Ctrl-C, and the signals that end a process, end the run between two steps; a second one at once.
 
         An exception within a step could come up inside an FMU, which would take it for its own failure.
         """
-        self._stop_requested = False
-        previous = signal.getsignal(signal.SIGINT)
-        if threading.current_thread() is not threading.main_thread() or previous in (None, signal.SIG_IGN):
+        self._stop_signal = 0
+        if threading.current_thread() is not threading.main_thread():
             yield
             return
 
-        def request(*_: Any) -> None:
-            if self._stop_requested:
+        def request(number: int, _: Any) -> None:
+            if self._stop_signal:
                 raise KeyboardInterrupt
-            self._stop_requested = True
+            self._stop_signal = number
 
-        signal.signal(signal.SIGINT, request)
+        before = {number: signal.getsignal(number) for number in STOPPING}
+        caught = {number: old for number, old in before.items() if old not in (None, signal.SIG_IGN)}
+        for number in caught:
+            signal.signal(number, request)
         try:
             yield
         finally:
-            signal.signal(signal.SIGINT, previous)
+            for number, old in caught.items():
+                signal.signal(number, old)

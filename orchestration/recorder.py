@@ -20,7 +20,22 @@ import pyarrow as pa
 
 from orchestration.disk import LINE, reserve
 from orchestration.errors import ResultsError, unknown
-from orchestration.results import ASIDE, CHECKPOINT, LIVE, RUN, SIGNALS, finalise, read_info, rows_of, set_aside, write_csv
+from orchestration.flight import Flight
+from orchestration.lock import FolderLock
+from orchestration.results import (
+    ASIDE,
+    CHECKPOINT,
+    LIVE,
+    RUN,
+    SIGNALS,
+    cast,
+    check_vacant,
+    finalise,
+    read_info,
+    rows_of,
+    set_aside,
+    write_csv,
+)
 from orchestration.slave import FloatArray, Port, base_name
 from orchestration.toml_text import dump
 from orchestration.wiring import Wiring
@@ -42,8 +57,8 @@ class Recorder:
     `columns` are patterns on `component.port` (see `system.Recording`); every `every`-th step is
     written, in chunks of `chunk` rows. `about` goes into run.toml as it is: name of the system,
     algorithm, parameters, sources; `labels` too, with program, robot, tool and workpiece at the top.
-    ResultsError if the folder already holds a run and `overwrite` is not set. With `resume_after`, that many steps of
-    the run in the folder are kept and it is continued; the first row observed is then that of the next step.
+    ResultsError if the folder already holds a run and `overwrite` is not set, or one is being written there. With `resume_after`,
+    that many steps of the run in the folder are kept and it is continued; the first row observed is then that of the next step.
     """
 
     folder: Path
@@ -64,6 +79,15 @@ class Recorder:
         info = self.info(wiring, step)
         fields = [pa.field("t", pa.float64(), metadata={"unit": "s", "description": "time"})]
         fields += [pa.field(f"{c}.{p.name}", _TYPES[p.type], metadata=_metadata(c, p)) for c, p in ports]
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._lock = FolderLock(self.folder)
+        try:
+            self._open(wiring, step, chosen, info, fields)
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def _open(self, wiring: Wiring, step: float, chosen: list[int], info: dict[str, Any], fields: list[Any]) -> None:
         self._seen = 0
         aside = None
         if self.resume_after is None:
@@ -73,6 +97,7 @@ class Recorder:
             info |= {"created": old.get("created", ""), "resumed": [*old.get("resumed", []), self.resume_after * step]}
             self._seen = self.resume_after + 1
             aside = set_aside(self.folder, -(-self._seen // self.every))
+        self.flight = Flight(self.folder, wiring.order, chosen, self.every, step)
         self._about = dump(info)  # once: of tens of thousands of columns it takes a second
         self._write_info("running", "")
         self._schema = pa.schema(fields, metadata={"robomill": self._about})
@@ -94,7 +119,7 @@ class Recorder:
         self._chosen = None if chosen == list(range(wiring.n_outputs)) else np.array(chosen, dtype=np.intp)
         self._taken = np.array([0, *(1 + i for i in chosen)], dtype=np.intp)  # columns of t and all outputs
         self._wrapped: tuple[FloatArray, pa.RecordBatch] | None = None
-        self._buffer = np.empty((self.chunk, 1 + len(chosen)))
+        self._buffer = self.flight.rows(self.chunk, 1 + len(chosen))
         self._heads: dict[int, bytes] = {}  # of the messages that are written without Arrow, by their number of rows
         self._rows = [row[1:] for row in self._buffer]
         self._count = 0
@@ -102,11 +127,9 @@ class Recorder:
 
     def _clear(self) -> None:
         """Make room for a new run."""
-        present = [n for n in (RUN, SIGNALS, LIVE) if (self.folder / n).exists()]
-        if present and not self.overwrite:
-            raise ResultsError(f"{self.folder} already holds a run ({', '.join(present)}); choose another folder, or allow overwriting")
-        self.folder.mkdir(parents=True, exist_ok=True)
-        for file in (*(self.folder / n for n in (*present, CHECKPOINT)), *self.folder.glob(f"{ASIDE}*")):
+        if not self.overwrite:
+            check_vacant([self.folder])
+        for file in (*(self.folder / n for n in (RUN, SIGNALS, LIVE, CHECKPOINT)), *self.folder.glob(f"{ASIDE}*")):
             file.unlink(missing_ok=True)
 
     def _keep(self, aside: Path) -> None:
@@ -126,11 +149,11 @@ class Recorder:
         if (self._seen - 1) % self.every:
             return
         count = self._count
-        self._buffer[count, 0] = t
         if self._chosen is None:
             self._rows[count][:] = outputs
         else:
             outputs.take(self._chosen, out=self._rows[count], mode="clip")
+        self._buffer[count, 0] = t  # last: with its time it is a row (`flight`)
         self._count = count + 1
         if self._count == self.chunk or time.monotonic() - self._flushed > _MAX_AGE:
             self.flush()
@@ -165,9 +188,7 @@ class Recorder:
 
     def _put(self, columns: FloatArray) -> None:
         whole, n = pa.array(columns.reshape(-1)), columns.shape[1]  # parts of it are made in a third of the time
-        arrays = [
-            whole.slice(i * n, n) if kind == pa.float64() else pa.array(_cast(columns[i], kind)) for i, kind in enumerate(self._kinds)
-        ]
+        arrays = [whole.slice(i * n, n) if kind == pa.float64() else pa.array(cast(columns[i], kind)) for i, kind in enumerate(self._kinds)]
         self._put_batch(pa.RecordBatch.from_arrays(arrays, schema=self._schema))
 
     def _put_columns(self, columns: FloatArray, kept: range) -> None:
@@ -179,7 +200,7 @@ class Recorder:
             return
         batch = self._wrap(columns).slice(kept.start, len(kept))
         for i in self._other:
-            values = pa.array(_cast(columns[self._taken[i], kept.start : kept.stop], self._kinds[i]))
+            values = pa.array(cast(columns[self._taken[i], kept.start : kept.stop], self._kinds[i]))
             batch = batch.set_column(i, self._schema.field(i), values)
         self._put_batch(batch)
 
@@ -222,14 +243,17 @@ class Recorder:
     def end(self, outcome: str, message: str) -> None:
         """Write what is left, turn the stream into signals.parquet, complete run.toml."""
         try:
-            self.flush()
+            try:
+                self.flush()
+            finally:
+                self._writer.close()
+                self._stream.close()
+                finalise(self.folder)
+            self._write_info(outcome, message)
+            if self.csv:
+                write_csv(self.folder)
         finally:
-            self._writer.close()
-            self._stream.close()
-            finalise(self.folder)
-        self._write_info(outcome, message)
-        if self.csv:
-            write_csv(self.folder)
+            self._lock.release()
 
     def info(self, wiring: Wiring, step: float) -> dict[str, Any]:
         """What run.toml says, except how the run ended."""
@@ -261,10 +285,6 @@ def _padded(head: bytes, position: int) -> bytes:
     """
     length = len(head) + -(position + len(head)) % LINE
     return head[:4] + (length - 8).to_bytes(4, "little") + head[8:].ljust(length - 8, b"\0")
-
-
-def _cast(column: FloatArray, kind: pa.DataType) -> Any:
-    return column != 0.0 if kind == pa.bool_() else np.rint(column).astype(np.int64)
 
 
 def _metadata(component: str, p: Port) -> dict[str, str]:

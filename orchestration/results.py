@@ -1,13 +1,14 @@
 """Runs on disk, simulated or measured: a folder with `run.toml` and `signals.parquet` (or .csv).
 
-The one place that reads them. A run that is still being written, or whose process was killed, is
-read from its stream as far as that goes.
+The one place that reads them. A run that is still being written is read from its stream as far as that goes; one whose
+process was killed, to the last row that it had (`flight`).
 """
 
 from __future__ import annotations
 
+import math
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,9 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
+from orchestration import flight
 from orchestration.errors import ResultsError, unknown
+from orchestration.lock import is_locked
 from orchestration.slave import FloatArray, PortData, base_name
 from orchestration.toml_text import parse
 
@@ -43,7 +46,7 @@ class Run:
 
     @property
     def outcome(self) -> str:
-        """`finished`, `interrupted`, `failed`, or `running` (still being written, or its process was killed)."""
+        """`finished`, `interrupted`, `failed`, or `running`: still being written, or its process was killed (`info["message"]`)."""
         return str(self.info.get("outcome", "finished"))
 
     @property
@@ -94,6 +97,8 @@ def load(folder: Path) -> Run:
     if not folder.is_dir():
         raise ResultsError(f"no run folder {folder}")
     info = read_info(folder)
+    if info.get("outcome") == "running" and not is_locked(folder):
+        info["message"] = flight.ended(flight.called(folder))
     table = _read_table(folder)
     if table.num_columns == 0 or "t" not in table.column_names:
         raise ResultsError(f"{folder}: the signals have no column 't' (time in s); they have {', '.join(table.column_names[:20])}")
@@ -113,6 +118,17 @@ def load(folder: Path) -> Run:
     return Run(folder, t, columns, ports, info)
 
 
+def check_vacant(folders: Iterable[Path]) -> None:
+    """ResultsError that names all of these folders that hold a run: nobody has asked for overwriting."""
+    held = {folder: [n for n in (RUN, SIGNALS, LIVE) if (folder / n).exists()] for folder in folders}
+    found = [f"{folder} already holds a run ({', '.join(names)})" for folder, names in held.items() if names]
+    if found:
+        raise ResultsError(
+            "\n".join(found) + "; choose another folder, or allow overwriting (overwrite = True; --overwrite), "
+            "or resume (resume = True; --resume), which keeps what is finished"
+        )
+
+
 def read_info(folder: Path) -> dict[str, Any]:
     """run.toml as it is. ResultsError if there is none or it is not valid."""
     file = folder / RUN
@@ -130,8 +146,7 @@ def _read_table(folder: Path) -> pa.Table:
         if (folder / SIGNALS).is_file():
             return pyarrow.parquet.read_table(folder / SIGNALS)
         if (folder / LIVE).is_file():
-            with pa.OSFile(str(folder / LIVE)) as source:
-                return pa.Table.from_batches(list(_batches(source)), _schema(folder / LIVE))
+            return pa.Table.from_batches(list(_all_rows(folder, late=not is_locked(folder))), _schema(folder / LIVE))
         if (folder / CSV).is_file():
             return pyarrow.csv.read_csv(folder / CSV)
     except (pa.ArrowInvalid, OSError) as error:
@@ -152,6 +167,27 @@ def _batches(source: Any) -> Iterator[pa.RecordBatch]:
             yield reader.read_next_batch()
         except (StopIteration, pa.ArrowInvalid, OSError):
             return
+
+
+def _all_rows(folder: Path, late: bool) -> Iterator[pa.RecordBatch]:
+    """The rows of a stream; the `late` ones, too, which were in memory when the writing of it ended."""
+    schema, first, last = _schema(folder / LIVE), math.nan, math.nan
+    with pa.OSFile(str(folder / LIVE)) as source:
+        for batch in _batches(source):
+            if len(batch):
+                first = batch.column("t")[0].as_py() if math.isnan(first) else first
+                last = batch.column("t")[-1].as_py()
+            yield batch
+    rows = flight.late_rows(folder, first, last) if late else None
+    if rows is not None and rows.shape[1] == len(schema):
+        yield pa.record_batch([pa.array(cast(c, f.type)) for c, f in zip(rows.T, schema, strict=True)], schema=schema)
+
+
+def cast(column: FloatArray, kind: pa.DataType) -> Any:
+    """Values as they stand in memory in the type of a column."""
+    if kind == pa.float64():
+        return np.ascontiguousarray(column)
+    return column != 0.0 if kind == pa.bool_() else np.rint(column).astype(np.int64)
 
 
 def _values(table: pa.Table, name: str, folder: Path) -> FloatArray:
@@ -186,9 +222,9 @@ def finalise(folder: Path) -> None:
     reals = [f.name for f in schema if pa.types.is_floating(f.type)]
     others = [f.name for f in schema if not pa.types.is_floating(f.type)]
     options: dict[str, Any] = {"compression": "zstd", "use_dictionary": others or False, "use_byte_stream_split": reals or False}
-    with pa.OSFile(str(live)) as source, pyarrow.parquet.ParquetWriter(part, schema, **options) as writer:
+    with pyarrow.parquet.ParquetWriter(part, schema, **options) as writer:
         rows: list[pa.RecordBatch] = []
-        for batch in _batches(source):
+        for batch in _all_rows(folder, late=True):
             rows.append(batch)
             if sum(len(r) for r in rows) >= _ROWS_PER_GROUP:
                 writer.write_table(pa.Table.from_batches(rows, schema))
@@ -196,6 +232,7 @@ def finalise(folder: Path) -> None:
         writer.write_table(pa.Table.from_batches(rows, schema))
     part.replace(folder / SIGNALS)
     live.unlink()
+    flight.remove(folder)
 
 
 def set_aside(folder: Path, rows: int) -> Path:
