@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +16,8 @@ from fmus.interface import WORD, Interface, Port
 from models.declaration import FloatArray, Model, point, record
 from models.table import Table, from_file, from_rows
 
+DEFAULT_STEP = 0.004
+"""Communication step that the model descriptions name [s]."""
 _READY: set[tuple[Any, np.dtype[np.void]]] = set()
 """Dispatchers and the records that they are compiled for: to ask Numba takes a millisecond."""
 
@@ -177,11 +180,16 @@ class Instance:
         self.stale = False
 
     def step(self, t: float, h: float) -> None:
-        """From t to t + h [s]. ComponentError with the model's message; the instance then needs a state or a reset."""
+        """From t to t + h [s]; nothing happens in a step that is `rounding`.
+
+        ComponentError with the model's message; the instance then needs a state or a reset.
+        """
         t, h = float(t), float(h)  # integers would be compiled for once more
         if not 0.0 < h < math.inf or not math.isfinite(t):
             raise ComponentError(f"{self.name}: step from t = {t} s of h = {h} s: expected a finite time and a positive step")
         self.leave_initialisation()
+        if h <= rounding(t):
+            return
         _, function, argument = self._load()
         try:
             status = function(argument, t, h)
@@ -254,6 +262,15 @@ class Instance:
         self.data[:] = self.model.new()
         self.tables = dict(self.model.built_in)
         self.running, self.stale = False, True
+
+
+def rounding(t: float) -> float:
+    """How far an importer that adds up steps can be from the time t [s] that it means; never half a step.
+
+    It has made t / DEFAULT_STEP additions, each of which rounds by half a unit in the last place of t at most. What is left of the
+    last step up to its stop time is then no step: 4e-13 s after 7 s in OMSimulator.
+    """
+    return min(abs(t) / DEFAULT_STEP * abs(t) * 0.5 * sys.float_info.epsilon, 0.5 * DEFAULT_STEP)
 
 
 def all_finite(values: FloatArray, scratch: npt.NDArray[np.bool_]) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
+from fmus.instance import DEFAULT_STEP
 from fmus.interface import Interface, Port
 from models.units import UNITS
 
@@ -27,7 +28,7 @@ class Options:
     version: str
     variable_step: bool
     initial_dependencies: Mapping[str, tuple[str, ...]]
-    step: float = 0.004
+    step: float = DEFAULT_STEP
     """Default communication step [s]."""
     no_memory_functions: bool = True
     """canNotUseMemoryManagementFunctions."""

@@ -6,11 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fmus.instance import ComponentError, Instance
+from fmus.instance import DEFAULT_STEP, ComponentError, Instance
 from fmus.interface import Interface
 
-STEP = 0.004
-"""Communication step of this project [s]."""
 TRIALS = 3
 
 
@@ -20,7 +18,7 @@ def accepts_other_steps(interface: Interface, plain: bool = False) -> bool:
     try:
         instance.init()
         start = instance.state()
-        for h in (STEP, 0.75 * STEP):
+        for h in (DEFAULT_STEP, 0.75 * DEFAULT_STEP):
             instance.restore(start)
             instance.step(0.0, h)
     except ComponentError:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fmus.instance import DEFAULT_STEP
 from fmus.interface import WORD, Interface
 from fmus.native.lower import NativeBuildError
 from models.declaration import Model, Variable
@@ -36,6 +37,7 @@ def data_c(interface: Interface, token: str) -> str:
         '#include "component.h"',
         "#include <math.h>",
         f"const char MODEL_NAME[] = {_text(model.name)}, TOKEN[] = {_text(token)};",
+        f"const double DEFAULT_STEP = {DEFAULT_STEP.hex()};",
         f"const uint32_t WORDS = {words}, TABLES_AT = {tables_at}, START_WORDS = {len(start)}, OWNED = {len(owner)};",
         f"const uint32_t FIRST_REAL_OUTPUT = {min(outputs, default=0)}, REAL_OUTPUTS = {len(outputs)}, TABLE_COUNT = {len(tables)};",
         f"const int64_t MESSAGE_COUNT = {len(model.errors)};",

@@ -144,7 +144,7 @@ def test_damaged_states_are_refused(fmu: FmuSlave) -> None:
     fmu.initialise(0.0, 1.0, runs.H)
     phase, saved = fmu.get_state()
     short = saved[:64] + (80).to_bytes(8, "little") + saved[72:]  # says that it is shorter than a state can be
-    for bad in (saved[:-1], saved[:100], b"", b"x" + saved[1:], saved[:-1] + b"y", short):
+    for bad in (saved[:-1], saved + b"\0", saved + saved, saved[:100], b"", b"x" + saved[1:], saved[:-1] + b"y", short):
         with pytest.raises(SlaveError, match=rf"spring 1: the {len(bad)} bytes are not a state of this FMU"):
             fmu.set_state((phase, bad))
     fmu.set_state((phase, saved))

@@ -36,6 +36,7 @@ typedef struct {
 } Part;
 
 extern const char MODEL_NAME[], TOKEN[];
+extern const double DEFAULT_STEP;            /* communication step that the model description names [s] */
 extern const uint32_t WORDS, TABLES_AT;      /* words of the record, words before the tables */
 extern const uint64_t START[];               /* the record at the start; the words after START_WORDS are zero */
 extern const uint32_t START_WORDS;
