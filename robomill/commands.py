@@ -136,12 +136,14 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     try:
         with _progress(options.json) as report:
             job = milling.prepare(scenario, folder, options.fmus, report, resume=options.resume, checkpoint_every=options.checkpoint_every)
+            for text in job.warnings:
+                print(f"warning: {text}", file=sys.stderr)
             job = replace(job, system=_adopted(_looped(job.system, options), options))  # the plan and its offline force stay nominal
             milling.check_variants(job, chosen)
             for variant in chosen:
                 recorded, factor = milling.mill(job, variant, report, csv=options.csv)
                 results.append(evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor))
-                summary = _write_summary(scenario, folder, results)
+                summary = _write_summary(scenario, folder, results, job)
     except (OrchestrationError, KeyboardInterrupt):
         if results and not options.json:
             _console().print(_table(scenario, results), "These variants are complete; go on with --resume.", highlight=False)
@@ -158,14 +160,14 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     console.print(_table(scenario, results))
     for result in results:
         console.print(f"{result.title}: largest deviation: {result.figures['max_deviation_location']}", highlight=False)
-    for text in job.plan.reduced:
-        console.print(f"note: {text}", highlight=False)
+    for text in (*job.notes, *job.plan.reduced):
+        console.print(f"note: {text}", highlight=False, markup=False)
     pictures_note = f" and {len(files)} pictures (start with {files[0].name})" if files else ""
     console.print(f"In {folder}/: a recording per variant, summary.json{pictures_note}", highlight=False)
     return 0
 
 
-def _write_summary(scenario: Scenario, folder: Path, results: Sequence[Result]) -> dict[str, Any]:
+def _write_summary(scenario: Scenario, folder: Path, results: Sequence[Result], job: milling.Job) -> dict[str, Any]:
     """Write summary.json: the results so far, and what it already held of other variants of this scenario."""
     file = folder / "summary.json"
     try:
@@ -173,7 +175,8 @@ def _write_summary(scenario: Scenario, folder: Path, results: Sequence[Result]) 
     except (OSError, ValueError, KeyError, TypeError):
         old = {}
     figures = {**old, **{r.name: r.figures for r in results}}
-    summary = {"scenario": scenario.name, "variants": {v.name: figures[v.name] for v in scenario.variants if v.name in figures}}
+    said = {"notes": list(job.notes), "warnings": list(job.warnings)}
+    summary = {"scenario": scenario.name, **said, "variants": {v.name: figures[v.name] for v in scenario.variants if v.name in figures}}
     _write(file, summary)
     return summary
 
