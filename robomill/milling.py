@@ -104,7 +104,7 @@ def prepare(
         system = with_fmus(system, fmus)
     if checkpoint_every is not None:
         system = replace(system, recording=replace(system.recording, checkpoint_every=checkpoint_every))
-    job = Job(scenario, workpiece, planned, system, folder, resume, _notes(program), findings.texts)
+    job = Job(scenario, workpiece, planned, system, folder, resume, notes_of(program), findings.texts)
     np.save(pilot, _pilot(job, progress))
     return job if _is_recording(system, "path") else replace(job, system=system.with_parameters("path", {"pilot": str(pilot)}))
 
@@ -114,7 +114,8 @@ def read_program(file: Path, reading: gcode.Setup) -> gcode.Program | point_path
     return point_path.read_points(file) if file.suffix == ".toml" else gcode.read(file, reading)
 
 
-def _notes(program: gcode.Program | point_path.PointPath) -> tuple[str, ...]:
+def notes_of(program: gcode.Program | point_path.PointPath) -> tuple[str, ...]:
+    """What the reader skipped or decided."""
     return program.notes if isinstance(program, gcode.Program) else ()
 
 

@@ -58,7 +58,8 @@ ComponentParameters = Mapping[str, Mapping[str, Any]]
 KINDS = ("milling", "static_loads")
 PLAIN_OFFSETS: Mapping[float, Vector] = {54: (0.0, 0.0, 0.0)}
 """Work offsets where a scenario names none."""
-_OFFSETS = {f"G{n:g}": float(n) for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3)}
+OFFSETS = {f"G{n:g}": float(n) for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3)}
+"""Names of the work offsets, and the numbers that the reader of programs knows them by."""
 _READING = {"start", "home", "dialect", "block_delete", "feed", "spindle_speed"}
 """Keys of [scenario] that say how the program is read."""
 _FACES: Mapping[str, tuple[tuple[int, float], ...]] = {
@@ -215,10 +216,10 @@ def _workpiece(file: Path, table: Any) -> Workpiece:
 def _work_offsets(file: Path, table: Any, size: Vector) -> dict[float, Vector]:
     """`zero` and `work_offsets` as the reader of programs takes them."""
     given = table.get("work_offsets", {})
-    _keys(file, "[workpiece] work_offsets", given, required=set(), optional=set(_OFFSETS))
+    _keys(file, "[workpiece] work_offsets", given, required=set(), optional=set(OFFSETS))
     if "zero" in table and "G54" in given:
         raise ScenarioError(f"{file}: [workpiece] names zero and work_offsets.G54, which are the same; give one of them")
-    origins = {_OFFSETS[name]: _place(file, f"[workpiece] work_offsets.{name}", value, size) for name, value in given.items()}
+    origins = {OFFSETS[name]: _place(file, f"[workpiece] work_offsets.{name}", value, size) for name, value in given.items()}
     if "zero" in table:
         origins[54.0] = _place(file, "[workpiece] zero", table["zero"], size)
     return {**PLAIN_OFFSETS, **origins}
