@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from models.gcode import DIALECTS
 from orchestration.errors import Interrupted, OrchestrationError
 
 DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exchangeable FMUs."
@@ -18,7 +19,7 @@ ACTIONS = {
     "run": ("commands", "run"),
     "build": ("commands", "build"),
     "check": ("commands", "check"),
-    "plan": ("commands", "plan"),
+    "plan": ("plan_command", "plan"),
     "import": ("import_command", "run"),
     "diagnose": ("diagnose_command", "run"),
     "blind": ("blind_command", "blind"),
@@ -93,17 +94,7 @@ def parser() -> argparse.ArgumentParser:
     check.add_argument("fmus", type=Path, nargs="+", metavar="FMU", help="co-simulation FMUs of FMI 2.0 or 3.0")
 
     plan = _command(commands, "plan", "plan a program and say what it does", "robomill plan scenarios/groove.ngc")
-    plan.add_argument("program", type=Path, help="G-code, or a path of points (TOML)")
-    plan.add_argument(
-        "--at",
-        nargs=3,
-        type=float,
-        metavar=("X", "Y", "Z"),
-        default=(1300.0, 0.0, 1200.0),
-        help="workpiece zero in the base, mm (default: 1300 0 1200)",
-    )
-    plan.add_argument("--turn", type=float, default=0.0, metavar="DEG", help="workpiece turned about z, degrees")
-    plan.add_argument("--out", type=Path, metavar="FILE.npy", help="write the segment table for the path component")
+    _plan_arguments(plan)
 
     bring = _command(
         commands,
@@ -145,6 +136,39 @@ def parser() -> argparse.ArgumentParser:
     )
     blind_command.add_arguments(blind)
     return main_parser
+
+
+def _plan_arguments(plan: argparse.ArgumentParser) -> None:
+    """Where the program stands, and how it is read where it does not say itself."""
+
+    def place(option: str, text: str) -> None:
+        plan.add_argument(option, nargs=3, type=float, metavar=("X", "Y", "Z"), help=text)
+
+    plan.add_argument("program", type=Path, help="G-code, a path of points (TOML), or a scenario")
+    place("--at", "centre of the block's top in the base, mm (default: 1300 0 1200)")
+    plan.add_argument("--turn", type=float, metavar="DEG", help="workpiece turned about z, degrees")
+    plan.add_argument(
+        "--block", nargs=3, type=float, metavar=("LX", "LY", "LZ"), help="size of the block, mm; what the program cuts of it is checked"
+    )
+    plan.add_argument("--zero", metavar="PLACE", help="where G54 lies in the block, such as front-left-top (default: centre-top)")
+    plan.add_argument(
+        "--offset",
+        nargs=4,
+        action="append",
+        default=[],
+        metavar=("G55", "X", "Y", "Z"),
+        help="origin of a work offset, mm from the centre of the block's top; may be repeated",
+    )
+    place("--start", "where the tool stands before the first block, mm from program zero (default: over the first point)")
+    place("--home", "where G28, G30 and G53 lead, mm from program zero (default: 100 mm over the block)")
+    plan.add_argument(
+        "--dialect",
+        choices=DIALECTS,
+        help="unit of dwells: linuxcnc G4 P in s, fanuc and marlin in ms, haas in ms unless P has a decimal point (default: linuxcnc)",
+    )
+    plan.add_argument("--no-block-delete", action="store_true", help="execute lines that begin with /")
+    plan.add_argument("--tool", type=float, metavar="D", help="diameter of the tool, mm (default: that of milling_force)")
+    plan.add_argument("--out", type=Path, metavar="FILE.npy", help="write the segment table for the path component")
 
 
 def _command(commands: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 import tomllib
 from argparse import Namespace
@@ -13,7 +12,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.markup import escape
@@ -25,12 +23,8 @@ from diagnosis.simulation import with_values
 from fmus.components import COMPONENTS, component
 from fmus.documentation import reference_files
 from fmus.python.builder import build as build_python
-from models import gcode, point_path
 from models.declaration import Model
-from models.reachability import check_reachable
 from models.replay import replay_model
-from models.trajectory import Placement
-from models.trajectory import plan as plan_path
 from orchestration.assembly import run as run_once
 from orchestration.errors import OrchestrationError
 from orchestration.results import Run
@@ -62,7 +56,7 @@ def run(options: Namespace) -> int:
             return _run_system(package.system, options, package.start)
     if not options.file.is_file():
         load_scenario(options.file)  # says what there is
-    if options.file.suffix in (".ngc", ".nc", ".gcode"):
+    if options.file.suffix in (".ngc", ".nc", ".gcode", ".tap", ".cnc", ".gc"):
         raise ValueError(
             f"{options.file} is a program: `robomill plan` looks at it, a scenario that names it (scenarios/groove.toml) mills it"
         )
@@ -136,12 +130,14 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     try:
         with _progress(options.json) as report:
             job = milling.prepare(scenario, folder, options.fmus, report, resume=options.resume, checkpoint_every=options.checkpoint_every)
+            for text in job.warnings:
+                print(f"warning: {text}", file=sys.stderr)
             job = replace(job, system=_adopted(_looped(job.system, options), options))  # the plan and its offline force stay nominal
             milling.check_variants(job, chosen)
             for variant in chosen:
                 recorded, factor = milling.mill(job, variant, report, csv=options.csv)
                 results.append(evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor))
-                summary = _write_summary(scenario, folder, results)
+                summary = _write_summary(scenario, folder, results, job)
     except (OrchestrationError, KeyboardInterrupt):
         if results and not options.json:
             _console().print(_table(scenario, results), "These variants are complete; go on with --resume.", highlight=False)
@@ -158,14 +154,14 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     console.print(_table(scenario, results))
     for result in results:
         console.print(f"{result.title}: largest deviation: {result.figures['max_deviation_location']}", highlight=False)
-    for text in job.plan.reduced:
-        console.print(f"note: {text}", highlight=False)
+    for text in (*job.notes, *job.plan.reduced):
+        console.print(f"note: {text}", highlight=False, markup=False)
     pictures_note = f" and {len(files)} pictures (start with {files[0].name})" if files else ""
     console.print(f"In {folder}/: a recording per variant, summary.json{pictures_note}", highlight=False)
     return 0
 
 
-def _write_summary(scenario: Scenario, folder: Path, results: Sequence[Result]) -> dict[str, Any]:
+def _write_summary(scenario: Scenario, folder: Path, results: Sequence[Result], job: milling.Job) -> dict[str, Any]:
     """Write summary.json: the results so far, and what it already held of other variants of this scenario."""
     file = folder / "summary.json"
     try:
@@ -173,7 +169,8 @@ def _write_summary(scenario: Scenario, folder: Path, results: Sequence[Result]) 
     except (OSError, ValueError, KeyError, TypeError):
         old = {}
     figures = {**old, **{r.name: r.figures for r in results}}
-    summary = {"scenario": scenario.name, "variants": {v.name: figures[v.name] for v in scenario.variants if v.name in figures}}
+    said = {"notes": list(job.notes), "warnings": list(job.warnings)}
+    summary = {"scenario": scenario.name, **said, "variants": {v.name: figures[v.name] for v in scenario.variants if v.name in figures}}
     _write(file, summary)
     return summary
 
@@ -349,40 +346,6 @@ def check(options: Namespace) -> int:
         console.print(table)
     console.print(f"{failed} checks failed" if failed else "no check failed", highlight=False)
     return 1 if failed else 0
-
-
-def plan(options: Namespace) -> int:
-    """`robomill plan`: duration, length, extent, reachability; optionally the segment table."""
-    x, y, z = (1e-3 * v for v in options.at)
-    program = point_path.read_points(options.program) if options.program.suffix == ".toml" else gcode.read(options.program)
-    planned = plan_path(program, Placement((x, y, z), (math.radians(options.turn), 0.0, 0.0)))
-
-    check_reachable(planned)
-    extent = planned.position(np.linspace(0.0, planned.duration, 2001))
-    figures = {
-        "program": planned.name,
-        "duration_s": planned.duration,
-        "length_m": planned.length,
-        "segments": len(planned.table),
-        "lowest_m": extent.min(axis=0).tolist(),
-        "highest_m": extent.max(axis=0).tolist(),
-        "notes": list(planned.reduced),
-    }
-    if options.out is not None:
-        np.save(options.out, planned.table)
-    if options.json:
-        print(json.dumps(figures, indent=1))
-        return 0
-    print(f"{planned.name}: {planned.duration:.2f} s, {planned.length:.3f} m, {len(planned.table)} segments, every pose can be reached")
-    print(
-        "tool tip in the base, mm: "
-        + ", ".join(
-            f"{a} {1e3 * lo:.1f} .. {1e3 * hi:.1f}" for a, lo, hi in zip("xyz", extent.min(axis=0), extent.max(axis=0), strict=True)
-        )
-    )
-    for note in planned.reduced:
-        print(f"note: {note}")
-    return 0
 
 
 def _console() -> Console:

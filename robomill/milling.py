@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from models import gcode, point_path
+from models.cutting import EndMill
 from models.declaration import FloatArray
 from models.trajectory import Placement, Plan, pilot_table, plan
 from orchestration.assembly import assemble, run
@@ -27,6 +28,7 @@ from orchestration.results import Run
 from orchestration.system import Connection, System
 from orchestration.wiring import Wiring
 from robomill.binding import convert, resolve, with_fmus
+from robomill.plan_checks import Findings, check_plan
 from robomill.scenario import ComponentParameters, Scenario, ScenarioError, Variant, Workpiece
 
 PARTS = ("path", "drive", "compliance", "milling", "sensor", "controller")
@@ -50,6 +52,10 @@ class Job:
     folder: Path
     resume: bool = False
     """Whether runs that are in the folder already are kept or continued."""
+    notes: tuple[str, ...] = ()
+    """What the reader of the program skipped or decided."""
+    warnings: tuple[str, ...] = ()
+    """What the plan shows to be wrong (`robomill/plan_checks.py`)."""
 
     @property
     def steps(self) -> int:
@@ -76,17 +82,16 @@ def prepare(
     assert scenario.workpiece is not None  # load_scenario checks both for this kind
     workpiece = scenario.workpiece
     placement = Placement(workpiece.position, workpiece.abc)
-    if scenario.program.suffix == ".toml":
-        planned = plan(point_path.read_points(scenario.program), placement)
-    else:
-        planned = plan(gcode.read(scenario.program, gcode.Setup(work_offsets=workpiece.work_offsets)), placement)
+    program = read_program(scenario.program, scenario.reading)
+    system = System.load(scenario.system, convert)
+    _require(system)
+    findings = _check(scenario, program, with_parameters(system, scenario.parameters))
+    planned = plan(program, placement)
     folder = Path(folder)
     (folder / "plan").mkdir(parents=True, exist_ok=True)
     segments, pilot = ((folder / "plan" / f"{name}.npy").resolve() for name in ("segments", "pilot"))  # also found from elsewhere
     np.save(segments, planned.table)
 
-    system = System.load(scenario.system, convert)
-    _require(system)
     if not _is_recording(system, "path"):
         system = system.with_parameters("path", {"segments": str(segments)})
     quaternion = np.roll(Rotation.from_matrix(placement.R_BP).as_quat(canonical=True), 1)
@@ -99,9 +104,41 @@ def prepare(
         system = with_fmus(system, fmus)
     if checkpoint_every is not None:
         system = replace(system, recording=replace(system.recording, checkpoint_every=checkpoint_every))
-    job = Job(scenario, workpiece, planned, system, folder, resume)
+    job = Job(scenario, workpiece, planned, system, folder, resume, notes_of(program), findings.texts)
     np.save(pilot, _pilot(job, progress))
     return job if _is_recording(system, "path") else replace(job, system=system.with_parameters("path", {"pilot": str(pilot)}))
+
+
+def read_program(file: Path, reading: gcode.Setup) -> gcode.Program | point_path.PointPath:
+    """The program of a file: a path of points (TOML), else G-code. Raises what the readers raise."""
+    return point_path.read_points(file) if file.suffix == ".toml" else gcode.read(file, reading)
+
+
+def notes_of(program: gcode.Program | point_path.PointPath) -> tuple[str, ...]:
+    """What the reader skipped or decided."""
+    return program.notes if isinstance(program, gcode.Program) else ()
+
+
+def _check(scenario: Scenario, program: gcode.Program | point_path.PointPath, system: System) -> Findings:
+    """What the plan shows; ScenarioError where a run could not have figures: nothing cut, tools that are not described."""
+    assert scenario.workpiece is not None
+    assert scenario.program is not None
+    if isinstance(program, gcode.Program):
+        named = [t for t in program.tools if t]
+        missing = [t for t in named if t not in scenario.tools]
+        if missing and (scenario.tools or len(named) > 1):
+            there = ", ".join(f"T{t}" for t in scenario.tools) or "none"
+            raise ScenarioError(
+                f"{scenario.file}: {program.name} mills with {', '.join(f'T{t}' for t in named)}; described are: {there}; "
+                f"add [tools.{missing[0]}] with diameter, teeth, helix and cutting_length"
+            )
+    own = own_tool(system)
+    if own is None and not scenario.tools:  # another's component, which does not say what its tool is
+        return Findings()
+    findings = check_plan(program, scenario.workpiece.size, {**({0: own} if own else {}), **scenario.tools})
+    if not findings.cuts:
+        raise ScenarioError(f"{scenario.file}: {scenario.program.name}: {findings.texts[0]}")
+    return findings
 
 
 def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool = False) -> tuple[Run, float]:
@@ -115,7 +152,7 @@ def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool
     labels = {
         "program": job.plan.name,
         "robot": "KUKA KR 300 R2500 ultra",
-        "tool": _tool(system),
+        "tool": _label(job, system),
         "workpiece": f"block {block} mm",
         "condition": variant.name,
     }
@@ -135,13 +172,28 @@ def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool
     return result, watch.factor
 
 
-def _tool(system: System) -> str:
-    """The cutter as the milling component has it; empty where that does not say."""
+def own_tool(system: System) -> EndMill | None:
+    """The cutter as the milling component has it; None where that does not say."""
     with assemble(system, resolve, convert) as assembly:
         starts = {p.name: p.start for p in assembly.slaves["milling"].ports if p.causality == "parameter"}
         given = {**starts, **assembly.parameters.get("milling", {})}
-    diameter, teeth = given.get("diameter"), given.get("teeth")
-    return f"end mill D{1e3 * diameter:g} z{teeth:g}" if isinstance(diameter, float) and isinstance(teeth, int | float) else ""
+    diameter, teeth, helix = given.get("diameter"), given.get("teeth"), given.get("helix")
+    if not isinstance(diameter, float) or not isinstance(teeth, int | float) or not isinstance(helix, float):
+        return None
+    length = given.get("cutting_length")
+    return EndMill(diameter, teeth, helix, length if isinstance(length, float) else math.inf)
+
+
+def _label(job: Job, system: System) -> str:
+    """The cutters of a run; empty where nothing says what they are."""
+    if job.scenario.tools:
+        return ", ".join(f"T{number} {_end_mill(mill)}" for number, mill in sorted(job.scenario.tools.items()))
+    own = own_tool(system)
+    return _end_mill(own) if own else ""
+
+
+def _end_mill(mill: EndMill) -> str:
+    return f"end mill D{1e3 * mill.diameter:g} z{mill.teeth:g}"
 
 
 def check_variants(job: Job, variants: Sequence[Variant]) -> None:

@@ -1,0 +1,149 @@
+"""`robomill plan`: plan a program and say what it does, what was skipped, and what is wrong with it before anything is run."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from argparse import Namespace
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from models.cutting import EndMill
+from models.gcode import HOME, Program, Setup, Vector
+from models.parameters import load
+from models.point_path import PointPath
+from models.reachability import check_reachable
+from models.trajectory import Placement, Plan
+from models.trajectory import plan as plan_path
+from orchestration.system import System
+from robomill.binding import convert
+from robomill.milling import notes_of, own_tool, read_program, with_parameters
+from robomill.plan_checks import Findings, check_plan
+from robomill.scenario import OFFSETS, load_scenario, place_in_block
+
+_PLACES = {"at", "turn", "start", "home", "offset", "zero", "block", "tool", "dialect", "no_block_delete"}
+"""Options that a scenario has its own keys for."""
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is planned: program, where it stands, and what it is checked against."""
+
+    program: Program | PointPath
+    placement: Placement
+    size: Vector | None
+    tools: dict[int, EndMill]
+
+
+def plan(options: Namespace) -> int:
+    """Duration, length, extent, reachability, notes and warnings; status 1 with warnings."""
+    task = _from_scenario(options) if _is_scenario(options.program) else _from_options(options)
+    planned = plan_path(task.program, task.placement)
+    check_reachable(planned)
+    findings = check_plan(task.program, task.size, task.tools) if task.size is not None else Findings()
+    if options.out is not None:
+        np.save(options.out, planned.table)
+    _show(planned, [*notes_of(task.program), *planned.reduced], findings.texts, options.json)
+    return 1 if findings.texts else 0
+
+
+def _is_scenario(file: Path) -> bool:
+    if file.suffix != ".toml" or not file.is_file():
+        return False
+    try:
+        return "scenario" in tomllib.loads(file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return False  # the reader of point paths names the line
+
+
+def _from_scenario(options: Namespace) -> _Task:
+    given = sorted(f"--{name.replace('_', '-')}" for name in _PLACES if getattr(options, name))
+    if given:
+        raise ValueError(f"{', '.join(given)} goes with programs; {options.program} is a scenario, which has keys for that (docs/gcode.md)")
+    scenario = load_scenario(options.program)
+    if scenario.program is None or scenario.workpiece is None:
+        raise ValueError(f"{options.program}: a scenario of kind {scenario.kind!r} has no program to plan")
+    own = own_tool(with_parameters(System.load(scenario.system, convert), scenario.parameters))
+    workpiece = scenario.workpiece
+    program = read_program(scenario.program, scenario.reading)
+    tools = {**({0: own} if own else {}), **scenario.tools}
+    return _Task(program, Placement(workpiece.position, workpiece.abc), workpiece.size if tools else None, tools)
+
+
+def _from_options(options: Namespace) -> _Task:
+    x, y, z = (1e-3 * v for v in options.at or (1300.0, 0.0, 1200.0))
+    size = _metres(options.block) if options.block else None
+    if size is not None and min(size) <= 0.0:
+        raise ValueError(f"--block {' '.join(f'{v:g}' for v in options.block)}: expected three positive lengths in mm")
+    mill = load(EndMill, "tools/endmill_d16_z3")  # what milling_force starts with
+    if options.tool is not None:
+        if options.tool <= 0.0:
+            raise ValueError(f"--tool {options.tool:g}: expected a diameter in mm, more than 0")
+        mill = EndMill(1e-3 * options.tool, mill.teeth, mill.helix, math.inf)
+    program = read_program(options.program, _setup(options, size, 0.5 * mill.diameter))
+    return _Task(program, Placement((x, y, z), (math.radians(options.turn or 0.0), 0.0, 0.0)), size, {0: mill})
+
+
+def _setup(options: Namespace, size: Vector | None, radius: float) -> Setup:
+    """How the program is read, from the options."""
+    origins: dict[float, Vector] = {54: (0.0, 0.0, 0.0)}
+    if options.zero:
+        if size is None:
+            raise ValueError(f"--zero {options.zero} needs --block LX LY LZ, the size of the block in mm")
+        origins[54] = place_in_block(options.zero, size)
+    for name, *values in options.offset:
+        if name.upper() not in OFFSETS:
+            raise ValueError(f"--offset {name}: expected one of {', '.join(OFFSETS)} and X Y Z in mm")
+        try:
+            origins[OFFSETS[name.upper()]] = _metres([float(v) for v in values])
+        except ValueError:
+            raise ValueError(f"--offset {name} {' '.join(values)}: expected three numbers in mm") from None
+    zero = origins[54]
+    return Setup(
+        work_offsets=origins,
+        start=_from_zero(options.start, zero) if options.start else None,
+        home=_from_zero(options.home, zero) if options.home else HOME,
+        dialect=options.dialect or "linuxcnc",
+        block_delete=not options.no_block_delete,
+        radii={0: radius},
+    )
+
+
+def _metres(values: list[float]) -> Vector:
+    x, y, z = (1e-3 * v for v in values)
+    return x, y, z
+
+
+def _from_zero(values: list[float], zero: Vector) -> Vector:
+    x, y, z = (1e-3 * v + o for v, o in zip(values, zero, strict=True))
+    return x, y, z
+
+
+def _show(planned: Plan, notes: list[str], warnings: tuple[str, ...], as_json: bool) -> None:
+    extent = planned.position(np.linspace(0.0, planned.duration, 2001))
+    low, high = extent.min(axis=0), extent.max(axis=0)
+    if as_json:
+        figures = {
+            "program": planned.name,
+            "duration_s": planned.duration,
+            "length_m": planned.length,
+            "segments": len(planned.table),
+            "lowest_m": low.tolist(),
+            "highest_m": high.tolist(),
+            "notes": notes,
+            "warnings": list(warnings),
+        }
+        print(json.dumps(figures, indent=1))
+        return
+    print(f"{planned.name}: {planned.duration:.2f} s, {planned.length:.3f} m, {len(planned.table)} segments, every pose can be reached")
+    print(
+        "tool tip in the base, mm: "
+        + ", ".join(f"{a} {1e3 * lo:.1f} .. {1e3 * hi:.1f}" for a, lo, hi in zip("xyz", low, high, strict=True))
+    )
+    for note in notes:
+        print(f"note: {note}")
+    for text in warnings:
+        print(f"warning: {text}")
