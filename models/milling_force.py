@@ -107,7 +107,7 @@ VARIABLES = (
         "tools",
         "parameter",
         "tools by T number: number, diameter in m, teeth, helix in rad, cutting length in m; may be empty",
-        shape=(tool_table.CAPACITY, len(tool_table.COLUMNS)),
+        shape=(len(tool_table.COLUMNS),),
         kind="table",
     ),
     _parameter("Ktc", "tangential cutting coefficient", "Pa", _K.Ktc, 0.0, tunable=True),
@@ -179,7 +179,7 @@ VARIABLES = (
     _count("mill_teeth", "its number of teeth"),
     _scratch("mill_helix", "its helix angle", "rad"),
     _scratch("mill_cutting_length", "length of its cutting edges", "m"),
-    Variable("tool_numbers", "state", "T numbers of the tool table, 0 behind the last", shape=(tool_table.CAPACITY,), kind="integer"),
+    Variable("tool_numbers", "state", "T numbers of the tool table, 0 behind the last", shape=(tool_table.SHOWN,), kind="integer"),
     Variable("tool_row", "state", "values of a row of the tool table, for the message", shape=(len(tool_table.COLUMNS),)),
     _count("nx", "cells along x of P"),
     _count("ny", "cells along y of P"),
@@ -438,16 +438,17 @@ def _prepare(s: Record) -> int:
     s.ny = workpiece.cells(ly, s.spacing)
     s.dx = lx / s.nx
     s.dy = ly / s.ny
-    for i in range(tool_table.CAPACITY):
+    for i in range(tool_table.SHOWN):
         s.tool_numbers[i] = 0
     for k in range(len(tool_table.COLUMNS)):
         s.tool_row[k] = 0.0
     for i in range(int(s.tools_rows)):
         for k in range(len(tool_table.COLUMNS)):
-            s.tool_row[k] = s.tools[i, k]
-        if not tool_table.sound(s.tools, i):
+            s.tool_row[k] = tool_table.number(s.tools_at, s.tools_rows, i, k)
+        if not tool_table.sound(s.tools_at, s.tools_rows, i):
             return _BAD_TOOL
-        s.tool_numbers[i] = int(s.tools[i, tool_table.NUMBER])
+        if i < tool_table.SHOWN:
+            s.tool_numbers[i] = int(s.tool_row[tool_table.NUMBER])
     for b in range(BINS + 1):
         s.bounds[b] = PI * b / BINS
         s.bound_sine[b], s.bound_cosine[b] = sincos(s.bounds[b])
@@ -466,13 +467,13 @@ def _take_tool(s: Record) -> int:
     s.mill_helix = s.helix
     s.mill_cutting_length = s.cutting_length
     if s.tool != 0 and s.tools_rows > 0:
-        row = tool_table.find(s.tools, s.tools_rows, s.tool)
+        row = tool_table.find(s.tools_at, s.tools_rows, s.tool)
         if row < 0:
             return _NO_TOOL
-        s.mill_diameter = s.tools[row, tool_table.DIAMETER]
-        s.mill_teeth = int(s.tools[row, tool_table.TEETH])
-        s.mill_helix = s.tools[row, tool_table.HELIX]
-        s.mill_cutting_length = s.tools[row, tool_table.CUTTING_LENGTH]
+        s.mill_diameter = tool_table.number(s.tools_at, s.tools_rows, row, tool_table.DIAMETER)
+        s.mill_teeth = int(tool_table.number(s.tools_at, s.tools_rows, row, tool_table.TEETH))
+        s.mill_helix = tool_table.number(s.tools_at, s.tools_rows, row, tool_table.HELIX)
+        s.mill_cutting_length = tool_table.number(s.tools_at, s.tools_rows, row, tool_table.CUTTING_LENGTH)
     for j in range(MAX_TEETH):
         s.radii[j] = 0.0
     tooth_radii(s.mill_teeth, s.runout, s.runout_angle, s.radii)
