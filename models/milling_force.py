@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 from models import tool_table, workpiece
-from models.cell import cell
 from models.cutting import (
     LEAST_LAG,
     MAX_TEETH,
@@ -180,8 +179,7 @@ VARIABLES = (
     _count("mill_teeth", "its number of teeth"),
     _scratch("mill_helix", "its helix angle", "rad"),
     _scratch("mill_cutting_length", "length of its cutting edges", "m"),
-    Variable("tool_numbers", "state", "T numbers of the tool table, 0 behind the last", shape=(tool_table.CAPACITY,), kind="integer"),
-    Variable("tool_values", "state", "the tool table", shape=(tool_table.CAPACITY, len(tool_table.COLUMNS))),
+    Variable("tool_numbers", "state", "T numbers of the tool table, 0 behind the last", shape=(tool_table.SHOWN,), kind="integer"),
     Variable("tool_row", "state", "values of a row of the tool table, for the message", shape=(len(tool_table.COLUMNS),)),
     _count("nx", "cells along x of P"),
     _count("ny", "cells along y of P"),
@@ -230,10 +228,9 @@ ERRORS = (
     "at t = {t} s tool T{tool} is not in the table 'tools', which has {tool_numbers}; add it there or correct the program",
     "at t = {t} s tool T{tool} (diameter {mill_diameter} m) stands {depth:.6f} m deep in material when it comes into the spindle; "
     "change it clear of the workpiece",
-    "the table 'tools' has {tools_rows} rows; expected at most 64; leave out the tools that the program does not use",
 )
 _BAD_PARAMETER, _BAD_QUATERNION, _TOO_MANY_CELLS, _NOT_FINITE, _REVERSE, _TILTED, _CHIP_TOO_THICK, _TOO_DEEP, _BAD_STEP = range(1, 10)
-_BAD_TOOL, _NO_TOOL, _TOOL_IN_MATERIAL, _TOO_MANY_TOOLS = range(10, 14)
+_BAD_TOOL, _NO_TOOL, _TOOL_IN_MATERIAL = range(10, 13)
 
 
 def init(s: Record) -> int:
@@ -441,19 +438,17 @@ def _prepare(s: Record) -> int:
     s.ny = workpiece.cells(ly, s.spacing)
     s.dx = lx / s.nx
     s.dy = ly / s.ny
-    for i in range(tool_table.CAPACITY):
+    for i in range(tool_table.SHOWN):
         s.tool_numbers[i] = 0
     for k in range(len(tool_table.COLUMNS)):
         s.tool_row[k] = 0.0
-    if s.tools_rows > tool_table.CAPACITY:
-        return _TOO_MANY_TOOLS
     for i in range(int(s.tools_rows)):
         for k in range(len(tool_table.COLUMNS)):
-            s.tool_row[k] = cell(s.tools_at, s.tools_rows, len(tool_table.COLUMNS), i, k)
-            s.tool_values[i, k] = s.tool_row[k]
-        if not tool_table.sound(s.tool_values, i):
+            s.tool_row[k] = tool_table.number(s.tools_at, s.tools_rows, i, k)
+        if not tool_table.sound(s.tools_at, s.tools_rows, i):
             return _BAD_TOOL
-        s.tool_numbers[i] = int(s.tool_row[tool_table.NUMBER])
+        if i < tool_table.SHOWN:
+            s.tool_numbers[i] = int(s.tool_row[tool_table.NUMBER])
     for b in range(BINS + 1):
         s.bounds[b] = PI * b / BINS
         s.bound_sine[b], s.bound_cosine[b] = sincos(s.bounds[b])
@@ -472,13 +467,13 @@ def _take_tool(s: Record) -> int:
     s.mill_helix = s.helix
     s.mill_cutting_length = s.cutting_length
     if s.tool != 0 and s.tools_rows > 0:
-        row = tool_table.find(s.tool_values, s.tools_rows, s.tool)
+        row = tool_table.find(s.tools_at, s.tools_rows, s.tool)
         if row < 0:
             return _NO_TOOL
-        s.mill_diameter = s.tool_values[row, tool_table.DIAMETER]
-        s.mill_teeth = int(s.tool_values[row, tool_table.TEETH])
-        s.mill_helix = s.tool_values[row, tool_table.HELIX]
-        s.mill_cutting_length = s.tool_values[row, tool_table.CUTTING_LENGTH]
+        s.mill_diameter = tool_table.number(s.tools_at, s.tools_rows, row, tool_table.DIAMETER)
+        s.mill_teeth = int(tool_table.number(s.tools_at, s.tools_rows, row, tool_table.TEETH))
+        s.mill_helix = tool_table.number(s.tools_at, s.tools_rows, row, tool_table.HELIX)
+        s.mill_cutting_length = tool_table.number(s.tools_at, s.tools_rows, row, tool_table.CUTTING_LENGTH)
     for j in range(MAX_TEETH):
         s.radii[j] = 0.0
     tooth_radii(s.mill_teeth, s.runout, s.runout_angle, s.radii)

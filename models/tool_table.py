@@ -7,14 +7,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from models.cell import cell
 from models.cutting import MAX_TEETH, EndMill
 from models.declaration import FloatArray, kernel
 
 COLUMNS = ("number", "diameter", "teeth", "helix", "cutting_length")
 """T number of the program (1 or more), diameter [m], number of teeth, helix angle [rad], length of the cutting edges [m]."""
 NUMBER, DIAMETER, TEETH, HELIX, CUTTING_LENGTH = range(len(COLUMNS))
-CAPACITY = 64
-"""Tools that a table holds."""
+SHOWN = 64
+"""Numbers that an error message lists."""
 LARGEST_NUMBER = 99999999.0
 """Eight digits, the longest T word in use."""
 MAX_HELIX = 1.2
@@ -32,25 +33,32 @@ def tools(table: FloatArray) -> dict[int, EndMill]:
 
 
 @kernel
-def sound(table: FloatArray, row: int) -> bool:
-    """Whether row `row` is a tool: whole number of 1 or more that no earlier row has, dimensions within bounds."""
-    number = table[row, NUMBER]
-    if not (number >= 1.0 and number <= LARGEST_NUMBER and number == math.floor(number)):
-        return False
-    for i in range(row):
-        if table[i, NUMBER] == number:
-            return False
-    teeth = table[row, TEETH]
-    if not (teeth >= 1.0 and teeth <= MAX_TEETH and teeth == math.floor(teeth)):
-        return False
-    sizes: bool = table[row, DIAMETER] > 0.0 and table[row, CUTTING_LENGTH] > 0.0
-    return sizes and table[row, HELIX] >= 0.0 and table[row, HELIX] <= MAX_HELIX
+def number(address: int, rows: int, row: int, column: int) -> float:
+    """A number of the table of so many rows at an address (`models.cell`)."""
+    return cell(address, rows, len(COLUMNS), row, column)
 
 
 @kernel
-def find(table: FloatArray, count: int, number: int) -> int:
-    """Row of the tool of that number among the first `count`; -1 if there is none."""
-    for row in range(count):
-        if int(table[row, NUMBER]) == number:
+def sound(address: int, rows: int, row: int) -> bool:
+    """Whether row `row` is a tool: whole number of 1 or more that no earlier row has, dimensions within bounds."""
+    name = number(address, rows, row, NUMBER)
+    if not (name >= 1.0 and name <= LARGEST_NUMBER and name == math.floor(name)):
+        return False
+    for i in range(row):
+        if number(address, rows, i, NUMBER) == name:
+            return False
+    teeth = number(address, rows, row, TEETH)
+    if not (teeth >= 1.0 and teeth <= MAX_TEETH and teeth == math.floor(teeth)):
+        return False
+    sizes = number(address, rows, row, DIAMETER) > 0.0 and number(address, rows, row, CUTTING_LENGTH) > 0.0
+    helix = number(address, rows, row, HELIX)
+    return sizes and helix >= 0.0 and helix <= MAX_HELIX
+
+
+@kernel
+def find(address: int, rows: int, name: int) -> int:
+    """Row of the tool of that number; -1 if there is none."""
+    for row in range(rows):
+        if int(number(address, rows, row, NUMBER)) == name:
             return row
     return -1

@@ -524,14 +524,6 @@ def test_a_row_that_is_no_tool_is_shown(row: list[float]) -> None:
     assert "expected a whole number of 1 or more that no row before has, 1 to 12 teeth" in text
 
 
-def test_more_tools_than_the_component_holds_are_refused() -> None:
-    """The table may have any length, the record has room for 64 tools."""
-    mill = Mill([0, 0, 0.01], tools=[[n + 1, *TOOLS[0][1:]] for n in range(tool_table.CAPACITY)])
-    assert mill.status == 0
-    mill = Mill([0, 0, 0.01], tools=[[n + 1, *TOOLS[0][1:]] for n in range(tool_table.CAPACITY + 1)])
-    assert "the table 'tools' has 65 rows; expected at most 64" in MODEL.message(mill.status, mill.s, 0.0)
-
-
 # ---------------------------------------------------------------- spindle start angle
 def test_spindle_start_angle_is_the_rotation_that_the_tool_starts_with() -> None:
     """A whole number of steps of 1.5 rad later is the same as starting there: the pattern of the runout goes on, to roundoff."""

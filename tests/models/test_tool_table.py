@@ -20,8 +20,8 @@ def test_rows_are_in_order_of_number_and_read_back() -> None:
 
 
 def test_a_tool_is_found_by_its_number_among_the_rows_in_use() -> None:
-    assert [tool_table.find(TABLE, 2, n) for n in (1, 7, 2, 0)] == [0, 1, -1, -1]
-    assert tool_table.find(TABLE, 1, 7) == -1
+    assert [tool_table.find(TABLE.ctypes.data, 2, n) for n in (1, 7, 2, 0)] == [0, 1, -1, -1]
+    assert tool_table.find(TABLE.ctypes.data, 1, 7) == -1
 
 
 @pytest.mark.parametrize(
@@ -36,8 +36,8 @@ def test_a_tool_is_found_by_its_number_among_the_rows_in_use() -> None:
 )
 def test_what_is_no_tool(column: int, bad: tuple[float, ...]) -> None:
     rows = np.array([TABLE[1], TABLE[0]])
-    assert tool_table.sound(rows, 0)
-    assert tool_table.sound(rows, 1)
+    assert tool_table.sound(rows.ctypes.data, 2, 0)
+    assert tool_table.sound(rows.ctypes.data, 2, 1)
     for value in bad:
         rows[1, column] = value
-        assert not tool_table.sound(rows, 1)
+        assert not tool_table.sound(rows.ctypes.data, 2, 1)
