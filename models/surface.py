@@ -210,12 +210,11 @@ def _scratches(floors: SurfacePoints, planned: SweptVolume) -> SurfaceDeviation:
     """Where the tool went into the raw top of the block: machined floors beside all that is nominal."""
     far, nearest = planned.distance(floors.points)
     up = np.tile([0.0, 0.0, 1.0], (len(floors), 1))
-    above = _along(nearest - floors.points, up, far)  # the others are feet of gouged walls
-    at = floors.select(above)
-    deviation = np.maximum(-far[above], at.points[:, 2])
+    # else the nearest nominal surface is a wall or floor that has its own points: it is the foot of a gouged wall
+    at = floors.select(_along(nearest - floors.points, up, far) & (-floors.points[:, 2] <= far))
     top = at.points * [1.0, 1.0, 0.0]
     no = np.zeros(len(at), dtype=np.bool_)
-    return SurfaceDeviation(top, up[: len(at)], deviation, no, no, no, at.time, at.length)
+    return SurfaceDeviation(top, up[: len(at)], at.points[:, 2], no, no, no, at.time, at.length)
 
 
 def _along(direction: FloatArray, normal: FloatArray, length: FloatArray) -> npt.NDArray[np.bool_]:

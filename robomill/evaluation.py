@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fmus.components import component
+from models import tool_table
 from models.declaration import FloatArray
 from models.surface import NothingCutError, SurfaceDeviation, measure
 from models.tool_path import ToolPath
@@ -81,10 +82,14 @@ def evaluate(name: str, title: str, run: Run, workpiece: Workpiece, real_time_fa
 
 
 def tool_radius(run: Run) -> FloatArray:
-    """Radius [m] (n,) of the cutter at each sample: that of the tool `path.tool` where the run has a table of tools."""
+    """Radius [m] (n,) of the cutter at each sample: of the tool `path.tool` in the run's table of tools, else of the only one."""
     parameters = run.info.get("parameters", {}).get("milling", {})
     diameter = parameters.get("diameter", component("milling_force").variable("diameter").start)
     radius = np.full(len(run), 0.5 * float(diameter))
+    if parameters.get("tools") and "path.tool" in run.columns:
+        number = run["path.tool"]
+        for row in np.load(parameters["tools"]):
+            radius[number == row[tool_table.NUMBER]] = 0.5 * row[tool_table.DIAMETER]
     return radius
 
 
