@@ -63,7 +63,7 @@ def positions(folder: Path) -> None:
             job = milling.prepare(replace(GROOVE, workpiece=workpiece), folder)
         except OrchestrationError:
             continue  # out of reach
-        pair = [evaluate(v.name, v.title, milling.mill(job, v)[0], workpiece, 1.0).surface.max for v in GROOVE.variants[:2]]
+        pair = [evaluate(v.name, v.title, milling.mill(job, v)[0], workpiece, 1.0).figures["max_deviation_m"] for v in GROOVE.variants[:2]]
         left.append(pair[1] / pair[0])
     print(f"share left at {len(left)} places: {min(left):.2f} .. {max(left):.2f}, median {np.median(left):.2f}")
 

@@ -6,7 +6,7 @@ import json
 import sys
 import tomllib
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -153,7 +153,7 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     console = _console()
     console.print(_table(scenario, results))
     for result in results:
-        console.print(f"{result.title}: largest deviation: {result.figures['max_deviation_location']}", highlight=False)
+        console.print(f"{result.title}: {_largest(result.figures)}", highlight=False)
     for text in (*job.notes, *job.plan.reduced):
         console.print(f"note: {text}", highlight=False, markup=False)
     pictures_note = f" and {len(files)} pictures (start with {files[0].name})" if files else ""
@@ -186,9 +186,22 @@ def _table(scenario: Scenario, results: Sequence[Result]) -> Table:
         for key, _, factor, _, form in _SHOWN:
             ours, published = r.figures[key], scenario.paper.get(r.name, {}).get(key)
             text = "-" if ours is None else form.format(factor * ours)
+            if key == "max_deviation_m" and r.figures["max_deviation_limited"]:
+                text = f">= {text}"
             cells.append(text if published is None else f"{text} ({form.format(factor * published)})")
         table.add_row(r.title, *cells)
     return table
+
+
+def _largest(figures: Mapping[str, Any]) -> str:
+    """Where the largest deviation is, whether it may be more, or why there is none."""
+    if figures["max_deviation_m"] is None:
+        return str(figures["note"])
+    text = f"largest deviation: {figures['max_deviation_location']}"
+    if figures["max_deviation_limited"]:
+        size = f">= {1e3 * figures['max_deviation_m']:.2f} mm (limit of the measure)"
+        text += f"; {size}: somewhere a thin wall or the rim of the block is gone, and nothing is left there to measure to"
+    return text
 
 
 def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:

@@ -10,15 +10,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fmus.components import component
-from models.surface import SurfaceDeviation, ToolPath, measure
+from models import tool_table
+from models.declaration import FloatArray
+from models.surface import NothingCutError, SurfaceDeviation, measure
+from models.tool_path import ToolPath
 from orchestration.results import Run
 from robomill.reaction import reaction_time
 from robomill.scenario import Workpiece
 
-WALL_LEVELS = tuple((i + 0.5) / 16 for i in range(16))
-"""Heights at which walls are scanned, as shares of the wall."""
-FLOOR_OFFSETS = tuple((i - 6) / 8.0 for i in range(13))
-"""Where floors are scanned beside the path, as shares of the radius; nearer to a wall the deflected tool may not have been."""
 PAUSE = 0.1
 """Engagements closer together than this [s] are one cut."""
 
@@ -40,41 +39,80 @@ class Result:
     run: Run
     nominal: ToolPath
     actual: ToolPath
-    radius: float
-    """Of the cutter [m]."""
-    surface: SurfaceDeviation
+    surface: SurfaceDeviation | None
+    """None if nothing was cut."""
     cuts: tuple[Cut, ...]
     figures: dict[str, Any]
 
 
 def evaluate(name: str, title: str, run: Run, workpiece: Workpiece, real_time_factor: float) -> Result:
-    """Scan the machined surface of a milling run and work out its figures."""
-    diameter = run.info.get("parameters", {}).get("milling", {}).get("diameter", component("milling_force").variable("diameter").start)
-    radius = 0.5 * float(diameter)
+    """Scan the machined surface of a milling run and work out its figures; where nothing was cut they are None, and `note` says why."""
+    radius = tool_radius(run)
     quaternion = np.roll(Rotation.from_euler("ZYX", workpiece.abc).as_quat(canonical=True), 1)
     nominal, actual = (
-        ToolPath.from_poses(run.t, run[f"{part}.p_BT_B"], run[f"{part}.quat_BT"], workpiece.position, quaternion)
+        ToolPath.from_poses(run.t, run[f"{part}.p_BT_B"], run[f"{part}.quat_BT"], workpiece.position, quaternion, radius)
         for part in ("path", "compliance")
     )
-    surface = measure(nominal, actual, radius, workpiece.size, levels=WALL_LEVELS, floor_offsets=FLOOR_OFFSETS)
     cuts = engagements(run)
-    worst = surface.worst
-    reaction = reaction_time(run)
+    surface, note = None, None
+    try:
+        if not cuts:
+            raise NothingCutError("nothing is cut: the tool never met the block")
+        surface = measure(nominal, actual, workpiece.size)
+    except NothingCutError as why:
+        note = str(why)
     figures = {
+        **dict.fromkeys(("max_deviation_m", "max_deviation_limited", "max_deviation_location", "max_deviation_point_m")),
+        **dict.fromkeys(("rms_deviation_m", "p95_deviation_m", "floor_rms_deviation_m", "floor_max_deviation_m")),
+        **dict.fromkeys(("edge_share", "edge_max_deviation_m")),
+        **dict.fromkeys(("peak_force_n", "peak_cutting_force_n", "peak_substep_force_n", "reaction_t50_s")),
+        "real_time_factor": None if math.isnan(real_time_factor) else real_time_factor,
+        "note": note,
+    }
+    if surface is not None:
+        reaction = reaction_time(run)
+        figures |= _deviations(surface, cuts, run, nominal)
+        figures |= {
+            "peak_force_n": float(np.max(np.linalg.norm(run["sensor.f_T_T"], axis=1))),
+            "peak_cutting_force_n": float(np.max(np.linalg.norm(run["milling.f_T_B"], axis=1))),
+            "peak_substep_force_n": float(np.max(run["milling.f_peak"])),
+            "reaction_t50_s": None if math.isnan(reaction) else reaction,
+        }
+    return Result(name, title, run, nominal, actual, surface, cuts, figures)
+
+
+def tool_radius(run: Run) -> FloatArray:
+    """Radius [m] (n,) of the cutter at each sample: of the tool `path.tool` in the run's table of tools, else of the only one."""
+    parameters = run.info.get("parameters", {}).get("milling", {})
+    diameter = parameters.get("diameter", component("milling_force").variable("diameter").start)
+    radius = np.full(len(run), 0.5 * float(diameter))
+    if parameters.get("tools") and "path.tool" in run.columns:
+        number = run["path.tool"]
+        for row in np.load(parameters["tools"]):
+            radius[number == row[tool_table.NUMBER]] = 0.5 * row[tool_table.DIAMETER]
+    return radius
+
+
+def _deviations(surface: SurfaceDeviation, cuts: tuple[Cut, ...], run: Run, nominal: ToolPath) -> dict[str, Any]:
+    """The figures of the surface. What lies beside edges has one of its own."""
+    edges = np.abs(surface.deviation[surface.edge])
+    figures: dict[str, Any] = {"edge_share": float(np.mean(surface.edge)), "edge_max_deviation_m": float(np.max(edges, initial=0.0))}
+    if np.all(surface.edge):
+        return {
+            **figures,
+            "note": "all of the surface lies within its deviation of an edge; only edge_max_deviation_m says how far off it is",
+        }
+    figures |= {
         "max_deviation_m": surface.max,
-        "max_deviation_location": describe(surface, worst, cuts, run, radius),
-        "max_deviation_point_m": surface.points[worst].tolist(),
+        "max_deviation_limited": surface.is_limited,
+        "max_deviation_location": describe(surface, surface.worst, cuts, run, nominal),
+        "max_deviation_point_m": surface.points[surface.worst].tolist(),
         "rms_deviation_m": surface.rms,
         "p95_deviation_m": surface.p95,
-        "floor_rms_deviation_m": surface.floors.rms,
-        "floor_max_deviation_m": surface.floors.max,
-        "peak_force_n": float(np.max(np.linalg.norm(run["sensor.f_T_T"], axis=1))),
-        "peak_cutting_force_n": float(np.max(np.linalg.norm(run["milling.f_T_B"], axis=1))),
-        "peak_substep_force_n": float(np.max(run["milling.f_peak"])),
-        "reaction_t50_s": None if math.isnan(reaction) else reaction,
-        "real_time_factor": None if math.isnan(real_time_factor) else real_time_factor,
     }
-    return Result(name, title, run, nominal, actual, radius, surface, cuts, figures)
+    if np.any(~surface.wall & ~surface.edge):
+        figures |= {"floor_rms_deviation_m": surface.floors.rms, "floor_max_deviation_m": surface.floors.max}
+    return figures
 
 
 def engagements(run: Run) -> tuple[Cut, ...]:
@@ -90,10 +128,10 @@ def engagements(run: Run) -> tuple[Cut, ...]:
     return tuple(cuts)
 
 
-def place(time: float, cuts: tuple[Cut, ...], run: Run, radius: float) -> str:
-    """Which part of a cut the tool was in at `time` [s]: entry and exit reach until the cutter is in, or out, by its diameter."""
+def place(time: float, cuts: tuple[Cut, ...], run: Run, diameter: float) -> str:
+    """Which part of a cut the tool was in at `time` [s]: entry and exit reach until the cutter is in, or out, by its `diameter` [m]."""
     speed = float(np.median(np.linalg.norm(run["path.v_BT_B"], axis=1)[run["milling.depth"] > 0.0])) if cuts else 0.0
-    span = 2.0 * radius / speed if speed > 0.0 else 0.0
+    span = diameter / speed if speed > 0.0 else 0.0
     for cut in cuts:
         if cut.start - span <= time <= cut.end + span:
             if time < cut.start + span:
@@ -104,8 +142,10 @@ def place(time: float, cuts: tuple[Cut, ...], run: Run, radius: float) -> str:
     return "outside the cuts"
 
 
-def describe(surface: SurfaceDeviation, index: int, cuts: tuple[Cut, ...], run: Run, radius: float) -> str:
+def describe(surface: SurfaceDeviation, index: int, cuts: tuple[Cut, ...], run: Run, nominal: ToolPath) -> str:
     """Where a measured point is, in words and workpiece coordinates."""
     x, y, z = 1e3 * surface.points[index]
-    where = place(float(surface.path_time[index]), cuts, run, radius)
+    time = float(surface.path_time[index])
+    radius = float(nominal.radius[np.searchsorted(nominal.time, time) - 1])
+    where = place(time, cuts, run, 2.0 * radius)
     return f"{where}: {surface.kind[index]} at x = {x:.1f} mm, y = {y:.1f} mm, z = {z:.1f} mm"

@@ -14,7 +14,8 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
 from models.declaration import FloatArray
-from models.surface import cut_height_map
+from models.height_map import cut_height_map
+from models.surface import SurfaceDeviation
 from orchestration.results import Run
 from robomill.evaluation import Cut, Result
 from robomill.scenario import Scenario, Workpiece
@@ -24,6 +25,9 @@ RELIEF = 4e-4
 """Cell size [m] of the height maps in the pictures."""
 DOT = 1.1e-3
 """Size [m] at which a scanned point is drawn."""
+EDGE = "gold"
+"""Points beside an edge: no colour of MAP, so that nobody reads a deviation from it."""
+NOTE: dict[str, Any] = {"boxstyle": "round", "fc": "white", "alpha": 0.8}
 COLOURS = {"uncompensated": "tab:gray", "cartesian": "tab:blue", "axis": "tab:orange", "cartesian_pilot": "tab:green"}
 
 
@@ -58,38 +62,65 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
     width = 6.4 if columns == 2 else 8.0
     figure = Figure(figsize=(width * columns + 1.2, (0.72 * width * size[1] / size[0] + 0.9) * rows), layout="constrained")
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
-    limit = 1e3 * max(r.surface.max for r in results)
+    limit = 1e3 * max((r.figures["max_deviation_m"] or 0.0 for r in results), default=0.0) or 1.0
     norm = TwoSlopeNorm(0.0, -limit, limit)
     for ax, result in zip(axes, results, strict=False):
         _surface(ax, result, workpiece, norm, DOT * 72.0 * 0.8 * width / workpiece.size[0])
     for ax in axes[len(results) :]:
         ax.remove()
     bar = figure.colorbar(ScalarMappable(norm, MAP), ax=list(axes[: len(results)]), shrink=0.8)
-    bar.set_label("deviation along the surface normal in mm\n(red: material left, blue: gouged; walls folded outwards)")
+    bar.set_label(
+        "deviation along the surface normal in mm\n"
+        "(red: material left, blue: gouged; walls folded outwards; yellow: beside an edge, not counted; crosses: limit of the measure)"
+    )
     return figure
 
 
 def _surface(ax: Axes, result: Result, workpiece: Workpiece, norm: TwoSlopeNorm, dot: float) -> None:
-    nominal = cut_height_map(result.nominal, result.radius, workpiece.size, RELIEF)
+    nominal = cut_height_map(result.nominal, workpiece.size, RELIEF)
     ax.pcolormesh(1e3 * nominal.x, 1e3 * nominal.y, nominal.height, cmap="Greys_r", alpha=0.35, shading="nearest", rasterized=True)
-    s = result.surface
-    folded = s.points[:, :2] - np.where(s.wall[:, None], s.normal[:, :2] * (-s.points[:, 2:3]), 0.0)
-    order = np.argsort(np.abs(s.deviation))
-    x, y = 1e3 * folded[order].T
-    ax.scatter(x, y, c=1e3 * s.deviation[order], cmap=MAP, norm=norm, s=dot**2, marker="s", linewidths=0, rasterized=True)
-    worst = folded[s.worst] * 1e3
+    if result.surface is None:
+        ax.text(0.0, 0.0, "nothing is cut", ha="center", va="center", bbox=NOTE)
+    else:
+        _deviation(ax, result.surface, norm, dot)
+    half = 0.5e3 * np.array(workpiece.size[:2])
+    ax.set(aspect="equal", xlim=(-half[0], half[0]), ylim=(-half[1], half[1]), xlabel="x in mm", ylabel="y in mm")
+    ax.set_title(f"{result.title}\n{_headline(result)}", fontsize=10)
+
+
+def _headline(result: Result) -> str:
+    largest, rms = result.figures["max_deviation_m"], result.figures["rms_deviation_m"]
+    if largest is None:
+        return "no figures"
+    return f"max {_at_least(result.figures['max_deviation_limited'])}{1e3 * largest:.2f} mm, rms {1e3 * rms:.2f} mm"
+
+
+def _at_least(limited: bool) -> str:
+    """What stands before a figure that the measure could not follow any further."""
+    return ">= " if limited else ""
+
+
+def _deviation(ax: Axes, s: SurfaceDeviation, norm: TwoSlopeNorm, dot: float) -> None:
+    """The measured points in colour, those beside edges in one of their own, limited ones with a cross; the largest with its size."""
+    folded = 1e3 * (s.points[:, :2] - np.where(s.wall[:, None], s.normal[:, :2] * (-s.points[:, 2:3]), 0.0))
+    style: dict[str, Any] = {"s": dot**2, "marker": "s", "linewidths": 0, "rasterized": True}
+    ax.scatter(folded[s.edge, 0], folded[s.edge, 1], color=EDGE, **style)
+    order = np.argsort(np.where(s.edge, -1.0, np.abs(s.deviation)))[np.count_nonzero(s.edge) :]
+    ax.scatter(folded[order, 0], folded[order, 1], c=1e3 * s.deviation[order], cmap=MAP, norm=norm, **style)
+    ended = folded[s.limited & ~s.edge]
+    ax.scatter(ended[:, 0], ended[:, 1], c="k", s=dot**2, marker="x", linewidths=0.5, rasterized=True)
+    if len(order) == 0:
+        return
+    worst = folded[s.worst]
     ax.annotate(
-        f"{1e3 * s.deviation[s.worst]:+.2f} mm",
+        f"{1e3 * s.deviation[s.worst]:+.2f} mm" + (" or more" if s.limited[s.worst] else ""),
         worst,
         xytext=(-18 if worst[0] > 0.0 else 18, 18),  # towards the middle, so that it covers nothing beside the picture
         textcoords="offset points",
         ha="right" if worst[0] > 0.0 else "left",
         arrowprops={"arrowstyle": "->"},
-        bbox={"boxstyle": "round", "fc": "white", "alpha": 0.8},
+        bbox=NOTE,
     )
-    half = 0.5e3 * np.array(workpiece.size[:2])
-    ax.set(aspect="equal", xlim=(-half[0], half[0]), ylim=(-half[1], half[1]), xlabel="x in mm", ylabel="y in mm")
-    ax.set_title(f"{result.title}\nmax {1e3 * s.max:.2f} mm, rms {1e3 * s.rms:.2f} mm", fontsize=10)
 
 
 def _shade(ax: Axes, cuts: Sequence[Cut], span: float = 0.0) -> None:
@@ -106,7 +137,11 @@ def deviations(results: Sequence[Result], workpiece: Workpiece) -> Figure:
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     sideways, upwards = figure.subplots(2, 1, sharex=True)
     first = results[0]
-    span = 2.0 * first.radius / max(1e-9, float(np.median(_speed(first.run)[first.run["milling.depth"] > 0.0]))) if first.cuts else 0.0
+    span = (
+        2.0 * float(first.nominal.radius.max()) / max(1e-9, float(np.median(_speed(first.run)[first.run["milling.depth"] > 0.0])))
+        if first.cuts
+        else 0.0
+    )
     for ax in (sideways, upwards):
         _shade(ax, first.cuts, 0.5 * span)
     for r in results:

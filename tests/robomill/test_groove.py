@@ -84,5 +84,5 @@ def test_a_finer_workpiece_changes_the_deviations_by_less_than_one_percent(runs:
     job = milling.prepare(scenario, runs.folder / "groove_fine")
     fine = evaluate("cartesian", "", milling.mill(job, scenario.variants[1])[0], scenario.workpiece, 1.0)
     usual = runs.results("groove")["cartesian"]
-    assert fine.surface.max == pytest.approx(usual.surface.max, abs=physics(usual.surface.max, relative=0.01))
-    assert fine.surface.rms == pytest.approx(usual.surface.rms, abs=physics(usual.surface.rms, relative=0.01))
+    for key in ("max_deviation_m", "rms_deviation_m"):
+        assert fine.figures[key] == pytest.approx(usual.figures[key], abs=physics(usual.figures[key], relative=0.01))

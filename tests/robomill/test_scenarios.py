@@ -11,8 +11,8 @@ import pytest
 from fmus.components import COMPONENTS
 from fmus.python.builder import build
 from models import gcode
+from models.height_map import cut_height_map
 from models.replay import replay_model
-from models.surface import cut_height_map
 from models.validation_loads import validation_loads
 from orchestration.results import Run
 from robomill import milling
@@ -101,7 +101,7 @@ class TestTestPart:
 
     @pytest.mark.slow
     def test_variants_rank_as_in_the_paper(self, runs: Runs):
-        largest = {name: r.surface.max for name, r in runs.results("test_part").items()}
+        largest = {name: r.figures["max_deviation_m"] for name, r in runs.results("test_part").items()}
         assert largest["uncompensated"] > largest["cartesian"] > largest["cartesian_pilot"]
         assert largest["uncompensated"] == pytest.approx(1.4e-3, abs=physics(1.4e-3, relative=0.15))
         assert largest["cartesian_pilot"] <= 0.22 * largest["uncompensated"]
@@ -111,7 +111,7 @@ class TestTestPart:
         """Deflection moves the cut but hardly changes its volume: the bound is the rms deviation over the area of the walls and floors."""
         r = runs.results("test_part")["cartesian_pilot"]
         removed = float(np.sum(r.run["milling.removal_rate"]) * 0.004)
-        nominal = cut_height_map(r.nominal, r.radius, (0.16, 0.10, 0.03), 2.5e-4)
+        nominal = cut_height_map(r.nominal, (0.16, 0.10, 0.03), 2.5e-4)
         cell = (nominal.x[1] - nominal.x[0]) * (nominal.y[1] - nominal.y[0])
         volume = float(-nominal.height.sum() * cell)
         assert removed == pytest.approx(volume, abs=physics(volume, relative=0.02))
