@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from models import gcode, point_path
+from models import gcode, point_path, tool_table
 from models.cutting import EndMill
 from models.declaration import FloatArray
 from models.trajectory import Placement, Plan, pilot_table, plan
@@ -99,6 +99,12 @@ def prepare(
         system = system.with_parameters(
             "milling", {"p_BP_B": list(workpiece.position), "quat_BP": quaternion.tolist(), "block_size": list(workpiece.size)}
         )
+        if scenario.tools:
+            if not _names_tool(system):
+                raise ScenarioError(f"{scenario.file}: has [tools], but {system.file} does not connect path.tool to milling.tool")
+            tools = (folder / "plan" / "tools.npy").resolve()
+            np.save(tools, tool_table.rows(scenario.tools))
+            system = system.with_parameters("milling", {"tools": str(tools)})
     system = with_parameters(system, scenario.parameters)
     if fmus is not None:
         system = with_fmus(system, fmus)
@@ -227,7 +233,8 @@ class _Stopwatch:
 
 def _pilot(job: Job, progress: Progress | None) -> FloatArray:
     """The pilot force: the cutting force of a rigid robot along the path, reduced to few points (sec. 2.3 of the paper)."""
-    rigid = tuple(Connection(f"path.{port}", f"milling.{port}") for port in ("p_BT_B", "quat_BT", "v_BT_B", "spindle_speed"))
+    ports = ("p_BT_B", "quat_BT", "v_BT_B", "spindle_speed", *(["tool"] * _names_tool(job.system)))
+    rigid = tuple(Connection(f"path.{port}", f"milling.{port}") for port in ports)
     components = tuple(c for c in job.system.components if c.name in ("path", "milling"))
     offline = replace(job.system, name=f"{job.scenario.name}/offline", components=components, connections=rigid)
     result = run(
@@ -252,6 +259,11 @@ def _require(system: System) -> None:
     missing = [part for part in PARTS if part not in names]
     if missing:
         raise ScenarioError(f"{system.file}: a milling scenario needs components named {', '.join(PARTS)}; missing: {', '.join(missing)}")
+
+
+def _names_tool(system: System) -> bool:
+    """Whether the milling component is told which tool is in the spindle; a foreign one may have no such port."""
+    return any(c.source == "path.tool" and c.target == "milling.tool" for c in system.connections)
 
 
 def _is_recording(system: System, name: str) -> bool:

@@ -96,6 +96,10 @@ def go_home(block: Block, state: State, words: dict[str, float], code: float) ->
         for axis in AXES:
             words.pop(axis, None)
     elif any(axis in words for axis in AXES):
+        if not state.absolute:
+            for i, axis in enumerate(AXES):
+                if state.position[i] is None:
+                    words.pop(axis, None)  # an increment from nowhere, as in G91 G28 Z0 at the beginning: home is what counts
         by_way = state.target(block, words)
         if all(c is not None for c in state.position):
             rapid(block, state, point(by_way))

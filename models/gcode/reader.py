@@ -179,7 +179,8 @@ def _feed_and_speed(block: Block, state: State, words: dict[str, float], g: dict
         if feed < 0.0:
             raise block.error(f"feed F{feed:g}", "the feed is a positive number in mm/min (G21) or inch/min (G20)")
         state.feed = feed * state.unit / (60.0 if state.feed_mode == 94 else 1.0)
-    if "S" in words and g.get("action") != 4:
+    dwells = g.get("action") == 4 and not _turns(block) and not words.keys() & set("PXU")
+    if "S" in words and not dwells:
         speed = words.pop("S")
         if speed < 0.0:
             raise block.error(f"spindle speed S{speed:g}", "the spindle speed is a number of rev/min, not negative; M4 turns the other way")
