@@ -1,38 +1,22 @@
-"""Curves that a tool path consists of, each as a function of its arc length: lines, helices, quintic blends.
+"""Curves that a tool path consists of, each as a function of its arc length: lines, arcs, helices, pieces of blends.
 
-A blend replaces the surroundings of a corner by a Bezier curve of degree five (Englert 2011, Eqs. 4.7, 4.8) that meets
-its neighbours with equal position, tangent and curvature. Its control points follow from those conditions and from
-equal parametric speed at both ends and in the middle (Biagiotti & Melchiorri 2008, section 8.10). There, equal steps of the parameter
-are taken for equal path; here the curve is cut into pieces that are quintic in the arc length itself, so that the path
-speed is what it should be to 1e-5 and the path is C2 in the path coordinate. Lengths in m, curvature in 1/m.
+Lengths in m, curvature in 1/m.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from models.declaration import FloatArray
+from models.declaration import FloatArray, compiled, kernel
 from models.segment_table import GEOMETRY_COLUMNS, HELIX, POLYNOMIAL
 
-_SPEED_ERROR = 1e-5
-"""Largest relative deviation of the path speed inside a blend piece."""
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
-_SAMPLES = np.linspace(0.0, 1.0, 33)
-
-
-def _bernstein(degree: int, u: npt.ArrayLike) -> FloatArray:
-    """Bernstein polynomials of a degree at u (Englert 2011, Eq. 4.8), shape of u + (degree + 1,)."""
-    x = np.asarray(u, dtype=np.float64)
-    return np.stack([math.comb(degree, j) * x**j * (1.0 - x) ** (degree - j) for j in range(degree + 1)], axis=-1)
-
-
-_CURVE_SAMPLES = _bernstein(5, np.linspace(0.0, 1.0, 65))
+SAMPLES = 33
+"""Even steps over a piece, ends included, at which derivatives are looked at for their largest and smallest size."""
 
 
 class Shape(Protocol):
@@ -83,18 +67,10 @@ class Polynomial:
         """As `Shape.row`."""
         return POLYNOMIAL, self.coefficients.ravel()
 
-    @property
+    @cached_property
     def curvature(self) -> float:
         """As `Shape.curvature`."""
-        if not np.any(self.coefficients[:, 2:]):
-            return 0.0
-        return float(np.max(self.norms(2)))
-
-    def norms(self, order: int) -> FloatArray:
-        """Lengths of the first or second derivative over the arc length, at 33 even steps."""
-        derivative = np.polynomial.polynomial.polyder(self.coefficients.T, order)
-        values: FloatArray = np.linalg.norm(np.polynomial.polynomial.polyval(_SAMPLES * self.length, derivative), axis=0)
-        return values
+        return largest_curvature(self.coefficients, self.length)
 
 
 @dataclass(frozen=True)
@@ -163,123 +139,40 @@ def helix(start: FloatArray, centre: FloatArray, axis: FloatArray, angle: float,
 
 def shift(coefficients: FloatArray, start: float) -> FloatArray:
     """Coefficients of p(start + s) in s, for polynomials of degree five in the last axis."""
-    result = np.zeros_like(coefficients)
-    for k in range(6):
-        for n in range(k, 6):
-            result[..., k] += math.comb(n, k) * start ** (n - k) * coefficients[..., n]
+    result = coefficients.copy()
+    shift_rows(result.reshape(-1, 6), start)
     return result
 
 
-def hermite(length: float, ends: Sequence[npt.ArrayLike]) -> FloatArray:
-    """Coefficients (..., 6) of the quintic with value, slope, second derivative `ends[0:3]` at 0 and `ends[3:6]` at `length`."""
-    p0, d0, k0, p1, d1, k1 = (np.asarray(e, dtype=np.float64) for e in ends)
-    x = length
-    p = p1 - (p0 + x * (d0 + 0.5 * x * k0))
-    d = x * (d1 - (d0 + x * k0))
-    k = x * x * (k1 - k0)
-    c3, c4, c5 = 10.0 * p - 4.0 * d + 0.5 * k, -15.0 * p + 7.0 * d - k, 6.0 * p - 3.0 * d + 0.5 * k
-    return np.stack([p0, d0, 0.5 * k0, c3 / x**3, c4 / x**4, c5 / x**5], axis=-1)
+@compiled
+def shift_rows(rows: FloatArray, start: float) -> None:
+    """`shift` in place, for (n, 6): repeated synthetic division."""
+    for i in range(len(rows)):
+        for first in range(5):
+            for k in range(4, first - 1, -1):
+                rows[i, k] += start * rows[i, k + 1]
 
 
-def bezier_control(before: Shape, after: Shape, distance: float) -> FloatArray:
-    """Control points (6, 3) of the blend from `distance` before the end of one shape to `distance` after the start of the next.
-
-    With alpha the parametric speed at both ends (first derivatives alpha t, second alpha^2 kappa), that in the middle is
-    |30 D - 7 alpha (t0 + t1) - alpha^2 (k0 - k1)/2| / 16, D the chord; alpha is set so that it equals alpha, too.
-    ValueError if there is no such alpha.
-    """
-    p0, t0, k0 = before.at(before.length - distance)
-    p5, t1, k1 = after.at(distance)
-    chord, tangents, bend = p5 - p0, t0 + t1, k0 - k1
-    a, b, c = 256.0 - 49.0 * tangents @ tangents, 420.0 * chord @ tangents, -900.0 * chord @ chord
-    alpha = (-b + math.sqrt(b * b - 4.0 * a * c)) / (2.0 * a)
-    for _ in range(50):
-        middle = 30.0 * chord - 7.0 * alpha * tangents - 0.5 * alpha * alpha * bend
-        slope = 2.0 * middle @ (-7.0 * tangents - alpha * bend) - 512.0 * alpha
-        step = float(middle @ middle - 256.0 * alpha * alpha) / float(slope)
-        alpha -= step
-        if not 0.0 < alpha < math.inf:
-            break
-        if abs(step) < 1e-15 * alpha:
-            p1, p4 = p0 + alpha / 5.0 * t0, p5 - alpha / 5.0 * t1
-            p2, p3 = 2.0 * p1 - p0 + alpha * alpha / 20.0 * k0, 2.0 * p4 - p5 + alpha * alpha / 20.0 * k1
-            return np.array([p0, p1, p2, p3, p4, p5])
-    raise ValueError(f"no blend curve with equal speed at its ends and middle for a distance of {distance} m")
+@kernel
+def polynomial_at(c: FloatArray, s: float, order: int) -> float:
+    """The derivative of an order 0, 1 or 2 of the polynomial with coefficients (6,) at s."""
+    value = 0.0
+    for k in range(5, order - 1, -1):
+        factor = 1.0
+        for i in range(order):
+            factor *= k - i
+        value = value * s + factor * c[k]
+    return value
 
 
-def bezier_derivatives(control: FloatArray, u: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """b(u), b'(u), b''(u) of the Bezier curve of degree five with control points (6, 3) (Englert 2011, Eqs. 4.7, 4.8)."""
-    d1, d2 = 5.0 * np.diff(control, axis=0), 20.0 * np.diff(control, n=2, axis=0)
-    return _bernstein(5, u) @ control, _bernstein(4, u) @ d1, _bernstein(3, u) @ d2
-
-
-def arc_length(control: FloatArray, u0: float, u1: float) -> float:
-    """Length [m] of the Bezier curve between two parameters (Gauss-Legendre, 24 nodes)."""
-    nodes = 0.5 * (u0 + u1) + 0.5 * (u1 - u0) * _NODES
-    speeds = np.linalg.norm(_bernstein(4, nodes) @ (5.0 * np.diff(control, axis=0)), axis=1)
-    return float(0.5 * (u1 - u0) * (_WEIGHTS @ speeds))
-
-
-def arc_length_pieces(control: FloatArray) -> list[Polynomial]:
-    """The Bezier curve as a chain of quintics in the arc length, C2 where they meet, path speed 1 within 1e-5 in between."""
-
-    def state(u: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        p, d, dd = bezier_derivatives(control, u)
-        speed = float(np.linalg.norm(d))
-        tangent = d / speed
-        return p, tangent, (dd - (dd @ tangent) * tangent) / speed**2
-
-    def pieces(u0: float, u1: float, depth: int) -> list[Polynomial]:
-        length = arc_length(control, u0, u1)
-        piece = Polynomial(hermite(length, (*state(u0), *state(u1))), length)
-        error = float(np.max(np.abs(piece.norms(1) - 1.0)))
-        if error <= _SPEED_ERROR or depth == 0:
-            return [piece]
-        middle = 0.5 * (u0 + u1)
-        return pieces(u0, middle, depth - 1) + pieces(middle, u1, depth - 1)
-
-    return pieces(0.0, 1.0, 7)
-
-
-def blend(before: Shape, after: Shape, limit: float, tolerance: float | None) -> tuple[float, list[Polynomial]] | None:
-    """Blend of two shapes that meet in a corner: its distance from the corner [m] and its pieces.
-
-    The distance is `limit`, or less so that path and blend deviate by at most `tolerance` [m]. None if no blend
-    of at least 1 um can be made.
-    """
-    distance = limit
-    if tolerance is not None:
-        low, high = 0.0, limit
-        widest = _deviation(before, after, limit)
-        if widest > tolerance and before.curvature == 0.0 and after.curvature == 0.0:
-            distance = limit * tolerance / widest  # blends of a corner between lines are similar to each other
-        elif widest > tolerance:
-            for _ in range(20):
-                distance = 0.5 * (low + high)
-                if _deviation(before, after, distance) > tolerance:
-                    high = distance
-                else:
-                    low = distance
-            distance = low
-    if distance < 1e-6:
-        return None
-    try:
-        return distance, arc_length_pieces(bezier_control(before, after, distance))
-    except ValueError:
-        return None
-
-
-def _deviation(before: Shape, after: Shape, distance: float) -> float:
-    """Largest distance [m] of the original corner from the blend that starts and ends `distance` from it; inf without one."""
-    try:
-        control = bezier_control(before, after, distance)
-    except ValueError:
-        return math.inf
-    curve = _CURVE_SAMPLES @ control
-    original = [before.at(before.length - distance * x)[0] for x in _SAMPLES[::2]] + [after.at(distance * x)[0] for x in _SAMPLES[::2]]
-    start, chord = curve[:-1], np.diff(curve, axis=0)
-    worst = 0.0
-    for p in original:
-        along = np.clip(np.sum((p - start) * chord, axis=1) / np.sum(chord * chord, axis=1), 0.0, 1.0)
-        worst = max(worst, float(np.min(np.linalg.norm(start + along[:, None] * chord - p, axis=1))))
-    return worst
+@compiled
+def largest_curvature(coefficients: FloatArray, length: float) -> float:
+    """Largest length of the second derivative [1/m] of a polynomial curve (3, 6), at `SAMPLES` even steps."""
+    largest = 0.0
+    for n in range(SAMPLES):
+        square = 0.0
+        for i in range(3):
+            k = polynomial_at(coefficients[i], length * n / (SAMPLES - 1), 2)
+            square += k * k
+        largest = max(largest, square)
+    return math.sqrt(largest)

@@ -12,16 +12,18 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from models.declaration import FloatArray
-from models.double_s import Phase, profile
+from models.blend import blend, hermite
+from models.declaration import FloatArray, compiled
+from models.double_s import path_at, phases, time_at
 from models.gcode import Arc, Dwell, Move, Program, Vector
 from models.parameters import load, quantity
-from models.path_geometry import Polynomial, Shape, blend, helix, hermite, line, point, shift
+from models.path_geometry import SAMPLES, Polynomial, Shape, helix, line, point, polynomial_at, shift
 from models.point_path import PointPath
 from models.segment_table import (
     ACCELERATION,
@@ -45,6 +47,7 @@ from models.segment_table import (
     TOOL,
 )
 
+IntArray = npt.NDArray[np.int64]
 _STRAIGHT_ON = 1e-6
 """Angle [rad] and curvature step times length below which two shapes continue each other."""
 _SAME_ORIENTATION = 1e-9
@@ -94,7 +97,7 @@ class Placement:
     """Angle [rad] about the tool axis; at 0 the z axis of T (with the default tool: of the flange) points away from the robot,
     radially at the workpiece origin."""
 
-    @property
+    @cached_property
     def R_BP(self) -> FloatArray:
         """Orientation of P in B."""
         matrix: FloatArray = Rotation.from_euler("ZYX", self.abc_BP).as_matrix()
@@ -133,24 +136,40 @@ class _Turn:
     axis_2: FloatArray = field(default_factory=lambda: np.zeros(3))
     f_2: FloatArray = field(default_factory=lambda: np.zeros(6))
 
+    @cached_property
+    def steady(self) -> bool:
+        """Whether the orientation does not change."""
+        return not (np.any(self.f_1) or np.any(self.f_2))
+
+    @cached_property
+    def quat(self) -> FloatArray:
+        """R as (w, x, y, z)."""
+        return np.roll(self.R.as_quat(), 1)
+
     def at(self, s: float) -> Rotation:
         """R_BT at the path coordinate s."""
+        if self.steady:
+            return self.R
         powers = s ** np.arange(6)
         return self.R * Rotation.from_rotvec(self.axis_1 * (self.f_1 @ powers)) * Rotation.from_rotvec(self.axis_2 * (self.f_2 @ powers))
 
     def part(self, start: float) -> _Turn:
         """The same from the path coordinate `start` on."""
-        return replace(self, f_1=shift(self.f_1, start), f_2=shift(self.f_2, start))
+        return self if self.steady else replace(self, f_1=shift(self.f_1, start), f_2=shift(self.f_2, start))
 
     def fastest(self, length: float) -> tuple[float, float]:
         """Upper bounds of the angle per path [rad/m] and of its derivative [rad/m2] over [0, length]."""
-        s = np.linspace(0.0, length, 33)
-        rate = bend = 0.0
-        for f in (self.f_1, self.f_2):
-            polynomial = np.polynomial.Polynomial(f)
-            rate += float(np.max(np.abs(polynomial.deriv(1)(s))))
-            bend += float(np.max(np.abs(polynomial.deriv(2)(s))))
-        return rate, bend
+        return (0.0, 0.0) if self.steady else (_largest(self.f_1, self.f_2, 1, length), _largest(self.f_1, self.f_2, 2, length))
+
+
+@compiled
+def _largest(f_1: FloatArray, f_2: FloatArray, order: int, length: float) -> float:
+    """Sum of the largest sizes of a derivative of two quintics (6,) over [0, length], at even steps."""
+    one = two = 0.0
+    for n in range(SAMPLES):
+        s = length * n / (SAMPLES - 1)
+        one, two = max(one, abs(polynomial_at(f_1, s, order))), max(two, abs(polynomial_at(f_2, s, order)))
+    return one + two
 
 
 @dataclass(frozen=True)
@@ -276,28 +295,29 @@ def plan(program: Program | PointPath, placement: Placement, limits: PathLimits 
     for run in _runs(items, limits):
         if isinstance(run, Dwell):
             if last is not None:
-                last[[TAU, BLOCK, LINE, SPINDLE]] = tau, run.block, run.line, run.spindle_speed
+                last[:, [TAU, BLOCK, LINE, SPINDLE]] = tau, run.block, run.line, run.spindle_speed
                 rows.append(last.copy())
             tau += run.duration
             continue
         speeds, texts = _speeds(run, limits)
         reduced += texts
-        phases = _phases(run, speeds, limits)
-        rows += _rows(run, phases, tau)
-        tau += phases[-1].time + phases[-1].duration
+        profile = _profile(run, speeds, limits)
+        elements = _element_rows(run)
+        rows.append(_rows(run, elements, profile, tau))
+        tau += float(profile[-1, 0] + profile[-1, 1])
         length += sum(stretch.shape.length for stretch in run if not stretch.in_place)
-        last = _row(run[-1])
-        last[SIGMA] = run[-1].shape.length
+        last = elements[-1:].copy()
+        last[:, SIGMA] = run[-1].shape.length
     if last is None:
         raise PlanError(f"{program.name}: nothing to move; the program has no two different points")
-    last[[TAU, SPINDLE]] = tau, final
+    last[:, [TAU, SPINDLE]] = tau, final
     rows.append(last)
-    if rows[0][TAU] > 0.0:
+    if rows[0][0, TAU] > 0.0:
         # a dwell before the first move: wait where it begins
-        wait = rows[0].copy()
-        wait[[TAU, SPEED, ACCELERATION, JERK]] = 0.0
+        wait = rows[0][:1].copy()
+        wait[:, [TAU, SPEED, ACCELERATION, JERK]] = 0.0
         rows.insert(0, wait)
-    table = np.array(rows)
+    table = np.concatenate(rows)
     table = table[np.append(np.diff(table[:, TAU]) > 0.0, True)]
     table.flags.writeable = False
     return Plan(program.name, table, length, tuple(reduced), program.source, placement)
@@ -383,7 +403,7 @@ def _runs(items: list[_Stretch | Dwell], limits: PathLimits) -> list[list[_Stret
         if run:
             runs.append(run)
         run = []
-        if isinstance(following, _Stretch):
+        if isinstance(following, _Stretch) and not _goes_on(move.turn, following.turn):
             end, start = move.turn.at(move.shape.length), following.turn.R
             angle = float((end.inv() * start).magnitude())
             if angle > _SAME_ORIENTATION:
@@ -400,9 +420,7 @@ def _joint(before: _Stretch, after: _Stretch, corner: int) -> tuple[float, list[
     _, t1, k1 = after.shape.at(0.0)
     angle = math.atan2(float(np.linalg.norm(np.cross(t0, t1))), float(t0 @ t1))
     shorter = min(before.shape.length, after.shape.length)
-    twist = float((before.turn.at(before.shape.length).inv() * after.turn.R).magnitude())
-    rates = before.turn.axis_1 * before.turn.f_1[1] - after.turn.axis_1 * after.turn.f_1[1]
-    even = twist < _SAME_ORIENTATION and float(np.linalg.norm(rates)) * shorter < 1e-9
+    even = _turns_on(before.turn, after.turn, before.shape.length, shorter)
     if angle < _STRAIGHT_ON and float(np.linalg.norm(k1 - k0)) * shorter < _STRAIGHT_ON and even:
         return 0.0, []
     by_tolerance = before.tolerance > 0.0 and after.tolerance > 0.0
@@ -417,21 +435,24 @@ def _joint(before: _Stretch, after: _Stretch, corner: int) -> tuple[float, list[
     return (0.0, []) if angle < _KINK and even else None
 
 
+def _goes_on(before: _Turn, after: _Turn) -> bool:
+    """Whether two moves share one orientation that does not change: those of a G-code program do, and rotations take time."""
+    return before is after and before.steady
+
+
+def _turns_on(before: _Turn, after: _Turn, length: float, shorter: float) -> bool:
+    """Whether the orientation goes on from one move, of this length [m], to the next without a step in angle or rate."""
+    if _goes_on(before, after):
+        return True
+    twist = float((before.at(length).inv() * after.R).magnitude())
+    rates = before.axis_1 * before.f_1[1] - after.axis_1 * after.f_1[1]
+    return twist < _SAME_ORIENTATION and float(np.linalg.norm(rates)) * shorter < 1e-9
+
+
 def _blend_pieces(before: _Stretch, after: _Stretch, corner: int, distance: float, pieces: list[Polynomial]) -> list[_Stretch]:
     """Pieces of a blend with feed, block and orientation: C2 over the path, as the position."""
     length = sum(p.length for p in pieces)
-    rate_1, rate_2 = before.turn.f_1[1], after.turn.f_1[1]
-    meeting = before.turn.at(before.shape.length)
-    vector = (meeting.inv() * after.turn.R).as_rotvec()
-    step = float(np.linalg.norm(vector))
-    if step > _SAME_ORIENTATION:
-        # the orientation changes in the corner: constant before and after, a smooth step from one to the other
-        turn = _Turn(before.turn.R, vector / step, hermite(length, (0.0, 0.0, 0.0, step, 0.0, 0.0)))
-    else:
-        # the rate changes: what is left of the first rotation runs out while the second one sets in
-        f_1 = hermite(length, (-rate_1 * distance, rate_1, 0.0, 0.0, 0.0, 0.0))
-        f_2 = hermite(length, (0.0, 0.0, 0.0, rate_2 * distance, rate_2, 0.0))
-        turn = _Turn(meeting, before.turn.axis_1, f_1, after.turn.axis_1, f_2)
+    turn = _blend_turn(before.turn, after.turn, before.shape.length, distance, length)
     feed = min(before.feed, after.feed)
     result: list[_Stretch] = []
     s = 0.0
@@ -440,6 +461,23 @@ def _blend_pieces(before: _Stretch, after: _Stretch, corner: int, distance: floa
         result.append(replace(owner, shape=piece, turn=turn.part(s), feed=feed, corner=corner))
         s += piece.length
     return result
+
+
+def _blend_turn(before: _Turn, after: _Turn, reach: float, distance: float, length: float) -> _Turn:
+    """Orientation over a blend of `length` that begins `distance` before the end of a move of length `reach` [m]."""
+    if _goes_on(before, after):
+        return before
+    meeting = before.at(reach)
+    vector = (meeting.inv() * after.R).as_rotvec()
+    step = float(np.linalg.norm(vector))
+    if step > _SAME_ORIENTATION:
+        # the orientation changes in the corner: constant before and after, a smooth step from one to the other
+        return _Turn(before.R, vector / step, hermite(length, (0.0, 0.0, 0.0, step, 0.0, 0.0)))
+    # the rate changes: what is left of the first rotation runs out while the second one sets in
+    rate_1, rate_2 = before.f_1[1], after.f_1[1]
+    f_1 = hermite(length, (-rate_1 * distance, rate_1, 0.0, 0.0, 0.0, 0.0))
+    f_2 = hermite(length, (0.0, 0.0, 0.0, rate_2 * distance, rate_2, 0.0))
+    return _Turn(meeting, before.axis_1, f_1, after.axis_1, f_2)
 
 
 def _speeds(run: list[_Stretch], limits: PathLimits) -> tuple[list[float], list[str]]:
@@ -473,8 +511,8 @@ def _speeds(run: list[_Stretch], limits: PathLimits) -> tuple[list[float], list[
     return speeds, texts
 
 
-def _phases(elements: list[_Stretch], speeds: list[float], limits: PathLimits) -> list[Phase]:
-    """Speed profile of a run; neighbours with equal speed form one zone."""
+def _profile(elements: list[_Stretch], speeds: list[float], limits: PathLimits) -> FloatArray:
+    """Speed profile of a run, rows as `Phase`; neighbours with equal speed form one zone."""
     zones: list[tuple[float, float]] = []
     for element, speed in zip(elements, speeds, strict=True):
         if zones and zones[-1][1] == speed:
@@ -482,46 +520,63 @@ def _phases(elements: list[_Stretch], speeds: list[float], limits: PathLimits) -
         else:
             zones.append((element.shape.length, speed))
     if elements[0].in_place:
-        return profile(zones, limits.angular_acceleration, limits.angular_jerk)
-    return profile(zones, limits.acceleration, limits.jerk)
+        return phases(zones, limits.angular_acceleration, limits.angular_jerk)
+    return phases(zones, limits.acceleration, limits.jerk)
 
 
-def _rows(elements: list[_Stretch], phases: list[Phase], tau: float) -> list[FloatArray]:
-    """Table rows of a run: cut wherever an element or a phase ends."""
-    edges = np.concatenate([[0.0], np.cumsum([e.shape.length for e in elements])])
-    close = 1e-13 + 1e-15 * float(edges[-1])
-    rows: list[FloatArray] = []
-    i = 0
-    for phase in phases:
-        t = 0.0
-        end = phase.at(phase.duration)[0]
-        while i + 1 < len(elements) and edges[i + 1] <= end + close:
-            inside = edges[i + 1] < end - close
-            crossing = phase.time_at(float(edges[i + 1])) if inside else phase.duration
-            if crossing > t:
-                rows.append(_row(elements[i], phase, t, tau, float(edges[i])))
-            t = crossing
-            i += 1
-        if t < phase.duration:
-            rows.append(_row(elements[i], phase, t, tau, float(edges[i])))
+def _element_rows(elements: list[_Stretch]) -> FloatArray:
+    """What the rows of each element have in common (n, 50)."""
+    rows = np.zeros((len(elements), COLUMNS))
+    for row, element in zip(rows, elements, strict=True):
+        turn = element.turn
+        row[KIND], row[GEOMETRY : GEOMETRY + GEOMETRY_COLUMNS] = element.shape.row()
+        row[BLOCK], row[LINE], row[SPINDLE], row[TOOL] = element.block, element.line, element.spindle, element.tool
+        row[QUAT : QUAT + 4] = turn.quat
+        if not turn.steady:
+            row[AXIS_1 : AXIS_1 + 3], row[F_1 : F_1 + 6] = turn.axis_1, turn.f_1
+            row[AXIS_2 : AXIS_2 + 3], row[F_2 : F_2 + 6] = turn.axis_2, turn.f_2
     return rows
 
 
-def _row(element: _Stretch, phase: Phase | None = None, t: float = 0.0, tau: float = 0.0, edge: float = 0.0) -> FloatArray:
-    """One table row: `element` from time `t` of `phase` on; without a phase at rest."""
-    row = np.zeros(COLUMNS)
-    kind, geometry = element.shape.row()
-    row[[KIND, BLOCK, LINE, SPINDLE, TOOL]] = kind, element.block, element.line, element.spindle, element.tool
-    row[GEOMETRY : GEOMETRY + GEOMETRY_COLUMNS] = geometry
-    turn = element.turn
-    x, y, z, w = turn.R.as_quat()
-    row[QUAT : QUAT + 4] = w, x, y, z
-    row[AXIS_1 : AXIS_1 + 3], row[F_1 : F_1 + 6] = turn.axis_1, turn.f_1
-    row[AXIS_2 : AXIS_2 + 3], row[F_2 : F_2 + 6] = turn.axis_2, turn.f_2
-    if phase is not None:
-        path, speed, acceleration = phase.at(t)
-        row[[TAU, SIGMA, SPEED, ACCELERATION, JERK]] = tau + phase.time + t, path - edge, speed, acceleration, phase.jerk
-    return row
+def _rows(run: list[_Stretch], elements: FloatArray, profile: FloatArray, tau: float) -> FloatArray:
+    """Table rows of a run that begins at the path time tau [s]: cut wherever an element or a phase ends."""
+    edges = np.concatenate([[0.0], np.cumsum([e.shape.length for e in run])])
+    owners, laws = np.zeros(len(run) + len(profile), dtype=np.int64), np.zeros((len(run) + len(profile), 5))
+    count = _cut(edges, profile, tau, owners, laws)
+    rows = elements[owners[:count]]
+    rows[:, [TAU, SIGMA, SPEED, ACCELERATION, JERK]] = laws[:count]
+    return rows
+
+
+@compiled
+def _cut(edges: FloatArray, profile: FloatArray, tau: float, owners: IntArray, laws: FloatArray) -> int:
+    """Fill the elements and time laws (tau, sigma, speed, acceleration, jerk) of the rows of a run; returns their number.
+
+    `edges` (n + 1,) are the path [m] where elements begin and end, `profile` rows as `Phase`.
+    """
+    close = 1e-13 + 1e-15 * edges[-1]
+    i = count = 0
+    for k in range(len(profile)):
+        time, duration, path, speed, acceleration, jerk = profile[k]
+        t = 0.0
+        end = path_at(path, speed, acceleration, jerk, duration)
+        while t < duration:
+            crossed = i + 2 < len(edges) and edges[i + 1] <= end + close
+            until = duration
+            if crossed and edges[i + 1] < end - close:
+                until = time_at(time, duration, path, speed, acceleration, jerk, edges[i + 1])
+            if until > t:
+                owners[count] = i
+                laws[count, 0] = tau + time + t
+                laws[count, 1] = path_at(path, speed, acceleration, jerk, t) - edges[i]
+                laws[count, 2] = speed + t * (acceleration + t * jerk / 2.0)
+                laws[count, 3] = acceleration + t * jerk
+                laws[count, 4] = jerk
+                count += 1
+            t = until
+            if crossed:
+                i += 1
+    return count
 
 
 def pilot_table(tau: FloatArray, forces: FloatArray, tolerance_n: float = 10.0) -> FloatArray:

@@ -13,19 +13,11 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
+from models.blend import arc_length, arc_length_pieces, bezier_control, bezier_derivatives, blend
 from models.declaration import FloatArray
 from models.double_s import Phase, profile, ramp_length, reachable_speed
 from models.gcode import Setup, parse, read
-from models.path_geometry import (
-    Polynomial,
-    arc_length,
-    arc_length_pieces,
-    bezier_control,
-    bezier_derivatives,
-    blend,
-    helix,
-    line,
-)
+from models.path_geometry import Polynomial, helix, line
 from models.point_path import Interpolation, PathError, parse_points, read_points
 from models.segment_table import ACCELERATION, JERK, LINE, SPEED, TAU
 from models.trajectory import LIMITS, PathLimits, Placement, Plan, PlanError, pilot_table, plan
