@@ -19,7 +19,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from diagnosis import adopt
-from diagnosis.simulation import with_values
 from fmus.components import COMPONENTS, component
 from fmus.documentation import reference_files
 from fmus.python.builder import build as build_python
@@ -226,7 +225,7 @@ def _adopted(system: System, options: Namespace) -> System:
     """With the parameter set of `--adopt`; its values replace those of the system."""
     if options.adopt is not None:
         for component, values in adopt.read(options.adopt).items():
-            system = with_values(system, component, values)
+            system = system.with_parameters(component, values)
     return system
 
 
