@@ -154,10 +154,10 @@ def _scalar(port: Port, value: Any, convert: Convert, folder: Path | None, by_ha
     if isinstance(value, Mapping):
         if set(value) != {"value", "unit"}:
             raise ValueError(f"expected a value or {{value = ..., unit = ...}}; found a table with {', '.join(value)}")
-        if not isinstance(value["unit"], str) or isinstance(value["value"], str | bool):
+        if not isinstance(value["unit"], str | None) or isinstance(value["value"], str | bool):
             raise ValueError(f"expected {{value = <number>, unit = <text>}}; found {dict(value)!r}")
         given = quantity(value["value"], "1", convert)
-        number = given if value["unit"] == wanted else convert(given, value["unit"], wanted)
+        number = given if value["unit"] in (wanted, None) else convert(given, value["unit"], wanted)  # None: only from XML
     elif isinstance(value, bool) or not isinstance(value, str | int | float):
         raise ValueError(f"expected a number in {wanted!r}; found {value!r}")
     else:

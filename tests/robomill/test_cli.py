@@ -118,7 +118,7 @@ class TestBadInput:
         (tmp_path / "played.toml").write_text('name = "p"\nstep = "0.004 s"\nstop = "0.04 s"\n[components.s]\nsource = "replay:recorded"\n')
         assert "component 's' (ReplaySlave) can only be called from Python" in refused(capsys, "run", "played.toml", "--loop", "compiled")
         assert main(["run", "played.toml", "--loop", "python"]) == 0
-        assert "--loop goes with system files" in refused(capsys, "run", str(SCENARIOS / "static_loads.toml"), "--loop", "python")
+        assert "--loop: only with milling" in refused(capsys, "run", str(SCENARIOS / "static_loads.toml"), "--loop", "python")
 
     def test_a_program_is_no_scenario(self, cell, capsys):
         assert "`robomill plan` looks at it" in refused(capsys, "run", "part.ngc")
