@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from diagnosis.segments import array_of
-from diagnosis.simulation import Laboratory, Setting, decimate, refined, with_values
+from diagnosis.simulation import Laboratory, Setting, decimate, refined
 from diagnosis.tape import Tape
 from orchestration.assembly import run
 from orchestration.errors import OrchestrationError
@@ -74,7 +74,7 @@ class Bench:
     def _changed(self, changes: Setting, seed: int = 1) -> System:
         system, nominal = self.system, self.laboratory.nominal
         for (component, parameter), value in (*changes, *((a, float(seed)) for a in self.laboratory.seeds)):
-            system = with_values(system, component, {parameter: value + nominal.get((component, parameter), 0.0)})
+            system = system.with_parameters(component, {parameter: value + nominal.get((component, parameter), 0.0)})
         return system
 
     def _known(self, mean: FloatArray) -> npt.NDArray[np.bool_]:

@@ -67,7 +67,7 @@ class Laboratory:
         system = self.conditions[index].system or self.system
         for component, values in [*self.conditions[index].parameters.items(), *self.quiet.items()]:
             if any(c.name == component for c in system.components):
-                system = with_values(system, component, values)
+                system = system.with_parameters(component, values)
         return system
 
     def simulate(self, index: int, changes: Setting) -> FloatArray | None:
@@ -95,7 +95,7 @@ class Laboratory:
         system = self.configured(index)
         for (component, parameter), value in changes:
             if condition.system is None or any(c.name == component for c in system.components):
-                system = with_values(system, component, {parameter: value + self.nominal.get((component, parameter), 0.0)})
+                system = system.with_parameters(component, {parameter: value + self.nominal.get((component, parameter), 0.0)})
         try:
             result = run(system, None, stop=float(condition.grid[-1]), resolver=self.resolver, convert=self.convert)
         except OrchestrationError:
@@ -118,32 +118,6 @@ def refined(system: System, divide: int, sampled: Sequence[str]) -> System:
     """The system at a part of its communication step; components in `sampled` keep their cycle."""
     components = tuple(replace(c, every=c.every * divide) if c.name in sampled else c for c in system.components)
     return replace(system, step=system.step / divide, components=components)
-
-
-def with_values(system: System, component: str, values: Mapping[str, Any]) -> System:
-    """Parameters set anew; an element replaces that of an array which is given as a whole, and the other way round."""
-    old = dict(system.component(component).parameters)
-    for name, value in values.items():
-        base, _, index = name.partition("[")
-        if index and base in old:
-            place = [int(i) - 1 for i in index.rstrip("]").split(",")]
-            old[base] = array = _copied(old[base])
-            for i in place[:-1]:
-                array = array[i]
-            array[place[-1]] = value
-            continue
-        if not index:
-            for other in [k for k in old if k.partition("[")[0] == name and k != name]:
-                del old[other]
-        old[name] = value
-    components = tuple(replace(c, parameters=old) if c.name == component else c for c in system.components)
-    return replace(system, components=components)
-
-
-def _copied(value: Any) -> list[Any]:
-    if not isinstance(value, list):
-        raise OrchestrationError(f"an element is set of {value!r}, which is not a list")
-    return [_copied(v) if isinstance(v, list) else v for v in value]
 
 
 def _observe(full: FloatArray, t: FloatArray, channels: Sequence[str], parameter: str, value: float) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestration import checkpoint
-from orchestration.errors import OrchestrationError, SlaveError, SystemFileError, describe
+from orchestration.errors import OrchestrationError, PlacedError, SlaveError, SystemFileError, describe
 from orchestration.isolation import IsolatedSlave
 from orchestration.master import Manipulator, Master, Observer, Progress, Saver
 from orchestration.memory import Memory
@@ -229,7 +229,8 @@ def _attributed(system: System, c: Component) -> Iterator[None]:
     except Exception as error:
         text = describe(error)
         named = text if f"component {c.name!r}" in text else f"component {c.name!r}: {text}"
-        raise SystemFileError(system.where(c.line) + named) from error
+        where = f"{error.place}: " if isinstance(error, PlacedError) and error.place else system.where(c.line)
+        raise SystemFileError(where + named) from error
 
 
 def _connected_inputs(system: System, name: str, ports: Mapping[str, Sequence[Port]]) -> list[Port]:

@@ -21,6 +21,14 @@ class SlaveError(OrchestrationError):
     """A component could not be loaded, configured, initialised or stepped."""
 
 
+class PlacedError(SlaveError, ValueError):
+    """A value that is not allowed; `place` (`file.toml:12`) is where a person wrote it, None if code set it."""
+
+    def __init__(self, message: str, place: str | None = None) -> None:
+        self.place = place
+        super().__init__(message)
+
+
 class WiringError(OrchestrationError):
     """The system cannot run as it is connected; `problems` holds each one."""
 

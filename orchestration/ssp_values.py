@@ -116,7 +116,7 @@ def resolved(files: Files, given: Given, variable: FmuVariable | None, what: str
             raise files.fail(f"{what}: its mapping transforms a value in {unit!r} that is wanted in {wanted!r}: give it in that unit")
         unit = None
         value = [given.factor * v + given.offset for v in value] if isinstance(value, list) else given.factor * value + given.offset
-    return value if unit is None else {"value": value, "unit": unit}
+    return {"value": value, "unit": unit} if unit else value
 
 
 def _item(files: Files, text: str, variable: FmuVariable | None, what: str) -> int:

@@ -28,7 +28,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -38,7 +37,8 @@ from typing import Any
 from orchestration.acceleration import DEFAULT, Iteration
 from orchestration.errors import SystemFileError, unknown
 from orchestration.parameters import Convert, quantity, same_unit_only
-from orchestration.toml_text import find_line, parse
+from orchestration.toml_file import TomlFile
+from orchestration.written import merged
 
 ALGORITHMS = ("jacobi", "gauss-seidel", "iterated")
 LOOPS = ("auto", "compiled", "python")
@@ -217,10 +217,10 @@ class System:
         return replace(self, components=tuple(replace(c, source=source) if c is old else c for c in self.components))
 
     def with_parameters(self, component: str, parameters: Mapping[str, Any]) -> System:
-        """The same system with some parameters of one component set anew."""
+        """The same system with some parameters of one component set anew: numbers in the unit of the port, or as a file has them."""
         old = self.component(component)
-        merged = MappingProxyType({**old.parameters, **parameters})
-        return replace(self, components=tuple(replace(c, parameters=merged) if c is old else c for c in self.components))
+        both = merged(old.parameters, parameters)
+        return replace(self, components=tuple(replace(c, parameters=both) if c is old else c for c in self.components))
 
     @staticmethod
     def load(file: str | Path, convert: Convert = same_unit_only) -> System:
@@ -246,23 +246,18 @@ def load(file: Path, convert: Convert = same_unit_only) -> System:
     if not file.is_file():
         near = sorted(p.name for p in file.parent.glob("*.toml")) if file.parent.is_dir() else []
         raise SystemFileError(f"no system file {file}; TOML files in that folder: {', '.join(near) or 'none'}")
-    try:
-        text = file.read_text(encoding="utf-8")
-        table = parse(text)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SystemFileError(f"{file.name}: not valid TOML: {error}") from None
-    return _Loader(file, text, convert).system(table)
+    content = TomlFile.load(file, SystemFileError, file.name)
+    return _Loader(file, content, convert).system(content.table)
 
 
 class _Loader:
     """One system file while it is read: knows where things stand."""
 
-    def __init__(self, file: Path, text: str, convert: Convert) -> None:
-        self.file, self.text, self.convert = file, text, convert
+    def __init__(self, file: Path, content: TomlFile, convert: Convert) -> None:
+        self.file, self.content, self.convert = file, content, convert
 
     def fail(self, message: str, *path: str | int) -> SystemFileError:
-        line = find_line(self.text, *path) if path else None
-        return SystemFileError(f"{self.file.name}:{line}: {message}" if line else f"{self.file.name}: {message}")
+        return SystemFileError(f"{self.content.place(*path)}: {message}")
 
     def check(self, table: Any, keys: Mapping[str, Any], required: Sequence[str], what: str, *path: str | int) -> Mapping[str, Any]:
         """The table if it has only known keys of the right type and the required ones."""
@@ -281,8 +276,6 @@ class _Loader:
         return table
 
     def seconds(self, value: float | str, *path: str | int) -> float:
-        if not isinstance(value, str):
-            return float(value)
         try:
             return quantity(value, "s", self.convert)
         except ValueError as error:
@@ -333,13 +326,13 @@ class _Loader:
         return Component(
             name,
             table["source"],
-            MappingProxyType(table.get("parameters", {})),
-            find_line(self.text, *path),
+            self.content.written(table.get("parameters", {}), *path, "parameters"),
+            self.content.line(*path),
             table.get("isolate", False),
-            self.seconds(table.get("time_limit", 60.0), *path, "time_limit"),
+            self.seconds(table.get("time_limit", "60 s"), *path, "time_limit"),
             table.get("rate", 1),
             table.get("every", 1),
-            MappingProxyType(table.get("inputs", {})),
+            self.content.written(table.get("inputs", {}), *path, "inputs"),
         )
 
     def connection(self, index: int, table: Any) -> Connection:
@@ -348,12 +341,7 @@ class _Loader:
         for key in ("from", "to"):
             if "." not in table[key]:
                 raise self.fail(f"connection {index + 1}: {key} = {table[key]!r} is not of the form component.port", *path, key)
-        return Connection(table["from"], table["to"], table.get("delayed", False), self.connection_line(index, table))
-
-    def connection_line(self, index: int, table: Mapping[str, Any]) -> int | None:
-        line = find_line(self.text, "connections", index)
-        listed = [n for n, s in enumerate(self.text.splitlines(), 1) if f'"{table["from"]}"' in s and f'"{table["to"]}"' in s]
-        return listed[0] if len(listed) == 1 else line
+        return Connection(table["from"], table["to"], table.get("delayed", False), self.content.line(*path))
 
 
 _WORDS = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", dict: "a table", list: "a list"}

@@ -1,4 +1,4 @@
-"""TOML beyond the standard library: files of strangers read safely, where a key stands in a file, and writing."""
+"""TOML beyond the standard library: files of strangers read safely, and writing."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-_HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
-_KEY = re.compile(r"""\s*((?:[\w-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[\w-]+|"[^"]*"|'[^']*'))*)\s*=""")
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -34,36 +32,6 @@ def parse(text: str) -> dict[str, Any]:
 
 def _too_deep() -> tomllib.TOMLDecodeError:
     return tomllib.TOMLDecodeError(f"tables and arrays are nested more than {MAX_DEPTH} deep")
-
-
-def find_line(text: str, *path: str | int) -> int | None:
-    """Line (from 1) of a key in a TOML text, or of the nearest table above it; None if there is neither.
-
-    `path` is ("components", "drive", "source") or, in arrays of tables, ("connections", 2, "from").
-    Tables, dotted keys and arrays of tables are understood; inside inline tables it is the line of the table.
-    """
-    best: tuple[int, int] | None = None
-    table: tuple[str | int, ...] = ()
-    counts: dict[str, int] = {}
-    for number, line in enumerate(text.splitlines(), 1):
-        if header := _HEADER.match(line):
-            table = _parts(header[2])
-            if header[1] == "[[":
-                name = header[2]
-                counts[name] = counts.get(name, -1) + 1
-                table = (*table, counts[name])
-            found = table
-        elif key := _KEY.match(line):
-            found = (*table, *_parts(key[1]))
-        else:
-            continue
-        if found == path[: len(found)] and (best is None or len(found) > best[0]):
-            best = len(found), number
-    return best[1] if best else None
-
-
-def _parts(dotted: str) -> tuple[str, ...]:
-    return tuple(p.strip().strip("\"'") for p in re.findall(r"""[\w-]+|"[^"]*"|'[^']*'""", dotted))
 
 
 def dump(table: Mapping[str, Any]) -> str:

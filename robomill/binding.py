@@ -7,9 +7,11 @@ from pathlib import Path
 from fmus.components import COMPONENTS
 from fmus.in_process import InProcessSlave
 from models.applied_load import MODEL as APPLIED_LOAD
-from models.units import UNITS, compatible, from_si, to_si
+from models.units import convert
 from orchestration.slave import Slave
 from orchestration.system import System
+
+__all__ = ["convert", "resolve", "with_fmus"]
 
 
 def resolve(source: str, name: str) -> Slave:
@@ -20,16 +22,6 @@ def resolve(source: str, name: str) -> Slave:
         known = ", ".join([*COMPONENTS, "applied_load"])
         raise LookupError(f"there is no component {source!r}; components: {known}; or name an .fmu file, or replay:FOLDER")
     return InProcessSlave(COMPONENTS[source], name)
-
-
-def convert(value: float, unit: str, wanted: str) -> float:
-    """`value` in `unit`, expressed in `wanted`; ValueError says why it cannot be."""
-    for u in (unit, wanted):
-        if u not in UNITS:
-            raise ValueError(f"unknown unit {u!r}; known units: {', '.join(sorted(UNITS))}")
-    if not compatible(unit, wanted):
-        raise ValueError(f"{value} {unit} cannot be expressed in {wanted}: these units measure different things")
-    return from_si(to_si(value, unit), wanted)
 
 
 def with_fmus(system: System, folder: Path) -> System:

@@ -19,7 +19,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from diagnosis import adopt
-from diagnosis.simulation import with_values
 from fmus.components import COMPONENTS, component
 from fmus.documentation import reference_files
 from fmus.python.builder import build as build_python
@@ -67,13 +66,13 @@ def run(options: Namespace) -> int:
     if not is_scenario:
         return _run_system(System.load(options.file, convert), options)
     if experiments.is_experiment(options.file):
-        _refuse_loop(options)
+        _only_cells_take(options, "experiment")
         return _run_experiment(options)
     _only_systems_take(options, "step", "stop")
     scenario = load_scenario(options.file)
     folder = options.out or RESULTS / scenario.name
     if scenario.kind != "milling":
-        _refuse_loop(options)
+        _only_cells_take(options, scenario.kind)
     folder.mkdir(parents=True, exist_ok=True)
     return _run_milling(scenario, folder, options) if scenario.kind == "milling" else _run_static(scenario, folder, options)
 
@@ -87,9 +86,15 @@ def _only_systems_take(options: Namespace, *names: str) -> None:
         )
 
 
-def _refuse_loop(options: Namespace) -> None:
-    if options.loop is not None:
-        raise ValueError("--loop goes with system files, packages and milling scenarios")
+def _only_cells_take(options: Namespace, kind: str) -> None:
+    """Refuse options that a scenario of another kind would silently ignore."""
+    given = [
+        f"--{n.replace('_', '-')}" for n in ("loop", "adopt", "resume", "checkpoint_every") if getattr(options, n) not in (None, False)
+    ]
+    if given:
+        raise ValueError(
+            f"{', '.join(given)}: only with milling scenarios, system files and packages; {options.file} is of the kind {kind}"
+        )
 
 
 def _chosen(scenario: Scenario, names: Sequence[str] | None) -> Scenario:
@@ -205,8 +210,6 @@ def _largest(figures: Mapping[str, Any]) -> str:
 
 
 def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
-    if options.adopt is not None:
-        raise ScenarioError(f"{scenario.file}: --adopt is for milling scenarios and system files; this one is of the kind {scenario.kind}")
     summary, magnitudes = static_loads.run_static_loads(scenario, options.fmus)
     _write(folder / "summary.json", summary)
     published = {name: figures["mean_displacement_m"] for name, figures in scenario.paper.items() if "mean_displacement_m" in figures}
@@ -237,10 +240,7 @@ def _looped(system: System, options: Namespace) -> System:
 
 def _adopted(system: System, options: Namespace) -> System:
     """With the parameter set of `--adopt`; its values replace those of the system."""
-    if options.adopt is not None:
-        for component, values in adopt.read(options.adopt).items():
-            system = with_values(system, component, values)
-    return system
+    return system if options.adopt is None else adopt.adopted(system, options.adopt)
 
 
 def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:

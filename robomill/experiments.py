@@ -22,7 +22,7 @@ An experiment file is a scenario of kind "experiment"::
     program = "programs/hold.ngc"   # G-code, or a path of points
     position = ["1300 mm", "0 mm", "1200 mm"]       # of the frame that the program is in; also abc
     size = ["100 mm", "60 mm", "30 mm"]             # of the block, where one is milled
-    load = [["1 s", 0, 0, 0], ["1.5 s", 300, 0, 0]] # time, force on the tool in B [N]; lines between
+    load = [["1 s", 0, 0, 0], ["1.5 s", "300 N", 0, 0]] # time, force on the tool in B; lines between
     weight = "25 kg"                # hangs from the tool tip all the time
     held_out = true
     minutes = 5                     # what its repeats cost on the machine, with setting up (scenarios/next_runs)
@@ -47,13 +47,13 @@ from models import gcode, point_path
 from models.declaration import FloatArray
 from models.trajectory import Placement, Plan, plan
 from orchestration.assembly import run
-from orchestration.parameters import quantity
 from orchestration.results import RUN, Run, read_info
 from orchestration.system import System
 from orchestration.toml_text import dump, parse
+from orchestration.written import merged
 from robomill.binding import convert, resolve, with_fmus
+from robomill.entries import ComponentParameters, Entry, ScenarioError
 from robomill.milling import Progress, with_parameters
-from robomill.scenario import ComponentParameters, ScenarioError
 
 PATH, LOAD = "segments.npy", "profile.npy"
 """Tables in the folder of a run: the planned program, the applied load."""
@@ -106,99 +106,85 @@ def is_experiment(file: Path) -> bool:
 def load_experiment(path: str | Path) -> Experiment:
     """Read and check an experiment file. ScenarioError or FileNotFoundError says what is wrong and what is possible."""
     file = Path(path).resolve()
-    table = parse(file.read_text(encoding="utf-8"))
-    _only(file, "the file", table, _TOP, {"scenario", "experiment", "condition"})
-    head = _only(file, "[scenario]", table["scenario"], {"name", "kind", "title", "system"}, {"name", "system"})
-    about = _only(file, "[experiment]", table["experiment"], {"kind", "repeats"}, {"kind"})
-    repeats = about.get("repeats", 1)
-    if not isinstance(repeats, int) or repeats < 1:
-        raise ScenarioError(f"{file}: [experiment] repeats = {repeats!r}; expected a whole number, at least 1")
-    conditions = tuple(_condition(file, i, entry) for i, entry in enumerate(table["condition"], 1))
+    top = Entry.load(file).keys({"scenario", "experiment", "condition"}, _TOP)
+    head = top["scenario"].keys({"name", "system"}, {"kind", "title"})
+    about = top["experiment"].keys({"kind"}, {"repeats"})
+    if not isinstance(top["condition"].value, list):
+        raise top["condition"].fail(f"expected [[condition]] tables; found {top['condition'].value!r}")
+    conditions = tuple(_condition(top["condition"][i]) for i in range(len(top["condition"].value)))
     names = [c.name for c in conditions]
-    if len(set(names)) < len(names):
-        raise ScenarioError(f"{file}: two conditions have the same name; names: {', '.join(names)}")
+    folders = [folder_of(name) for name in names]
+    for i, folder in enumerate(folders):
+        if folder in folders[:i]:
+            other = names[folders.index(folder)]
+            raise top["condition"][i]["name"].fail(f"{names[i]!r} and {other!r} are the same or have the same folder of results, {folder}")
     return Experiment(
         file,
-        str(head["name"]),
-        str(head.get("title", head["name"])),
-        str(about["kind"]),
-        repeats,
-        _file(file, head["system"]),
-        table.get("parameters", {}),
-        table.get("machine", {}),
+        head["name"].folder_name(),
+        head.get("title", head["name"].value).text(),
+        about["kind"].text(),
+        about.get("repeats", 1).count(1),
+        head["system"].file(),
+        top.get("parameters", {}).parameters(),
+        top.get("machine", {}).parameters(),
         conditions,
     )
 
 
-def _only(file: Path, where: str, table: Any, known: set[str], required: set[str]) -> Mapping[str, Any]:
-    if not isinstance(table, dict):
-        raise ScenarioError(f"{file}: {where} must be a table, found {table!r}")
-    problems = [f"unknown: {', '.join(sorted(set(table) - known))}"] * bool(set(table) - known)
-    problems += [f"missing: {', '.join(sorted(required - set(table)))}"] * bool(required - set(table))
-    if problems:
-        raise ScenarioError(f"{file}: {where}: {'; '.join(problems)}; known keys: {', '.join(sorted(known))}")
-    return table
+def folder_of(condition: str) -> str:
+    """The name of a condition as that of a folder."""
+    return "".join(ch if ch.isalnum() or ch in "+-" else "_" for ch in condition)
 
 
-def _file(file: Path, name: Any) -> Path:
-    found = (file.parent / str(name)).resolve()
-    if not found.is_file():
-        raise FileNotFoundError(f"{file}: {name!r}: no such file beside the experiment")
-    return found
-
-
-def _si(file: Path, where: str, value: Any, unit: str) -> float:
-    try:
-        return quantity(value, unit, convert) if isinstance(value, str) else float(value)
-    except (TypeError, ValueError) as error:
-        raise ScenarioError(f"{file}: {where}: {error}; expected a quantity in {unit}") from None
-
-
-def _vector(file: Path, where: str, values: Any, unit: str) -> tuple[float, ...]:
-    if not isinstance(values, list) or len(values) != 3:
-        raise ScenarioError(f"{file}: {where} = {values!r}; expected three quantities in {unit}")
-    return tuple(_si(file, where, v, unit) for v in values)
-
-
-def _condition(file: Path, number: int, entry: Any) -> ExperimentCondition:
-    where = f"condition {number}"
-    _only(file, where, entry, _CONDITION, {"name", "program", "position"})
+def _condition(entry: Entry) -> ExperimentCondition:
+    entry.keys({"name", "program", "position"}, _CONDITION)
     rows = entry.get("load", [])
-    if not all(isinstance(r, list) and len(r) == 4 for r in rows):
-        raise ScenarioError(f"{file}: {where}: load = {rows!r}; expected rows of time, fx, fy, fz")
-    load = np.zeros((max(len(rows), 1), 7))
-    for row, values in zip(load, rows, strict=False):
-        row[0] = _si(file, f"{where} load", values[0], "s")
-        row[1:4] = [_si(file, f"{where} load", v, "N") for v in values[1:]]
-    weight = _si(file, f"{where} weight", entry.get("weight", 0.0), "kg")
+    if not isinstance(rows.value, list) or not all(isinstance(r, list) and len(r) == 4 for r in rows.value):
+        raise rows.fail(f"{rows.value!r}; expected rows of time, fx, fy, fz")
+    load = np.zeros((max(len(rows.value), 1), 7))
+    for i in range(len(rows.value)):
+        load[i, :4] = [rows[i][k].si("s" if k == 0 else "N") for k in range(4)]
+        if i and load[i, 0] <= load[i - 1, 0]:
+            raise rows[i].fail(f"the time {load[i, 0]:g} s is not after that of the row before, {load[i - 1, 0]:g} s")
+    weight = entry.get("weight", 0).si("kg")
+    if weight < 0.0:
+        raise entry["weight"].fail(f"{entry['weight'].value!r} is negative")
     load[:, 3] -= weight * GRAVITY
     return ExperimentCondition(
-        str(entry["name"]),
-        _file(file, entry["program"]),
-        _vector(file, f"{where} position", entry["position"], "m"),
-        _vector(file, f"{where} abc", entry.get("abc", [0.0, 0.0, 0.0]), "rad"),
-        _vector(file, f"{where} size", entry["size"], "m") if "size" in entry else None,
-        load if rows or weight else load[:0],
-        bool(entry.get("held_out", False)),
-        entry.get("parameters", {}),
-        _si(file, f"{where} minutes", entry.get("minutes", 0.0), "min"),
+        entry["name"].text(),
+        entry["program"].file(),
+        entry["position"].vector("m"),
+        entry.get("abc", [0, 0, 0]).vector("rad"),
+        entry["size"].vector("m") if "size" in entry else None,
+        load if rows.value or weight else load[:0],
+        entry.get("held_out", False).flag(),
+        entry.get("parameters", {}).parameters(),
+        _minutes(entry.get("minutes", 0)),
     )
 
 
-def known_parameters(experiment: Experiment, c: ExperimentCondition, system: System) -> dict[str, dict[str, Any]]:
+def _minutes(entry: Entry) -> float:
+    """The key says the unit; a text may say another."""
+    found = entry.si("min" if isinstance(entry.value, str) else "1")
+    if found < 0.0:
+        raise entry.fail(f"{entry.value!r} is negative")
+    return found
+
+
+def known_parameters(experiment: Experiment, c: ExperimentCondition, system: System) -> dict[str, Mapping[str, Any]]:
     """What the experimenter sets, without the tables of program and load."""
-    known: dict[str, dict[str, Any]] = {"path": {}}
+    known: dict[str, Mapping[str, Any]] = {"path": {}}
     names = {component.name for component in system.components}
     if "milling" in names and c.size is not None:
         quaternion = np.roll(Rotation.from_euler("ZYX", c.abc).as_quat(canonical=True), 1)
         known["milling"] = {"p_BP_B": list(c.position), "quat_BP": [float(v) for v in quaternion], "block_size": list(c.size)}
     for table in (experiment.parameters, c.parameters):
         for component, values in table.items():
-            known.setdefault(component, {}).update(values)
+            known[component] = merged(known.get(component, {}), values)
     return known
 
 
-def prepare(experiment: Experiment, c: ExperimentCondition, system: System, folder: Path) -> tuple[Plan, dict[str, dict[str, Any]]]:
+def prepare(experiment: Experiment, c: ExperimentCondition, system: System, folder: Path) -> tuple[Plan, dict[str, Mapping[str, Any]]]:
     """Plan the condition for `system` and write its tables into `folder` (made).
 
     Returns the plan and all that the experimenter sets, files by their names in the folder. Raises what reader and planner raise.
@@ -210,16 +196,17 @@ def prepare(experiment: Experiment, c: ExperimentCondition, system: System, fold
     planned = plan(source, Placement((x, y, z), (a, b, g)))
     np.save(folder / PATH, planned.table)
     known = known_parameters(experiment, c, system)
-    known["path"] = {**known["path"], "segments": PATH}
+    known["path"] = merged(known["path"], {"segments": PATH})
     if any(component.name == "load" for component in system.components):
         np.save(folder / LOAD, c.load)
-        known["load"] = {**known.get("load", {}), "profile": LOAD}
+        known["load"] = merged(known.get("load", {}), {"profile": LOAD})
     return planned, known
 
 
-def in_folder(known: ComponentParameters, folder: Path) -> dict[str, dict[str, Any]]:
+def in_folder(known: ComponentParameters, folder: Path) -> dict[str, Mapping[str, Any]]:
     """The same with the tables of path and load found from everywhere."""
-    return {k: {n: str((folder / v).resolve()) if v in (PATH, LOAD) else v for n, v in values.items()} for k, values in known.items()}
+    tables = {k: {n: str((folder / v).resolve()) for n, v in values.items() if v in (PATH, LOAD)} for k, values in known.items()}
+    return {k: merged(values, tables[k]) for k, values in known.items()}
 
 
 def run_condition(
@@ -269,7 +256,7 @@ def run_experiment(
         for repeat in range(1, experiment.repeats + 1):
             if progress is not None:
                 progress(experiment.name, i * experiment.repeats + repeat - 1, len(chosen) * experiment.repeats)
-            place = folder / f"{''.join(ch if ch.isalnum() else '_' for ch in c.name)}-{repeat}"
+            place = folder / f"{folder_of(c.name)}-{repeat}"
             result = run_condition(experiment, c, repeat, place, fmus, csv)
             size = np.linalg.norm(result["compliance.d_T_B"], axis=1)
             runs.append(

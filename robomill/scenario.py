@@ -1,6 +1,6 @@
 """Scenario files: what is simulated, in which variants, and which published figures stand beside the result.
 
-A scenario is TOML. Physical values carry their unit (``"0.2 mm"``) or are plain SI numbers::
+A scenario is TOML. Physical values carry their unit (``"0.2 mm"``); only 0 needs none::
 
     [scenario]
     name = "groove"
@@ -40,20 +40,15 @@ A scenario is TOML. Physical values carry their unit (``"0.2 mm"``) or are plain
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from models.cutting import MAX_TEETH, EndMill
 from models.gcode import DIALECTS, Setup, Vector
-from orchestration.parameters import quantity
-from orchestration.toml_text import parse
-from robomill.binding import convert
+from robomill.entries import ComponentParameters, Entry, ScenarioError
 
-ComponentParameters = Mapping[str, Mapping[str, Any]]
-"""component -> parameter -> value as written; checked and converted against the component's ports when the system is assembled."""
+__all__ = ["ComponentParameters", "Scenario", "ScenarioError", "Variant", "Workpiece", "load_scenario"]
 
 KINDS = ("milling", "static_loads")
 PLAIN_OFFSETS: Mapping[float, Vector] = {54: (0.0, 0.0, 0.0)}
@@ -74,11 +69,9 @@ _FACES: Mapping[str, tuple[tuple[int, float], ...]] = {
 }
 """Words of a place in the block: axis and share of the size from the centre of the top."""
 _SECTIONS = {"scenario", "parameters", "workpiece", "variants", "paper", "tools"}
+_FOLDERS = ("plan", "offline")
+"""Folders beside those of the variants."""
 _PAPER_UNITS = {"_m": "m", "_n": "N", "_s": "s", "_percent": "%"}
-
-
-class ScenarioError(ValueError):
-    """A scenario file that cannot be used; the text names file, key, what was found and what is expected."""
 
 
 @dataclass(frozen=True)
@@ -131,108 +124,64 @@ def load_scenario(path: str | Path) -> Scenario:
     if not file.is_file():
         beside = sorted(str(f) for f in file.parent.glob("*.toml")) if file.parent.is_dir() else []
         raise FileNotFoundError(f"no scenario {file}; TOML files in that folder: {', '.join(beside) or 'none'}")
-    try:
-        table = parse(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{file}: not valid TOML: {error}") from None
-    _keys(file, "the file", table, required={"scenario"}, optional=_SECTIONS - {"scenario"})
-    head = _keys(file, "[scenario]", table["scenario"], required={"name", "kind", "system"}, optional={"title", "program", *_READING})
-    if head["kind"] not in KINDS:
-        raise ScenarioError(f"{file}: [scenario] kind is {head['kind']!r}; known kinds: {', '.join(KINDS)}, experiment")
-    milling = head["kind"] == "milling"
-    for key, there in (("program", "program" in head), ("workpiece", "workpiece" in table), ("variants", bool(table.get("variants")))):
+    top = Entry.load(file).keys({"scenario"}, _SECTIONS - {"scenario"})
+    head = top["scenario"].keys({"name", "kind", "system"}, {"title", "program", *_READING})
+    kind = head["kind"].value
+    if kind not in KINDS:
+        raise head["kind"].fail(f"kind is {kind!r}; known kinds: {', '.join(KINDS)}, experiment")
+    milling = kind == "milling"
+    for key, there in (
+        ("program", "program" in head),
+        ("workpiece", "workpiece" in top),
+        ("variants", bool(top.get("variants", {}).value)),
+    ):
         if milling and not there:
-            raise ScenarioError(f"{file}: a milling scenario needs a {key}; see robomill/scenario.py or scenarios/groove.toml")
-    workpiece = _workpiece(file, table["workpiece"]) if "workpiece" in table else None
-    tools = dict(_tool(file, name, entry) for name, entry in table.get("tools", {}).items())
+            raise top.fail(f"a milling scenario needs a {key}; see robomill/scenario.py or scenarios/groove.toml")
+    workpiece = _workpiece(top["workpiece"]) if "workpiece" in top else None
+    tools = dict(_tool(name, entry) for name, entry in top.get("tools", {}).items())
     return Scenario(
         file=file.resolve(),
-        name=head["name"],
-        kind=head["kind"],
-        title=head.get("title", head["name"]),
-        system=_beside(file, head["system"], "system"),
-        program=_beside(file, head["program"], "program") if "program" in head else None,
+        name=head["name"].folder_name(),
+        kind=kind,
+        title=head.get("title", head["name"].value).text(),
+        system=head["system"].file(),
+        program=head["program"].file() if "program" in head else None,
         workpiece=workpiece,
-        parameters=_parameters(file, "[parameters]", table.get("parameters", {})),
-        variants=tuple(_variant(file, name, entry) for name, entry in table.get("variants", {}).items()),
-        paper={name: _figures(file, f"[paper.{name}]", entry) for name, entry in table.get("paper", {}).items()},
-        reading=_reading(file, head, workpiece.work_offsets if workpiece else PLAIN_OFFSETS, tools),
+        parameters=top.get("parameters", {}).parameters(),
+        variants=tuple(_variant(name, entry) for name, entry in top.get("variants", {}).items()),
+        paper={name: _figures(entry) for name, entry in top.get("paper", {}).items()},
+        reading=_reading(head, workpiece.work_offsets if workpiece else PLAIN_OFFSETS, tools),
         tools=tools,
     )
 
 
-def _keys(file: Path, where: str, table: Any, required: set[str], optional: set[str]) -> dict[str, Any]:
-    """The table, if it has the required keys and no unknown ones."""
-    if not isinstance(table, dict):
-        raise ScenarioError(f"{file}: {where} must be a table, found {table!r}")
-    unknown, missing = sorted(set(table) - required - optional), sorted(required - set(table))
-    if unknown or missing:
-        problems = [f"unknown: {', '.join(unknown)}"] * bool(unknown) + [f"missing: {', '.join(missing)}"] * bool(missing)
-        raise ScenarioError(f"{file}: {where}: {'; '.join(problems)}; known keys: {', '.join(sorted(required | optional))}")
-    return table
-
-
-def _beside(file: Path, name: Any, key: str) -> Path:
-    """A file named in the scenario, relative to its folder; it must exist."""
-    found = (file.parent / str(name)).resolve()
-    if not found.is_file():
-        there = sorted(f.name for f in file.parent.iterdir() if f.is_file())
-        raise FileNotFoundError(f"{file}: [scenario] {key} = {str(name)!r}: no such file; beside the scenario are {', '.join(there)}")
-    return found
-
-
-def _si(file: Path, where: str, value: Any, unit: str) -> float:
-    """A number in `unit` from a number or a text such as "0.2 mm"."""
-    try:
-        if isinstance(value, str):
-            return quantity(value, unit, convert)
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            return float(value)
-        raise ValueError(f"{value!r} is neither a number nor a text with a unit")
-    except ValueError as error:
-        raise ScenarioError(f"{file}: {where}: {error}; expected a quantity in {unit}") from None
-
-
-def _vector(file: Path, where: str, values: Any, unit: str) -> tuple[float, float, float]:
-    if not isinstance(values, list) or len(values) != 3:
-        raise ScenarioError(f"{file}: {where} = {values!r}; expected three quantities in {unit}")
-    x, y, z = (_si(file, where, v, unit) for v in values)
-    return x, y, z
-
-
-def _workpiece(file: Path, table: Any) -> Workpiece:
-    _keys(file, "[workpiece]", table, required={"position", "size"}, optional={"abc", "work_offsets", "zero"})
-    size = _vector(file, "[workpiece] size", table["size"], "m")
+def _workpiece(entry: Entry) -> Workpiece:
+    entry.keys({"position", "size"}, {"abc", "work_offsets", "zero"})
+    size = entry["size"].vector("m")
     if min(size) <= 0.0:
-        raise ScenarioError(f"{file}: [workpiece] size = {table['size']!r}; expected three positive lengths")
-    return Workpiece(
-        _vector(file, "[workpiece] position", table["position"], "m"),
-        size,
-        _vector(file, "[workpiece] abc", table.get("abc", [0.0, 0.0, 0.0]), "rad"),
-        _work_offsets(file, table, size),
-    )
+        raise entry["size"].fail(f"{entry['size'].value!r}; expected three positive lengths")
+    return Workpiece(entry["position"].vector("m"), size, entry.get("abc", [0, 0, 0]).vector("rad"), _work_offsets(entry, size))
 
 
-def _work_offsets(file: Path, table: Any, size: Vector) -> dict[float, Vector]:
+def _work_offsets(entry: Entry, size: Vector) -> dict[float, Vector]:
     """`zero` and `work_offsets` as the reader of programs takes them."""
-    given = table.get("work_offsets", {})
-    _keys(file, "[workpiece] work_offsets", given, required=set(), optional=set(OFFSETS))
-    if "zero" in table and "G54" in given:
-        raise ScenarioError(f"{file}: [workpiece] names zero and work_offsets.G54, which are the same; give one of them")
-    origins = {OFFSETS[name]: _place(file, f"[workpiece] work_offsets.{name}", value, size) for name, value in given.items()}
-    if "zero" in table:
-        origins[54.0] = _place(file, "[workpiece] zero", table["zero"], size)
+    given = entry.get("work_offsets", {}).keys(set(), set(OFFSETS))
+    if "zero" in entry and "G54" in given:
+        raise entry["zero"].fail("is the same as work_offsets.G54, which is there, too; give one of them")
+    origins = {OFFSETS[name]: _place(value, size) for name, value in given.items()}
+    if "zero" in entry:
+        origins[54.0] = _place(entry["zero"], size)
     return {**PLAIN_OFFSETS, **origins}
 
 
-def _place(file: Path, where: str, value: Any, size: Vector) -> Vector:
+def _place(entry: Entry, size: Vector) -> Vector:
     """A point of P [m]: three lengths, or a place of the block by name."""
-    if isinstance(value, str):
+    if isinstance(entry.value, str):
         try:
-            return place_in_block(value, size)
+            return place_in_block(entry.value, size)
         except ValueError as error:
-            raise ScenarioError(f"{file}: {where} = {value!r}: {error}; or three lengths from the centre of the top") from None
-    return _vector(file, where, value, "m")
+            raise entry.fail(f"{entry.value!r}: {error}; or three lengths from the centre of the top") from None
+    return entry.vector("m")
 
 
 def place_in_block(name: str, size: Vector) -> Vector:
@@ -252,58 +201,46 @@ def place_in_block(name: str, size: Vector) -> Vector:
     return x, y, z
 
 
-def _reading(file: Path, head: Mapping[str, Any], offsets: Mapping[float, Vector], tools: Mapping[int, EndMill]) -> Setup:
+def _reading(head: Entry, offsets: Mapping[float, Vector], tools: Mapping[int, EndMill]) -> Setup:
     """The keys of [scenario] that say how the program is read."""
     setup = Setup(work_offsets=offsets, radii={number: 0.5 * mill.diameter for number, mill in tools.items()})
     zero = offsets[54]
     for key in ("start", "home"):
         if key in head:
-            x, y, z = (c + o for c, o in zip(_vector(file, f"[scenario] {key}", head[key], "m"), zero, strict=True))
+            x, y, z = (c + o for c, o in zip(head[key].vector("m"), zero, strict=True))
             setup = replace(setup, start=(x, y, z)) if key == "start" else replace(setup, home=(x, y, z))
     dialect = head.get("dialect", setup.dialect)
-    if dialect not in DIALECTS:
-        raise ScenarioError(f"{file}: [scenario] dialect = {dialect!r}; known: {', '.join(DIALECTS)}")
-    block_delete = head.get("block_delete", True)
-    if not isinstance(block_delete, bool):
-        raise ScenarioError(f"{file}: [scenario] block_delete = {block_delete!r}; expected true (skip lines with /) or false")
-    feed, speed = (
-        _si(file, f"[scenario] {k}", head[k], u) if k in head else None for k, u in (("feed", "m/s"), ("spindle_speed", "rad/s"))
-    )
-    return replace(setup, dialect=dialect, block_delete=block_delete, feed=feed, spindle_speed=speed)
+    if dialect.value not in DIALECTS:
+        raise dialect.fail(f"{dialect.value!r}; known: {', '.join(DIALECTS)}")
+    feed, speed = (head[k].si(u) if k in head else None for k, u in (("feed", "m/s"), ("spindle_speed", "rad/s")))
+    for key, value in (("feed", feed), ("spindle_speed", speed)):
+        if value is not None and value <= 0.0:
+            raise head[key].fail(f"{head[key].value!r} is not positive")
+    return replace(setup, dialect=dialect.value, block_delete=head.get("block_delete", True).flag(), feed=feed, spindle_speed=speed)
 
 
-def _tool(file: Path, name: str, entry: Any) -> tuple[int, EndMill]:
+def _tool(name: str, entry: Entry) -> tuple[int, EndMill]:
     """`[tools.1]`: T number and end mill."""
-    where = f"[tools.{name}]"
     if not name.isdecimal() or int(name) < 1:
-        raise ScenarioError(f"{file}: {where}: a tool is called by its T number, 1 or more, such as [tools.1]")
-    _keys(file, where, entry, required={"diameter", "teeth", "helix", "cutting_length"}, optional={"title"})
-    diameter, length = (_si(file, f"{where} {key}", entry[key], "m") for key in ("diameter", "cutting_length"))
-    teeth = entry["teeth"]
-    if not isinstance(teeth, int) or isinstance(teeth, bool) or not 1 <= teeth <= MAX_TEETH:
-        raise ScenarioError(f"{file}: {where} teeth = {teeth!r}; expected a whole number from 1 to {MAX_TEETH}")
-    if min(diameter, length) <= 0.0:
-        raise ScenarioError(
-            f"{file}: {where} diameter = {entry['diameter']!r}, cutting_length = {entry['cutting_length']!r}; expected positive lengths"
-        )
-    return int(name), EndMill(diameter, teeth, _si(file, f"{where} helix", entry["helix"], "rad"), length)
+        raise entry.fail("a tool is called by its T number, 1 or more, such as [tools.1]")
+    entry.keys({"diameter", "teeth", "helix", "cutting_length"}, {"title"})
+    for key in ("diameter", "cutting_length"):
+        if entry[key].si("m") <= 0.0:
+            raise entry[key].fail(f"{entry[key].value!r}; expected a positive length")
+    teeth = entry["teeth"].count(1)
+    if teeth > MAX_TEETH:
+        raise entry["teeth"].fail(f"expected a whole number from 1 to {MAX_TEETH}; found {teeth}")
+    return int(name), EndMill(entry["diameter"].si("m"), teeth, entry["helix"].si("rad"), entry["cutting_length"].si("m"))
 
 
-def _parameters(file: Path, where: str, table: Any) -> ComponentParameters:
-    if not isinstance(table, dict) or not all(isinstance(v, dict) for v in table.values()):
-        raise ScenarioError(f"{file}: {where} holds component.parameter = value, found {table!r}")
-    return table
+def _variant(name: str, entry: Entry) -> Variant:
+    entry.keys(set(), {"title", "parameters"})
+    if Entry(entry.content, name, entry.key).folder_name() in _FOLDERS:
+        raise entry.fail(f"a variant cannot be called {name!r}: the results have a folder of that name; taken: {', '.join(_FOLDERS)}")
+    return Variant(name, entry.get("title", name).text(), entry.get("parameters", {}).parameters())
 
 
-def _variant(file: Path, name: str, entry: Any) -> Variant:
-    where = f"[variants.{name}]"
-    _keys(file, where, entry, required=set(), optional={"title", "parameters"})
-    return Variant(name, str(entry.get("title", name)), _parameters(file, f"{where} parameters", entry.get("parameters", {})))
-
-
-def _figures(file: Path, where: str, table: Any) -> dict[str, float]:
+def _figures(entry: Entry) -> dict[str, float]:
     """Published figures; the name ends in the unit they are kept in, as in summary.json."""
-    if not isinstance(table, dict):
-        raise ScenarioError(f"{file}: {where} must be a table, found {table!r}")
-    units = {key: next((u for suffix, u in _PAPER_UNITS.items() if key.endswith(suffix)), "1") for key in table}
-    return {key: _si(file, f"{where} {key}", value, units[key]) for key, value in table.items()}
+    units = {key: next((u for suffix, u in _PAPER_UNITS.items() if key.endswith(suffix)), "1") for key in entry.table().value}
+    return {key: entry[key].si(unit) for key, unit in units.items()}

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from models.units import UNITS, compatible
+from models.units import UNITS, canonical, compatible
 from orchestration.importing import write_run
+from orchestration.parameters import quantity
 from orchestration.slave import PortData
+from robomill.binding import convert
 from robomill.logs.mapping import LogMapping, Signal, load_mapping, rotation_abc
 from robomill.logs.reading import SUFFIXES, FloatArray, Log, LogError, read_log
 
@@ -141,12 +143,18 @@ def _values(mapping: LogMapping, signal: Signal, log: Log, clock: FloatArray | N
     if signal.size is not None and x.shape[1] != signal.size:
         raise _problem(mapping, signal, f"has {signal.size} elements; the mapping gives {x.shape[1]}")
     if signal.range is not None:
+        try:
+            least, most = (quantity(v, target, convert) for v in signal.range)
+        except ValueError as error:
+            raise LogError(f"{signal.place}: range of {signal.port}: {error}") from None
+        if least >= most:
+            raise LogError(f"{signal.place}: range of {signal.port}: expected [lowest, highest]; found {list(signal.range)!r}")
         low, high = float(x.min()), float(x.max())
-        if low < signal.range[0] or high > signal.range[1]:
+        if low < least or high > most:
             raise _problem(
                 mapping,
                 signal,
-                f"values from {low:.6g} to {high:.6g} {target} are outside the range [{signal.range[0]:g}, {signal.range[1]:g}] {target} "
+                f"values from {low:.6g} to {high:.6g} {target} are outside the range [{least:g}, {most:g}] {target} "
                 f"that the mapping expects; is {unit!r} the wrong unit, or the scale?",
             )
     return x, target, _own_time(mapping, log, names, clock, len(x))
@@ -154,7 +162,7 @@ def _values(mapping: LogMapping, signal: Signal, log: Log, clock: FloatArray | N
 
 def _unit(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> str:
     """Unit of the columns in the log: that of the mapping, checked against what the log states, if it states one."""
-    stated = sorted({log.units[n] for n in names if n in log.units})
+    stated = sorted({canonical(log.units[n]) for n in names if n in log.units})
     if signal.unit is None:
         if len(stated) != 1 or stated[0] not in UNITS:
             said = f"the log states {', '.join(repr(s) for s in stated)}" if stated else "the log states none"

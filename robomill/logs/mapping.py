@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +11,12 @@ import numpy as np
 
 from fmus.components import COMPONENTS
 from models.declaration import Model, Variable
-from models.units import UNITS, compatible, to_si
-from orchestration.errors import unknown
-from orchestration.toml_text import find_line, parse
+from models.units import UNITS, canonical, compatible
+from orchestration.errors import PlacedError, unknown
+from orchestration.parameters import prepare, quantity
+from orchestration.slave import arrays
+from orchestration.toml_file import TomlFile
+from robomill.binding import convert, resolve
 from robomill.logs.reading import READERS, FloatArray, LogError
 
 _TOP = ("log", "clock", "about", "components", "labels", "parameters", "signal")
@@ -53,8 +55,10 @@ class Signal:
     """Columns are the Euler angles A, B, C of KUKA; the port is a quaternion."""
     shift: float
     """Time [s] that is added to the clock for this signal."""
-    range: tuple[float, float] | None
-    """Values in the unit of the port that are plausible."""
+    range: tuple[Any, Any] | None
+    """Lowest and highest plausible value, as written."""
+    place: str
+    """Where it stands: `map.toml:12`."""
     description: str
     size: int | None
     """Number of elements of the port, where the component is known."""
@@ -79,12 +83,11 @@ class LogMapping:
 class _Reader:
     """Checks entries and words what is wrong, with file and line."""
 
-    def __init__(self, file: Path, text: str) -> None:
-        self.file, self.text = file, text
+    def __init__(self, content: TomlFile) -> None:
+        self.content = content
 
     def fail(self, path: Sequence[str | int], message: str) -> LogError:
-        line = find_line(self.text, *path)
-        return LogError(f"{self.file}{f':{line}' if line else ''}: {'.'.join(str(p) for p in path)}: {message}")
+        return LogError(f"{self.content.place(*path)}: {'.'.join(str(p) for p in path)}: {message}")
 
     def keys(self, path: Sequence[str | int], table: Any, known: Sequence[str]) -> dict[str, Any]:
         if not isinstance(table, dict):
@@ -108,46 +111,33 @@ class _Reader:
             raise self.fail(path, f"{value} is not finite")
         return array
 
-    def seconds(self, path: Sequence[str | int], value: Any) -> float:
-        """A number of seconds, or a text with a unit such as "-3 ms"."""
-        if isinstance(value, str):
-            number, _, unit = value.partition(" ")
-            if not compatible(unit, "s"):
-                raise self.fail(path, f"{value!r} is no time; expected a number of seconds or a text such as '-3 ms'")
-            try:
-                return to_si(float(number), unit)
-            except ValueError:
-                raise self.fail(path, f"{value!r} is no time; expected a number of seconds or a text such as '-3 ms'") from None
-        found = self.numbers(path, value)
-        if found.ndim:
-            raise self.fail(path, f"expected one time; found {value!r}")
-        return float(found)
+    def quantity(self, path: Sequence[str | int], value: Any, wanted: str) -> float:
+        """A text with a unit such as "-3 ms"; 0 needs none."""
+        try:
+            return quantity(value, wanted, convert)
+        except ValueError as error:
+            raise self.fail(path, str(error)) from None
 
     def unit(self, path: Sequence[str | int], value: Any) -> str:
         text = self.text_of(path, value)
-        if text not in UNITS:
+        if canonical(text) not in UNITS:
             raise self.fail(path, unknown("unit", text, sorted(UNITS)))
-        return text
+        return canonical(text)
 
 
 def load_mapping(file: Path) -> LogMapping:
     """Read a mapping file. LogError names file, line and key, what was found and what is expected."""
     if not file.is_file():
         raise LogError(f"no mapping file {file}")
-    try:
-        text = file.read_text(encoding="utf-8")
-        content = parse(text)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise LogError(f"{file}: not valid TOML: {error}") from None
-    read = _Reader(file, text)
-    read.keys([], content, _TOP)
+    read = _Reader(TomlFile.load(file, LogError))
+    content = read.keys([], read.content.table, _TOP)
     log = read.keys(["log"], content.get("log", {}), _LOG)
     if "format" in log and log["format"] not in READERS:
         raise read.fail(["log", "format"], unknown("format", str(log["format"]), READERS))
     for key in ("delimiter", "decimal"):
         if key in log and len(read.text_of(["log", key], log[key])) != 1:
             raise read.fail(["log", key], f"expected one character; found {log[key]!r}")
-    if "skip_rows" in log and (not isinstance(log["skip_rows"], int) or log["skip_rows"] < 0):
+    if "skip_rows" in log and (type(log["skip_rows"]) is not int or log["skip_rows"] < 0):
         raise read.fail(["log", "skip_rows"], f"expected a whole number from 0; found {log['skip_rows']!r}")
     about = read.keys(["about"], content.get("about", {}), _ABOUT)
     for key, value in about.items():
@@ -164,7 +154,7 @@ def load_mapping(file: Path) -> LogMapping:
         _clock(read, content.get("clock")),
         about,
         _free(read, "labels", content.get("labels", {})),
-        _free(read, "parameters", content.get("parameters", {})),
+        _parameters(read, content.get("parameters", {}), models),
         found,
     )
 
@@ -173,6 +163,37 @@ def _free(read: _Reader, name: str, table: Any) -> dict[str, Any]:
     if not isinstance(table, dict):
         raise read.fail([name], f"expected a table; found {table!r}")
     return table
+
+
+def _parameters(read: _Reader, table: Any, models: Mapping[str, Model]) -> dict[str, Any]:
+    """In the units of the ports where the component is listed; else as written, numbers as texts: who knows the ports asks for units."""
+    found: dict[str, Any] = {}
+    for name, values in _free(read, "parameters", table).items():
+        path = ("parameters", name)
+        if not isinstance(values, dict):
+            raise read.fail(path, f"expected a table of parameters; found {values!r}")
+        if name not in models:
+            found[name] = _unasked(values)
+            continue
+        slave = resolve(models[name].name, name)
+        try:
+            given = prepare(name, slave.ports, read.content.written(values, *path), convert, read.content.folder)
+        except PlacedError as error:
+            raise LogError(f"{error.place}: {error}") from None
+        finally:
+            slave.close()
+        whole = arrays([p for p in slave.ports if p.causality == "parameter"])
+        found[name] = {k: [given[p.name] for p in whole[k]] if k not in given else given[k] for k in values}
+    return found
+
+
+def _unasked(value: Any) -> Any:
+    """Numbers as texts without a unit; zero and what is no number as it is."""
+    if isinstance(value, dict):
+        return {k: _unasked(v) for k, v in value.items()} if set(value) != {"value", "unit"} else value
+    if isinstance(value, list):
+        return [_unasked(v) for v in value]
+    return value if isinstance(value, bool | str) or value == 0 else str(value)
 
 
 def _components(read: _Reader, table: Any) -> dict[str, Model]:
@@ -186,7 +207,7 @@ def _components(read: _Reader, table: Any) -> dict[str, Model]:
 
 def _clock(read: _Reader, table: Any) -> Clock:
     if table is None:
-        raise LogError(f"{read.file}: a table [clock] is missing; give the column with the time and its unit, or a rate in Hz")
+        raise LogError(f"{read.content.name}: a table [clock] is missing; give the column with the time and its unit, or a rate in Hz")
     entry = read.keys(["clock"], table, _CLOCK)
     if ("column" in entry) == ("rate" in entry):
         raise read.fail(["clock"], "give either column (and unit) or rate (Hz)")
@@ -196,10 +217,10 @@ def _clock(read: _Reader, table: Any) -> Clock:
         unit = read.unit(["clock", "unit"], entry.get("unit"))
         if not compatible(unit, "s"):
             raise read.fail(["clock", "unit"], f"{unit!r} does not measure time; expected s, ms, min or h")
-    rate, step = (read.seconds(["clock", k], entry.get(k, 0.0)) for k in ("rate", "step"))
+    rate, step = (read.quantity(["clock", k], entry.get(k, 0), unit) for k, unit in (("rate", "Hz"), ("step", "s")))
     if rate < 0.0 or ("rate" in entry and rate == 0.0) or step < 0.0:
         raise read.fail(["clock"], "rate and step must be positive")
-    return Clock(entry.get("column"), unit, read.seconds(["clock", "offset"], entry.get("offset", 0.0)), rate, step)
+    return Clock(entry.get("column"), unit, read.quantity(["clock", "offset"], entry.get("offset", 0), "s"), rate, step)
 
 
 def _signal(read: _Reader, index: int, table: Any, models: Mapping[str, Model]) -> Signal:
@@ -227,10 +248,10 @@ def _signal(read: _Reader, index: int, table: Any, models: Mapping[str, Model]) 
         raise read.fail([*path, "sign"], f"expected 1 or -1; found {entry['sign']!r}")
     low_high = None
     if "range" in entry:
-        pair = read.numbers([*path, "range"], entry["range"])
-        if pair.shape != (2,) or pair[0] >= pair[1]:
-            raise read.fail([*path, "range"], f"expected [lowest, highest]; found {entry['range']!r}")
-        low_high = (float(pair[0]), float(pair[1]))
+        pair = entry["range"]
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise read.fail([*path, "range"], f"expected [lowest, highest]; found {pair!r}")
+        low_high = (pair[0], pair[1])
     if entry.get("orientation", "abc") != "abc":
         raise read.fail([*path, "orientation"], f"expected 'abc' (KUKA Euler angles to quaternion); found {entry['orientation']!r}")
     scale = read.numbers([*path, "scale"], entry.get("scale", 1.0))
@@ -244,8 +265,9 @@ def _signal(read: _Reader, index: int, table: Any, models: Mapping[str, Model]) 
         read.numbers([*path, "offset"], entry.get("offset", 0.0)),
         _rotation(read, [*path, "rotation"], entry["rotation"]) if "rotation" in entry else None,
         "orientation" in entry,
-        read.seconds([*path, "shift"], entry.get("shift", 0.0)),
+        read.quantity([*path, "shift"], entry.get("shift", 0), "s"),
         low_high,
+        read.content.place(*path, *(["range"] if low_high else [])),
         read.text_of([*path, "description"], entry["description"]) if "description" in entry else "",
         size,
         target,
@@ -265,13 +287,13 @@ def _declared(read: _Reader, path: Sequence[str | int], model: Model, name: str)
 
 
 def _rotation(read: _Reader, path: Sequence[str | int], value: Any) -> FloatArray:
-    """A matrix [[..], [..], [..]] or {abc = [A, B, C]} in degrees, R = Rz(A) Ry(B) Rx(C)."""
+    """A matrix [[..], [..], [..]] or {abc = ["90 deg", 0, 0]}, R = Rz(A) Ry(B) Rx(C)."""
     if isinstance(value, dict):
         read.keys(path, value, ("abc",))
-        angles = read.numbers([*path, "abc"], value.get("abc"))
-        if angles.shape != (3,):
-            raise read.fail(path, f"expected three angles A, B, C in degrees; found {value!r}")
-        return rotation_abc(np.deg2rad(angles))
+        angles = value.get("abc")
+        if not isinstance(angles, list) or len(angles) != 3:
+            raise read.fail(path, f"expected three angles A, B, C; found {value!r}")
+        return rotation_abc(np.array([read.quantity([*path, "abc"], a, "rad") for a in angles]))
     rows = value if isinstance(value, list) and len(value) == 3 else []
     if len(rows) != 3 or any(not isinstance(r, list) or len(r) != 3 for r in rows):
         raise read.fail(path, f"expected a matrix of 3 rows of 3 numbers or {{abc = [A, B, C]}}; found {value!r}")

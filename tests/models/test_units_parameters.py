@@ -11,7 +11,7 @@ import pytest
 
 from models.declaration import FloatArray
 from models.parameters import DATA, load, quantity
-from models.units import UNITS, compatible, from_si, to_si
+from models.units import UNITS, compatible, convert, from_si, to_si
 from tests.tolerances import ROUNDOFF
 
 ATOMS: dict[str, tuple[float, dict[str, int]]] = {
@@ -39,6 +39,20 @@ ATOMS: dict[str, tuple[float, dict[str, int]]] = {
     "MPa": (1e6, {"kg": 1, "m": -1, "s": -2}),
     "W": (1.0, {"kg": 1, "m": 2, "s": -3}),
     "kW": (1e3, {"kg": 1, "m": 2, "s": -3}),
+    "permille": (1e-3, {}),
+    "ppm": (1e-6, {}),
+    "us": (1e-6, {"s": 1}),
+    "ns": (1e-9, {"s": 1}),
+    "kHz": (1e3, {"s": -1}),
+    "nm": (1e-9, {"m": 1}),
+    "mrad": (1e-3, {"rad": 1}),
+    "urad": (1e-6, {"rad": 1}),
+    "g": (1e-3, {"kg": 1}),
+    "mN": (1e-3, {"kg": 1, "m": 1, "s": -2}),
+    "kPa": (1e3, {"kg": 1, "m": -1, "s": -2}),
+    "GPa": (1e9, {"kg": 1, "m": -1, "s": -2}),
+    "bar": (1e5, {"kg": 1, "m": -1, "s": -2}),
+    "mA": (1e-3, {"A": 1}),
     "J": (1.0, {"kg": 1, "m": 2, "s": -2}),
 }
 """Definitions of the SI and of the units beside it; everything else is a product of these."""
@@ -84,9 +98,68 @@ class TestUnits:
         assert not compatible("Hz", "rad/s"), "a revolution is 2 pi rad: mixing them up must not pass"
         assert not compatible("furlong", "m")
 
+    @pytest.mark.parametrize(
+        ("value", "unit", "wanted", "expected"),
+        [
+            (70.0, "GPa", "Pa", 7e10),
+            (600.0, "N/mm^2", "Pa", 6e8),
+            (600.0, "N/mm\u00b2", "Pa", 6e8),
+            (2.5, "kN/mm", "N/m", 2.5e6),
+            (40.0, "N/um", "N/m", 4e7),
+            (40.0, "N/\u00b5m", "N/m", 4e7),
+            (0.5, "um/N", "m/N", 5e-7),
+            (13000.0, "rpm", "rad/s", 13000.0 * 2.0 * np.pi / 60.0),
+            (13000.0, "1/min", "rad/s", 13000.0 * 2.0 * np.pi / 60.0),
+            (13000.0, "rev/min", "rad/s", 13000.0 * 2.0 * np.pi / 60.0),
+            (6.5, "Hz", "rad/s", 13.0 * np.pi),
+            (600.0, "1/min", "Hz", 10.0),
+            (1500.0, "mm/min", "m/s", 0.025),
+            (1.5, "m/min", "m/s", 0.025),
+            (3.0, "Nm/deg", "N.m/rad", 540.0 / np.pi),
+            (3.0, "Nm/rad", "N.m/rad", 3.0),
+            (3.0, "kN*m", "N.m", 3000.0),
+            (3.0, "Nmm", "N.m", 3e-3),
+            (90.0, "\u00b0", "rad", np.pi / 2.0),
+            (20.0, "\u00b0C", "K", 293.15),
+            (5.0, "\u2030", "1", 5e-3),
+            (5.0, "%", "1", 0.05),
+            (250.0, "g", "kg", 0.25),
+            (7.0, "V", "V", 7.0),
+        ],
+    )
+    def test_units_as_people_spell_them(self, value: float, unit: str, wanted: str, expected: float) -> None:
+        assert abs(convert(value, unit, wanted) - expected) <= 2 * ROUNDOFF * abs(expected)
+
+    @pytest.mark.parametrize(
+        ("value", "unit", "wanted", "text"),
+        [
+            (16.0, "", "m", '16 has no unit; expected a text with one, such as "16 mm" or "16 m"; units that fit: mm, m, cm, um, nm'),
+            (16.0, "MM", "m", "unknown unit 'MM'; units that fit: mm, m, cm, um, nm"),
+            (16.0, "Mm", "m", "unknown unit 'Mm'"),
+            (3.0, "mPa", "Pa", "unknown unit 'mPa'; units that fit: N/mm2, Pa, kPa, MPa, GPa, bar, N/m2, kN/mm2"),
+            (3.0, "N", "m", "3 N cannot be expressed in m: it measures something else; units that fit: mm, m"),
+            (
+                13000.0,
+                "1/s",
+                "rad/s",
+                "13000 1/s cannot be expressed in rad/s: it measures something else; units that fit: rpm, rad/s, deg/s, Hz",
+            ),
+            (2.0, "g", "m/s2", "2 g cannot be expressed in m/s2: it measures something else; units that fit: m/s2, mm/s2"),
+            (0.0, "", "K", '0 has no unit; expected a text with one, such as "0 K"'),
+            (5.0, "", "V", '5 has no unit; expected a text with one, such as "5 V"; units that fit: V'),
+        ],
+    )
+    def test_what_does_not_fit_is_refused_with_what_does(self, value: float, unit: str, wanted: str, text: str) -> None:
+        with pytest.raises(ValueError, match="^" + re.escape(text)):
+            convert(value, unit, wanted)
+
+    def test_zero_needs_no_unit_where_it_is_the_same_in_all(self) -> None:
+        assert [convert(0.0, "", unit) for unit in ("m", "rad/s", "N.m/rad", "V")] == [0.0] * 4
+        assert convert(5.0, "", "1") == 5.0
+
     @pytest.mark.parametrize("convert", [to_si, from_si])
     def test_an_unknown_unit_is_refused_with_the_known_ones(self, convert: object) -> None:
-        with pytest.raises(ValueError, match=r"unknown unit 'furlong'; known units: %, 1, 1/s, A, .*um/N"):
+        with pytest.raises(ValueError, match=r"unknown unit 'furlong'; known units: %, 1, 1/min, 1/s, A, .*um/N"):
             convert(1.0, "furlong")  # type: ignore[operator]  # parametrised over two functions of one signature
 
 

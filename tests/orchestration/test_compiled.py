@@ -396,7 +396,7 @@ class TestChoice:
     def test_unknown_loop(self, fmu, tmp_path):
         with pytest.raises(SystemFileError, match="loop 'fast' is unknown; available: auto, compiled, python"):
             run(ring(fmu), loop="fast", stop=1.0)
-        (tmp_path / "system.toml").write_text('name = "x"\nstep = 0.004\nloop = "python"\n[components.a]\nsource = "mock"\n')
+        (tmp_path / "system.toml").write_text('name = "x"\nstep = "0.004 s"\nloop = "python"\n[components.a]\nsource = "mock"\n')
         assert System.load(tmp_path / "system.toml").loop == "python"
 
     def test_override_between_chunks_moves_the_input(self, fmu):

@@ -312,7 +312,7 @@ class TestRefused:
         assert Path.cwd() == here
 
     def test_path_is_relative_to_the_system_file_which_is_named_with_the_line(self, tmp_path):
-        (tmp_path / "system.toml").write_text('name = "x"\nstep = 1\n\n[components.drive]\nsource = "dist/drive.fmu"\n')
+        (tmp_path / "system.toml").write_text('name = "x"\nstep = "1 s"\n\n[components.drive]\nsource = "dist/drive.fmu"\n')
         with pytest.raises(SystemFileError) as caught:
             assemble(System.load(tmp_path / "system.toml"))
         assert str(caught.value).startswith(f"system.toml:4: component 'drive': {tmp_path}/dist/drive.fmu: no such file")

@@ -24,8 +24,8 @@ from tests.orchestration.test_ssp_foreign import MAPPING, NESTED, VALUES, packag
 LIMIT = 30.0  # s for one case
 SYSTEM = """\
 name = "ring"
-step = 0.1
-stop = 1.0
+step = "0.1 s"
+stop = "1.0 s"
 algorithm = "gauss-seidel"
 check_ranges = true
 

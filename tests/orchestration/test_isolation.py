@@ -212,7 +212,7 @@ class TestSystemFile:
     """`isolate` and `time_limit`."""
 
     def load(self, tmp_path, lines):
-        (tmp_path / "s.toml").write_text(f'name = "s"\nstep = 0.1\n[components.x]\n{lines}\n')
+        (tmp_path / "s.toml").write_text(f'name = "s"\nstep = "0.1 s"\n[components.x]\n{lines}\n')
         return System.load(tmp_path / "s.toml", lambda v, u, w: v / 1000 if (u, w) == ("ms", "s") else v)
 
     def test_keys(self, tmp_path):

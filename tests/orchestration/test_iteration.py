@@ -350,7 +350,7 @@ class TestRecordAndErrors:
 
 SYSTEM = """
 name = "x"
-step = 0.004
+step = "0.004 s"
 algorithm = "iterated"
 [iteration]
 method = "anderson"

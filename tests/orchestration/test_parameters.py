@@ -6,9 +6,11 @@ import math
 
 import pytest
 
-from orchestration.errors import SlaveError
+from orchestration.errors import OrchestrationError, PlacedError, SlaveError
 from orchestration.parameters import prepare
 from orchestration.slave import PortData
+from orchestration.toml_file import TomlFile
+from orchestration.written import Written, merged, place_of
 from tests.orchestration.test_system import convert
 
 PORTS = [
@@ -28,7 +30,7 @@ PORTS = [
         ({"length": 0.5}, {"length": 0.5}),
         ({"length": 1}, {"length": 1.0}),
         ({"length": "200 mm"}, {"length": 0.2}),
-        ({"length": ".5"}, {"length": 0.5}),
+        ({"length": ".5 m"}, {"length": 0.5}),
         ({"length": {"value": 200, "unit": "mm"}}, {"length": 0.2}),
         ({"gap": ["2 urad", 1.0]}, {"gap[1]": 2e-6, "gap[2]": 1.0}),
         ({"gap": {"value": [1, 2], "unit": "urad"}}, {"gap[1]": 1e-6, "gap[2]": 2e-6}),
@@ -92,3 +94,66 @@ def test_without_a_unit_table_units_must_be_equal():
     assert prepare("c", PORTS, {"length": "0.5 m"}) == {"length": 0.5}
     with pytest.raises(SlaveError, match="unit 'mm' cannot be converted to 'm': no unit table was given"):
         prepare("c", PORTS, {"length": "5 mm"})
+
+
+class TestWrittenByHand:
+    """What stands in a file needs units, and is refused with its place."""
+
+    def prepared(self, tmp_path, text):
+        (tmp_path / "cell.toml").write_text(text)
+        file = TomlFile.load(tmp_path / "cell.toml", ValueError, "cell.toml")
+        return prepare("c", PORTS, file.written(file.table), convert)
+
+    def test_what_has_no_unit_needs_none_and_zero_needs_none(self, tmp_path):
+        found = self.prepared(tmp_path, 'length = 0\ngap = ["2 urad", 0.0]\nK = [1, 2, 3, 4, 5, "6"]\nmode = 2\npilot = true')
+        assert (found["length"], found["gap[1]"], found["K[2,3]"], found["mode"], found["pilot"]) == (0.0, 2e-6, 6.0, 2, True)
+
+    def test_one_unit_for_a_whole_array(self, tmp_path):
+        assert self.prepared(tmp_path, 'gap = {value = [1, 2], unit = "urad"}') == {"gap[1]": 1e-6, "gap[2]": 2e-6}
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ("length = 0.5", "cell.toml:1: component 'c': parameter 'length': 0.5 has no unit; expected a text with one, such as '0.5 m'"),
+            ('length = "0.5"', "cell.toml:1: component 'c': parameter 'length': 0.5 has no unit"),
+            (
+                'mode = 1\nlength = "-2 1"',
+                "cell.toml:2: component 'c': parameter 'length': '-2 1' is not a number with a unit, such as '4 m'",
+            ),
+            ("length = 0.5\n[x]", "cell.toml:2: component 'c': unknown parameter 'x'"),
+            ('gap = [\n "1 urad",\n 2]', "cell.toml:3: component 'c': parameter 'gap[2]': 2 has no unit"),
+            (
+                'gap = {value = ["1 urad", 2], unit = "urad"}',
+                "cell.toml:1: component 'c': parameter 'gap[1]': expected {value = <number>, unit = <text>}",
+            ),
+            ("gap = [1, 2, 3]", "cell.toml:1: component 'c': parameter 'gap' has shape [2]; found values of shape [3]"),
+            ('gap = ["1 urad", 0]\n"gap[1]" = 0', "cell.toml:2: component 'c': parameter 'gap[1]' is given twice"),
+            ("length = inf", "cell.toml:1: component 'c': parameter 'length': expected a finite number in 'm'; found inf"),
+            ('length = "1e999 mm"', "cell.toml:1: component 'c': parameter 'length': expected a finite number in 'm'; found"),
+            (
+                f"length = 1{400 * '0'}",
+                "cell.toml:1: component 'c': parameter 'length': expected a finite number in 'm'; found one that is too large",
+            ),
+            (f"mode = 1{400 * '0'}", "cell.toml:1: component 'c': parameter 'mode': expected a finite number"),
+            ("mode = true", "cell.toml:1: component 'c': parameter 'mode': expected a number in '1'; found True"),
+            ('mode = "-2 1"', "cell.toml:1: component 'c': parameter 'mode': '-2 1' is not a number, such as '4'"),
+            ('length = ""', "cell.toml:1: component 'c': parameter 'length': '' is not a number with a unit"),
+            ('length = "1,5 mm"', "cell.toml:1: component 'c': parameter 'length': '1,5 mm' is not a number with a unit"),
+        ],
+    )
+    def test_refused(self, tmp_path, text, message):
+        with pytest.raises(PlacedError) as caught:
+            self.prepared(tmp_path, text)
+        assert f"{caught.value.place}: {caught.value}".startswith(message)
+
+
+def test_merging_keeps_the_place_of_each_value_and_what_code_sets_needs_no_unit():
+    old = Written(
+        {"gap": ["1 urad", 2.0], "length": 0.5, "K[1,1]": 1}, {("gap",): "a:1", ("gap", 1): "a:2", ("length",): "a:3", ("K[1,1]",): "a:4"}
+    )
+    both = merged(old, Written({"gap[1]": 3e-6, "K": [[1, 2, 3], [4, 5, 6]]}))
+    assert both == {"gap[1]": 3e-6, "gap[2]": 2.0, "length": 0.5, "K": [[1, 2, 3], [4, 5, 6]]}
+    assert [place_of(both, k) for k in ("gap[1]", "gap[2]", "length", "K")] == [None, "a:2", "a:3", None]
+    assert old == {"gap": ["1 urad", 2.0], "length": 0.5, "K[1,1]": 1}, "what is merged stays as it is"
+    with pytest.raises(OrchestrationError, match=r"an element of 'length' with 1 index is set, but length is given as 0.5"):
+        merged(old, {"length[1]": 1.0})

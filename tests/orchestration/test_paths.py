@@ -41,7 +41,7 @@ def test_everything_works_there(euler, tmp_path, monkeypatch, kind, isolate):
     (folder / "eulér ü.fmu").write_bytes(euler)
     (folder / "täble.npy").write_bytes(b"x")
     (folder / "system ß.toml").write_text(
-        'name = "ß"\nstep = 0.1\nstop = 1.0\n[components.x]\nsource = "eulér ü.fmu"\nparameters.label = {file = "täble.npy"}\n'
+        'name = "ß"\nstep = "0.1 s"\nstop = "1.0 s"\n[components.x]\nsource = "eulér ü.fmu"\nparameters.label = {file = "täble.npy"}\n'
         f"isolate = {str(isolate).lower()}\n[recording]\ncheckpoint_every = 4\n",
         encoding="utf-8",
     )
@@ -58,6 +58,6 @@ def test_everything_works_there(euler, tmp_path, monkeypatch, kind, isolate):
 def test_relative_to_the_working_directory(euler, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("x.fmu").write_bytes(euler)
-    Path("s.toml").write_text('name = "s"\nstep = 0.1\nstop = 1.0\n[components.x]\nsource = "x.fmu"\nisolate = true\n')
+    Path("s.toml").write_text('name = "s"\nstep = "0.1 s"\nstop = "1.0 s"\n[components.x]\nsource = "x.fmu"\nisolate = true\n')
     assert len(run(System.load("s.toml"), "r")) == 11
     assert Path("r/signals.parquet").is_file()

@@ -162,7 +162,7 @@ class TestState:
 
 SYSTEM = """
 name = "x"
-step = 0.004
+step = "0.004 s"
 [components.a]
 source = "mock"
 rate = 4

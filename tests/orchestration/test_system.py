@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import tomllib
+from pathlib import Path
 
 import pytest
 
 from orchestration.assembly import run
 from orchestration.errors import SystemFileError
+from orchestration.parameters import same_unit_only
 from orchestration.system import Connection, Recording, System
-from orchestration.toml_text import dump, find_line
+from orchestration.toml_file import TomlFile
+from orchestration.toml_lines import key_lines
+from orchestration.toml_text import dump
 from robomill.cli import main
 from tests.orchestration.mocks import gain
 from tests.tolerances import EXACT
@@ -17,7 +21,7 @@ from tests.tolerances import EXACT
 GOOD = """\
 name = "groove"
 step = "4 ms"
-stop = 2
+stop = "2 s"
 algorithm = "jacobi"
 
 [labels]
@@ -48,7 +52,44 @@ every = 2
 """
 
 
+HARD = """\
+a = 1
+b.c = "x # = ["
+"d e".'f' = [1, [2, # c ]
+  3], "]", \'\'\'m
+ = x\'\'\'\'
+]
+g = {h = {i = 1, j = [1,2]}, "k" = 'x'}
+[[p]]
+x = 1979-05-27 07:32:00
+[p.q]
+y = true
+[[p.r]]
+z = 1
+[[p.r]]
+z = 2
+[[p]]
+[[p.r]]
+z = 3
+[ l . "m" ]
+n = \'\'\'
+a
+\'\'\'
+o = 2
+"""
+
+
+def keys(value, key=()):
+    """All keys and indices of parsed TOML."""
+    if key:
+        yield key
+    for k, v in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from keys(v, (*key, k))
+
+
 def convert(value, unit, wanted):
+    if not unit:
+        return same_unit_only(value, unit, wanted)
     factors = {("ms", "s"): 1e-3, ("urad", "rad"): 1e-6, ("mm", "m"): 1e-3}
     if (unit, wanted) not in factors:
         raise ValueError(f"unit {unit!r} does not measure {wanted!r}")
@@ -91,7 +132,7 @@ ERRORS = [
     ('"4 ms"', '"4 mm"', "system.toml:2: step: unit 'mm' does not measure 's'"),
     ('"4 ms"', '"soon"', "system.toml:2: step: 'soon' is not a number with a unit, such as '4 s'"),
     ('"4 ms"', "true", "system.toml:2: system: step is a whole number or a number or a text; found True"),
-    ('"4 ms"', "-1", "system.toml: step = -1.0 s is not a positive whole number of nanoseconds"),
+    ('"4 ms"', '"-1 s"', "system.toml: step = -1.0 s is not a positive whole number of nanoseconds"),
     ('"jacobi"', '"jakobi"', "system.toml: unknown algorithm 'jakobi'; did you mean 'jacobi'? available: jacobi, gauss-seidel"),
     (
         'source = "robot_drive"',
@@ -135,7 +176,7 @@ def test_no_such_file(tmp_path):
 
 def test_no_components(tmp_path):
     with pytest.raises(SystemFileError, match="the system has no components"):
-        load(tmp_path, 'name = "x"\nstep = 1\n[components]\n')
+        load(tmp_path, 'name = "x"\nstep = "1 s"\n[components]\n')
 
 
 def test_unknown_component(tmp_path):
@@ -158,8 +199,30 @@ class TestTomlText:
             (("nothing",), None),
         ],
     )
-    def test_find_line(self, path, line):
-        assert find_line(GOOD, *path) == line
+    def test_a_key_is_found_or_the_table_above_it(self, tmp_path, path, line):
+        (tmp_path / "x.toml").write_text(GOOD)
+        assert TomlFile.load(tmp_path / "x.toml", ValueError).line(*path) == line
+
+    def test_every_key_of_every_shipped_file_has_its_line(self):
+        """Against the parser: the same keys and elements; and on the line that is said, a table is opened or the key is written."""
+        files = [f for folder in ("scenarios", "models", "docs", "data") for f in sorted(Path(folder).rglob("*.toml"))]
+        assert len(files) > 30
+        for text in (*(f.read_text(encoding="utf-8") for f in files), HARD):
+            lines = key_lines(text)
+            assert set(lines) == set(keys(tomllib.loads(text)))
+            for key, line in lines.items():
+                if isinstance(key[-1], str) and text is not HARD:
+                    assert key[-1] in text.splitlines()[line - 1]
+
+    def test_lines_of_what_is_hard_to_read(self):
+        lines = key_lines(HARD)
+        assert [
+            lines[k] for k in (("d e", "f", 1, 1), ("g", "h", "j", 1), ("p", 0, "r", 1, "z"), ("p", 1, "r", 0, "z"), ("l", "m", "o"))
+        ] == [*(4, 7, 15, 18, 23)]
+
+    def test_a_key_that_is_there_twice_is_refused_with_its_line(self, tmp_path):
+        with pytest.raises(SystemFileError, match=r"system.toml: not valid TOML: Cannot overwrite a value \(at line 2, column"):
+            load(tmp_path, GOOD.replace('step = "4 ms"', 'name = "x"', 1))
 
     def test_what_is_written_is_read_back(self):
         table = {
@@ -190,7 +253,9 @@ class TestInputs:
     """Start values of inputs."""
 
     def load(self, tmp_path, inputs):
-        (tmp_path / "s.toml").write_text(f'name = "s"\nstep = 0.1\nstop = 0.3\n[components.g]\nsource = "mock"\ninputs = {inputs}\n')
+        (tmp_path / "s.toml").write_text(
+            f'name = "s"\nstep = "0.1 s"\nstop = "0.3 s"\n[components.g]\nsource = "mock"\ninputs = {inputs}\n'
+        )
         return System.load(tmp_path / "s.toml")
 
     def test_open_inputs_keep_them(self, tmp_path):
@@ -202,7 +267,7 @@ class TestInputs:
 
     def test_refused(self, tmp_path):
         for inputs, text in (
-            ("{v = 1}", r"s.toml:4: component 'g': unknown input 'v'.*available: u"),
+            ("{v = 1}", r"s.toml:6: component 'g': unknown input 'v'.*available: u"),
             ("{y = 1}", "'y' is an output, not an input"),
         ):
             with pytest.raises(SystemFileError, match=text):

@@ -30,7 +30,7 @@ def cell(tmp_path, monkeypatch):
     (tmp_path / "part.ngc").write_text(PROGRAM)
     (tmp_path / "part.toml").write_text(
         '[scenario]\nname = "part"\nkind = "milling"\nsystem = "milling_cell.toml"\nprogram = "part.ngc"\n'
-        '[workpiece]\nposition = [1.3, 0.0, 1.2]\nabc = ["180 deg", 0, 0]\nsize = ["10 mm", "60 mm", "30 mm"]\n'
+        '[workpiece]\nposition = ["1300 mm", 0, "1.2 m"]\nabc = ["180 deg", 0, 0]\nsize = ["10 mm", "60 mm", "30 mm"]\n'
         "[variants.cartesian]\nparameters.controller.mode = 1\n"
     )
     return tmp_path
@@ -107,7 +107,7 @@ def test_a_variant_that_cannot_run_is_refused_before_any_recording_is_replaced(c
 class TestBadInput:
     def test_options_that_do_not_apply_are_refused(self, cell, capsys):
         assert "--step goes with system files" in refused(capsys, "run", "part.toml", "--step", "0.001")
-        (cell / "one.toml").write_text('name = "one"\nstep = 0.004\nstop = 0.1\n[components.path]\nsource = "path_interpolator"\n')
+        (cell / "one.toml").write_text('name = "one"\nstep = "0.004 s"\nstop = "0.1 s"\n[components.path]\nsource = "path_interpolator"\n')
         assert "--variant goes with scenarios" in refused(capsys, "run", "one.toml", "--variant", "axis")
 
     def test_loop(self, tmp_path, monkeypatch, capsys):
@@ -115,10 +115,10 @@ class TestBadInput:
         monkeypatch.chdir(tmp_path)
         slaves = [source("s", lambda t: t)]
         record(system(slaves), "recorded", stop=0.04, resolver=resolver(slaves))
-        (tmp_path / "played.toml").write_text('name = "p"\nstep = 0.004\nstop = 0.04\n[components.s]\nsource = "replay:recorded"\n')
+        (tmp_path / "played.toml").write_text('name = "p"\nstep = "0.004 s"\nstop = "0.04 s"\n[components.s]\nsource = "replay:recorded"\n')
         assert "component 's' (ReplaySlave) can only be called from Python" in refused(capsys, "run", "played.toml", "--loop", "compiled")
         assert main(["run", "played.toml", "--loop", "python"]) == 0
-        assert "--loop goes with system files" in refused(capsys, "run", str(SCENARIOS / "static_loads.toml"), "--loop", "python")
+        assert "--loop: only with milling" in refused(capsys, "run", str(SCENARIOS / "static_loads.toml"), "--loop", "python")
 
     def test_a_program_is_no_scenario(self, cell, capsys):
         assert "`robomill plan` looks at it" in refused(capsys, "run", "part.ngc")
@@ -128,7 +128,7 @@ class TestBadInput:
         assert "part.ngc line 6" in refused(capsys, "run", "part.toml")
 
     def test_unreachable_path_names_block_pose_and_what_to_do(self, cell, capsys):
-        edit(cell / "part.toml", "[1.3, 0.0, 1.2]", "[2.9, 0.0, 1.2]")
+        edit(cell / "part.toml", "1300 mm", "2900 mm")
         text = refused(capsys, "run", "part.toml")
         assert "reach" in text
         assert "path" in text
@@ -257,7 +257,7 @@ class TestBuild:
     def test_both_versions_of_fmi_side_by_side(self, tmp_path, monkeypatch, capsys):
         """FMI 2 where everything looks, FMI 3 below; both pass the battery and give the same bits."""
         monkeypatch.chdir(tmp_path)
-        text = 'name = "one"\nstep = 0.004\nstop = 0.1\n[components.sensor]\nsource = "sensor_chain"\n'
+        text = 'name = "one"\nstep = "0.004 s"\nstop = "0.1 s"\n[components.sensor]\nsource = "sensor_chain"\n'
         (tmp_path / "one.toml").write_text(text)
         assert main(["build", "--backend", "native", "--fmi", "2", "3", "--ssp", "one.toml", "--json"]) == 0
         files = ["dist/sensor_chain.fmu", "dist/fmi3/sensor_chain.fmu"]

@@ -18,7 +18,7 @@ from orchestration.results import Run
 from orchestration.system import System
 from robomill.binding import convert, resolve
 from robomill.cli import main
-from robomill.experiments import is_experiment, known_parameters, load_experiment, run_condition
+from robomill.experiments import folder_of, is_experiment, known_parameters, load_experiment, run_condition
 from robomill.milling import with_parameters
 from robomill.scenario import ScenarioError
 from tests.tolerances import ROUNDOFF
@@ -130,13 +130,29 @@ def test_an_unknown_condition_is_named_with_those_there_are(tmp_path, capsys):
     assert "no condition along w; conditions: along x, along y, along z" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("file", FILES, ids=lambda f: f.stem)
+def test_every_condition_has_a_folder_of_its_own(file):
+    """`push +x` and `push -x`: the runs of one replaced those of the other."""
+    names = [c.name for c in load_experiment(file).conditions]
+    assert len({folder_of(name) for name in names}) == len(names)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("repeats = 3", "repeats = 0", r"repeats = 0; expected a whole number, at least 1"),
-        ("repeats = 3", "repeat = 3", r"\[experiment\]: unknown: repeat; known keys: kind, repeats"),
-        ('"along y"', '"along x"', r"two conditions have the same name"),
-        ('"0.990 s", 0', '"0.990 mm", 0', r"condition 1 load: .*measure different things; expected a quantity in s"),
+        ("400 N", "400 mm", "experiment.toml:20: condition 1: load.2.1: 400 mm cannot be expressed in N"),
+        ('"400 N"', "400", 'experiment.toml:20: condition 1: load.2.1: 400 has no unit; expected a text with one, such as "400 N"'),
+        ('"1.004 s"', '"0.004 s"', "experiment.toml:20: condition 1: load.2: the time 0.004 s is not after that of the row before, 1 s"),
+        ("held_out = true", 'held_out = "no"', "held_out: expected true or false; found 'no'"),
+        ("repeats = 3", "repeats = true", "repeats: expected a whole number, at least 1; found True"),
+        ("repeats = 3", "repeats = 0", r"experiment.toml:10: \[experiment\] repeats: expected a whole number, at least 1; found 0"),
+        ("repeats = 3", "repeat = 3", r"experiment.toml:10: \[experiment\] repeat: unknown key 'repeat'; did you mean 'repeats'"),
+        (
+            '"along y"',
+            '"along x"',
+            r"experiment.toml:23: condition 2: name: 'along x' and 'along x' are the same or have the same folder of results, along_x",
+        ),
+        ('"0.990 s", 0', '"0.990 mm", 0', r"experiment.toml:20: condition 1: load.0.0: 0.99 mm cannot be expressed in s"),
     ],
 )
 def test_errors_say_what_is_wrong(tmp_path, old, new, message):

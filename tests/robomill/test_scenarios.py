@@ -157,7 +157,9 @@ class TestWorkOffsets:
             (tmp_path / name).write_text((SCENARIOS / name).read_text())
         text = (SCENARIOS / "groove.toml").read_text().replace("[workpiece]", "[workpiece]\nwork_offsets = { G60 = [0, 0, 0] }", 1)
         (tmp_path / "bad.toml").write_text(text)
-        with pytest.raises(ScenarioError, match=r"work_offsets: unknown: G60; known keys: G54, G55"):
+        with pytest.raises(
+            ScenarioError, match=r"bad.toml:9: \[workpiece\] work_offsets.G60: unknown key 'G60'; did you mean .* available: G54, G55"
+        ):
             load_scenario(tmp_path / "bad.toml")
 
 
@@ -169,9 +171,27 @@ class TestBadFiles:
         [
             (('kind = "milling"', 'kind = "drilling"'), "kind is 'drilling'; known kinds: milling, static_loads"),
             (('system = "milling_cell.toml"', 'system = "cell.toml"'), "'cell.toml': no such file; beside the scenario are"),
-            (("[variants.axis]", "[variantes.axis]"), "unknown: variantes"),
-            (('"100 mm", "60 mm"', '"100 N", "60 mm"'), "100.0 N cannot be expressed in m"),
+            (("[variants.axis]", "[variantes.axis]"), "bad.toml:25: [variantes]: unknown key 'variantes'; did you mean 'variants'"),
+            (('"100 mm", "60 mm"', '"100 N", "60 mm"'), "bad.toml:12: [workpiece] size.0: 100 N cannot be expressed in m"),
             (('size = ["100 mm", ', "size = ["), "expected three quantities in m"),
+            (
+                ('"100 mm", "60 mm"', '100, "60 mm"'),
+                'bad.toml:12: [workpiece] size.0: 100 has no unit; expected a text with one, such as "100 mm"',
+            ),
+            (('"100 mm", "60 mm"', 'inf, "60 mm"'), "bad.toml:12: [workpiece] size.0: expected a finite number"),
+            (('"100 mm", "60 mm"', 'true, "60 mm"'), "bad.toml:12: [workpiece] size.0: True is neither a number nor a text with a unit"),
+            (('"100 mm", "60 mm"', '"-2 1", "60 mm"'), "bad.toml:12: [workpiece] size.0: '-2 1' is not a number with a unit"),
+            (('"0.7 mm"', "0.7"), 'max_deviation_m: 0.7 has no unit; expected a text with one, such as "0.7 mm"'),
+            (('name = "groove"', 'name = ""'), "bad.toml:2: [scenario] name: expected a text; found ''"),
+            (('name = "groove"', 'name = "../groove"'), "bad.toml:2: [scenario] name: '../groove' cannot be the name of a folder"),
+            (
+                ("[variants.axis]", "[variants.plan]"),
+                "bad.toml:25: [variants] plan: a variant cannot be called 'plan': the results have a folder",
+            ),
+            (
+                ("controller.mode = 0", "controller = 0"),
+                "bad.toml:19: [variants] uncompensated.parameters.controller: expected a table, found 0",
+            ),
             (("[scenario]", "[scenario"), "not valid TOML"),
             (('program = "groove.ngc"', ""), "a milling scenario needs a program"),
         ],
