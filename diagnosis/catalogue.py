@@ -43,6 +43,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -65,6 +66,12 @@ _NUISANCE = {"component", "parameters", "relative", "absolute", "source"}
 _QUIET = {"component", "parameters"}
 _SEED = {"component", "parameter"}
 _REFINEMENT = {"divide", "sampled"}
+
+
+def selects(pattern: str, channel: str) -> bool:
+    """Whether the pattern of a parameter of the log is about a channel, or about the array that it is an element of."""
+    expression = re.compile(re.escape(pattern).replace(r"\*", ".*"))
+    return bool(expression.fullmatch(channel) or expression.fullmatch(channel.partition("[")[0]))
 
 
 class CatalogueError(ValueError):

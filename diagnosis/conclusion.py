@@ -21,7 +21,7 @@ from diagnosis.replay import intervals
 from diagnosis.search import Search
 from diagnosis.simulation import Laboratory, Simulator, setting
 from diagnosis.transfer import Transfer, transfer
-from diagnosis.verdict import changes, judged, over_noise, stands, unexplained
+from diagnosis.verdict import IDENTIFIED, changes, judged, over_noise, stands, unexplained
 from diagnosis.where import combined, direction_of, located
 from orchestration.slave import FloatArray
 
@@ -79,7 +79,8 @@ class Conclusion:
         after, _ = self.search.gap(self.best)
         search, nominal = self.search, self.fits[0]
         marginal = self.marginal()
-        clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] > 0.5]
+        # what a dead time of the machine explains nearly as well is no reason to refuse the log
+        clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] >= IDENTIFIED]
         moved = self.transfer() if self.best.model and not clocks else None
         other = changing(search)
         faulty = bool(clocks) and not self.repair

@@ -116,6 +116,17 @@ class Space:
             self._without[gone] = Space(self.y, self.blocks, self.nuisances, self.names, self._products, gone)
         return self._without[gone]
 
+    def less(self, names: Collection[Address]) -> Space:
+        """The same for good without these nuisances."""
+        kept = [i for i, name in enumerate(self.names) if name not in names]
+        if len(kept) == len(self.names):
+            return self
+        return Space(self.y, self.blocks, self.nuisances[:, kept], [self.names[i] for i in kept])
+
+    def moved(self, left: FloatArray) -> FloatArray:
+        """Deviations by which the nuisances are moved to explain the residual `left`, [m]."""
+        return np.asarray(self._inner @ (self.nuisances.T @ left))
+
     def divided(self, blocks: Mapping[str, slice]) -> Space:
         """The same with other blocks."""
         space = Space(self.y, blocks, self.nuisances, self.names, self._products, self.gone)
@@ -136,7 +147,7 @@ class Space:
 
     def explained(self, left: FloatArray) -> FloatArray:
         """What the nuisances make of the residual `left`."""
-        return np.asarray(self.nuisances @ (self._inner @ (self.nuisances.T @ left)))
+        return np.asarray(self.nuisances @ self.moved(left))
 
     def dot(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Inner product of vectors or of the columns of matrices."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from diagnosis.catalogue import LOGGING, Address
+from diagnosis.catalogue import LOGGING, Address, Candidate, selects
 from diagnosis.estimation import Space
 from diagnosis.measured import DataError
 from diagnosis.noise import SPELL, Whitening, own_noise, whitening
@@ -57,6 +57,8 @@ class Evidence:
     """Repeats that the mean residual is worth, the scatter of the simulated mean and DEPENDENCE included."""
     expected: FloatArray
     """Energy that noise alone leaves in each sample of y, [n]: by channel and condition, from repeats and from simulations."""
+    late: frozenset[Address]
+    """Latenesses that are no nuisance here: they would have to be larger than what the catalogue calls a late clock."""
     halves: list[tuple[FloatArray, FloatArray]]
     """What two independent means of nominal simulations are away from the mean of all, whitened."""
 
@@ -87,13 +89,14 @@ def gather(
     sizes: Mapping[Address, float],
     scales: Mapping[Address, float],
     tolerances: Mapping[Address, float],
+    clocks: Sequence[Candidate] = (),
     like: Evidence | None = None,
 ) -> Evidence:
     """Evidence from the repeats and nominal simulations of each of these conditions, [samples, channels].
 
     `changes` were simulated at `sizes` [unit of the parameter]; `scales` are the prior scales of the candidates' parameters,
-    `tolerances` the standard deviations of calibrated ones. `like`: channels and whitening are those of this one, so that
-    energies can be compared. DataError if no parameter changes any channel.
+    `tolerances` the standard deviations of calibrated ones; `clocks` those among the candidates that are late clocks. `like`: channels,
+    whitening and what is no nuisance are those of this one, so that energies can be compared. DataError if no parameter changes anything.
     """
     active = _moved(changes) if like is None else like.active
     groups = [[x[:, active] for x in g] for g in groups]
@@ -141,8 +144,25 @@ def gather(
         own[-1][block] = column / np.sqrt(DEPENDENCE)
     doubtful = [*nuisances, *((LOGGING, f"noise {i + 1}") for i in range(sum(o.shape[1] for o in own)))]
     space = Space(y, blocks, np.concatenate([np.stack(list(nuisances.values()), axis=1), *own], axis=1), doubtful)
+    late = _late(space, clocks, names, LATENESS * laboratory.system.step) if like is None else like.late
+    space = space.less(late)
     space.find_alike(columns, scales)
-    return Evidence(space, w, active, nominals, sudden, residuals, columns, counts, expected, halves)
+    return Evidence(space, w, active, nominals, sudden, residuals, columns, counts, expected, late, halves)
+
+
+def _late(space: Space, clocks: Sequence[Candidate], channels: Sequence[str], size: float) -> frozenset[Address]:
+    """Components that the nominal system would have to take for late by more than a late clock of the catalogue is: that is no nuisance.
+
+    `size`: one deviation of lateness [s]. Without this a clock that is most of a step late would be explained for nothing, and something
+    else be named for the rest.
+    """
+    smallest: dict[str, float] = {}
+    for c in clocks:
+        for pattern in (p.partition(" ")[2] for p in c.parameters):
+            for component in {name.partition(".")[0] for name in channels if selects(pattern, name)}:
+                smallest[component] = min(smallest.get(component, np.inf), c.minimum)
+    moved = dict(zip(space.names, size * np.abs(space.moved(space.y)), strict=True))
+    return frozenset(a for component, least in smallest.items() if moved[a := (LOGGING, f"lag {component}.*")] > least)
 
 
 def _bend(x: FloatArray, span: int) -> FloatArray:

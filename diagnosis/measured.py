@@ -18,7 +18,8 @@ from orchestration.slave import FloatArray, PortData
 from orchestration.system import System
 
 ON_TIME, JITTER = 0.05, 0.25
-"""Parts of a communication step by which the stamps of a log may be off (single ones: the latter): it was sampled at these points."""
+"""Parts of a communication step by which the stamps of a log may be apart (single ones, or all together: the latter): it was sampled at
+these points."""
 
 
 class DataError(ValueError):
@@ -113,11 +114,12 @@ def _content(known: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]
 def _without_jitter(t: FloatArray, step: float) -> FloatArray:
     """Time stamps [s] put on the communication points, if there is one for each, and it is near.
 
-    Between stamps that jitter, interpolation would take a part of what is as fast as a tooth.
+    Between stamps that jitter, or that all are a small part of a step off since the log was started, interpolation would take a part of
+    what is as fast as a tooth.
     """
     points = np.round(t / step)
-    off = np.abs(t / step - points)
-    regular = np.all(np.diff(points) == 1.0) and np.quantile(off, 0.95) < ON_TIME and off.max() < JITTER
+    off = t / step - points
+    regular = np.all(np.diff(points) == 1.0) and np.quantile(np.abs(off - np.median(off)), 0.95) < ON_TIME and np.abs(off).max() < JITTER
     return points * step if regular else t
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
+from diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
 from diagnosis.estimation import Space
 from diagnosis.evidence import gather
 from diagnosis.simulation import Simulator, setting
@@ -65,7 +65,8 @@ class Screening:
         changes |= changed(simulator, self.conditions, largest, nominals)
         sizes |= {a: s for a, s in largest.items() if a in changes}
         names = [simulator.laboratory.conditions[i].name for i in self.conditions]
-        self.evidence = gather(simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown)
+        clocks = [c for c in catalogue.candidates if c.component == LOGGING and c.parameters[0].startswith("lag ")]
+        self.evidence = gather(simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks)
         self.single = {a: c for a, c in single.items() if a in self.evidence.columns}
         self.starts: dict[Address, Start] = {}
         self._try_other_sizes()

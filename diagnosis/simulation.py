@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import re
 import signal
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from diagnosis.catalogue import LOGGING, Address, Refinement
+from diagnosis.catalogue import LOGGING, Address, Refinement, selects
 from diagnosis.measured import Condition
 from diagnosis.store import Store
 from orchestration.assembly import Resolver, run
@@ -123,8 +122,7 @@ def refined(system: System, divide: int, sampled: Sequence[str]) -> System:
 def _observe(full: FloatArray, t: FloatArray, channels: Sequence[str], parameter: str, value: float) -> None:
     """What a faulty log makes of the channels, in place."""
     kind, _, pattern = parameter.partition(" ")
-    expression = re.compile(re.escape(pattern).replace(r"\*", ".*"))
-    if not any(expression.fullmatch(c) or expression.fullmatch(c.partition("[")[0]) for c in channels):
+    if not any(selects(pattern, c) for c in channels):
         return
     for i in select([pattern], list(channels)):
         if kind == "lag":

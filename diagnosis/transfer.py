@@ -82,7 +82,7 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Map
     changes = changed(simulator, every, sizes, plain, "new conditions")
     scales = {n.address: n.scale for n in search.nuisances}
     measured = [groups[i] for i in every]
-    e = gather(simulator.laboratory, [names[i] for i in every], measured, plain, changes, sizes, {}, scales, search.evidence)
+    e = gather(simulator.laboratory, [names[i] for i in every], measured, plain, changes, sizes, {}, scales, like=search.evidence)
     signature = e.mean_signature(there)
     assert signature is not None
     space = e.space

@@ -30,6 +30,8 @@ sign = "both"
 prior = {kind = "normal", scale = 1e-3}
 locations = [{name = "axis", parameters = ["angle_offset"]}]
 """
+DEAD_TIME = OFFSET.replace("encoder_offset", "dead_time").replace("angle_offset", "dead_time").replace('"rad"', '"s"')
+"""One that does to the encoder what a late clock does to its log."""
 _EFFECT = """
 [[effect]]
 name = "{name}"
@@ -70,19 +72,29 @@ class Drive(Part):
     """Torque of the motor and angle of the link, both scalar."""
 
     def __init__(self, name: str) -> None:
-        names = (("coulomb", "N.m"), ("viscous", "N.m.s/rad"), ("inertia_error", "kg.m2"), ("breakaway", "N.m"), ("angle_offset", "rad"))
+        names = (
+            ("coulomb", "N.m"),
+            ("viscous", "N.m.s/rad"),
+            ("inertia_error", "kg.m2"),
+            ("breakaway", "N.m"),
+            ("angle_offset", "rad"),
+            ("dead_time", "s"),
+        )
         inputs = [real(n, "input", u) for n, u in (("q", "rad"), ("v", "rad/s"), ("a", "rad/s2"))]
         outputs = [
             real("torque", "output", "N.m", dependencies=("v", "a"), description="torque of the motor"),
             real("angle", "output", "rad", dependencies=("q",)),
         ]
         super().__init__(name, [*inputs, *(real(n, "parameter", u) for n, u in names), *outputs])
+        self.seen: list[tuple[float, float]] = []
 
     def advance(self, t: float, h: float) -> None:
         p, (q, v, a) = self.p, self.u
+        self.seen = [*self.seen[-200:], (t, q)]
         rubbing = p["coulomb"] + p["breakaway"] * math.exp(-((v / 0.3) ** 2))
         self.y[0] = (1.0 + p["inertia_error"]) * a + p["viscous"] * v + rubbing * math.tanh(v / 0.02)
-        self.y[1] = q + p["angle_offset"]
+        shown = float(np.interp(t - p["dead_time"], *zip(*self.seen, strict=True))) if p["dead_time"] else q
+        self.y[1] = shown + p["angle_offset"]
 
 
 PARTS = {"program": Program, "drive": Drive}
@@ -98,14 +110,14 @@ def resolve(source: str, name: str) -> Any:
     return PARTS[source](name)
 
 
-def catalogue(folder: Path, *, lag: str = "drive.angle", pace: float = 1.0, offset: bool = False) -> Catalogue:
+def catalogue(folder: Path, *, lag: str = "drive.angle", pace: float = 1.0, more: str = "") -> Catalogue:
     """Friction, inertia and a clock; `pace` makes what is a time as much shorter."""
     text = ""
     for entry in _ENTRIES:
         time = 1.0 / pace if entry["name"] == "clock" else 1.0
         sized = {k: entry[k] * time for k in ("minimum", "maximum", "scale")}
         text += _EFFECT.format(**{**entry, **sized, "sign": "both"}).replace("drive.angle", lag)
-    (folder / "axis.toml").write_text(text + (OFFSET if offset else ""))
+    (folder / "axis.toml").write_text(text + more)
     return Catalogue.load(folder / "axis.toml")
 
 
