@@ -56,7 +56,7 @@ class TestMillingLoop:
     """compliance <-> milling."""
 
     def test_delay_costs_a_step_and_iteration_saves_it(self):
-        """The force is the mean over the step and belongs to its middle: iterated, the robot is half a step late, delayed one and a half."""
+        """The force is the mean over the step and belongs to its middle: iterated, the robot is half a step late, delayed 1.5."""
         steps = (0.004, 0.002, 0.001)
         iterated = {h: at_4_ms(mill(h, "iterated", method="anderson", tolerance=1e-10), h) for h in steps}
         delayed = {h: at_4_ms(mill(h, "gauss-seidel", delayed=True), h) for h in steps}
