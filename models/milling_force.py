@@ -1,7 +1,7 @@
 """Component milling_force: cutting force from a workpiece that the deflected tool really cuts (docs/components/milling_force.md).
 
-Per step: place the tool in the workpiece frame P, read from the dexels how deep material stands before the edges, integrate
-the edge forces over the rotation of the step (closed form, no sub-steps in the mean), then cut the swept volume.
+Per step: place the tool in the workpiece frame P, read from the dexels how deep material stands before the edges in the middle of
+the step, integrate the edge forces over its rotation (closed form, no sub-steps in the mean), then cut the swept volume.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from models.cutting import (
     tooth_radii,
 )
 from models.declaration import Model, Record, Variable, kernel
-from models.elementary import atan2, power, sincos, tan
+from models.elementary import atan2, exp, power, sincos, tan
 from models.frames import mat_t_vec, mat_vec, quat_to_matrix
 from models.parameters import load
 
@@ -137,6 +137,12 @@ VARIABLES = (
     ),
     _parameter("size_reference", "chip thickness at which the size effect changes nothing", "m", _CUT.size_reference, 1e-7),
     Variable(
+        "actual_feed",
+        "parameter",
+        "feed from the actual motion of the tool relative to the workpiece, not v_BT_B (needs iterated coupling or a stiff machine)",
+        kind="boolean",
+    ),
+    Variable(
         "spindle_start_angle",
         "parameter",
         "angle of tooth 1 at the start, clockwise from +y of P",
@@ -168,7 +174,10 @@ VARIABLES = (
     _scratch("R_BP", "rotation of P in B", shape=(3, 3)),
     _scratch("p_PT_P", "tool tip relative to the (yielding) workpiece, in P, at the end of the step", "m", (3,)),
     _scratch("p_last", "the same at its beginning", "m", (3,)),
-    _scratch("v_P", "feed velocity in P", "m/s", (3,)),
+    _scratch("p_mid", "the same in its middle", "m", (3,)),
+    _scratch("v_P", "feed velocity in P, mean over the step", "m/s", (3,)),
+    _scratch("v_now", "commanded feed velocity in P at the end of the step", "m/s", (3,)),
+    _scratch("v_last", "the same at its beginning", "m/s", (3,)),
     _scratch("f_P", "mean force of the last step in P", "N", (3,)),
     _scratch("m_P", "mean moment of the last step in P", "N.m", (3,)),
     _scratch("spindle_angle", "angle of tooth 1, clockwise from +y of P", "rad"),
@@ -251,8 +260,8 @@ def init(s: Record) -> int:
     if _near(s, x, y, z, x, y, z) and s.tilt_cosine >= LEAST_TILT_COSINE:
         _cut(s, x, y, z, x, y, z, False)
     s.imprinted = 1
-    for i in range(3):
-        s.p_last[i] = s.p_PT_P[i]
+    mat_t_vec(s.R_BP, s.v_BT_B, s.v_now)
+    _carry(s)
     return 0
 
 
@@ -270,6 +279,7 @@ def step(s: Record, t: float, h: float) -> int:
         if status != 0:
             return status
     _place(s)
+    _means(s, h)
     xa, ya, za = s.p_last[0], s.p_last[1], s.p_last[2]
     x, y, z = s.p_PT_P[0], s.p_PT_P[1], s.p_PT_P[2]
     turn = s.spindle_speed * h
@@ -292,15 +302,30 @@ def step(s: Record, t: float, h: float) -> int:
     mat_vec(s.R_BP, s.m_P, s.m_T_B)
     angle = s.spindle_angle + turn
     s.spindle_angle = angle - TWO_PI * math.floor(angle / TWO_PI)
-    for i in range(3):
-        s.p_last[i] = s.p_PT_P[i]
+    _carry(s)
     return 0
 
 
 @kernel
+def _carry(s: Record) -> None:
+    """The end of this step is the beginning of the next."""
+    for i in range(3):
+        s.p_last[i] = s.p_PT_P[i]
+        s.v_last[i] = s.v_now[i]
+
+
+@kernel
+def _means(s: Record, h: float) -> None:
+    """Position in the middle of the step and mean feed velocity over it, both from their values at its ends: of second order."""
+    mat_t_vec(s.R_BP, s.v_BT_B, s.v_now)
+    for i in range(3):
+        s.p_mid[i] = 0.5 * (s.p_last[i] + s.p_PT_P[i])
+        s.v_P[i] = (s.p_PT_P[i] - s.p_last[i]) / h if s.actual_feed != 0 else 0.5 * (s.v_last[i] + s.v_now[i])
+
+
+@kernel
 def _force(s: Record, turn: float, h: float) -> int:
-    """Mean force and moment in P, peak, torque and depth while the spindle turns by `turn` [rad] at the new position."""
-    mat_t_vec(s.R_BP, s.v_BT_B, s.v_P)
+    """Mean force and moment in P, peak, torque and depth while the spindle turns by `turn` [rad] in the middle of the step."""
     vx, vy, vz = s.v_P[0], s.v_P[1], s.v_P[2]
     feed = math.sqrt(vx * vx + vy * vy)
     ux, uy = 1.0, 0.0
@@ -312,8 +337,8 @@ def _force(s: Record, turn: float, h: float) -> int:
     peak = abs(thrust)
     radius = 0.5 * s.mill_diameter
     low = 0.0
-    if s.stock_bottom > s.p_PT_P[2]:
-        low = s.stock_bottom - s.p_PT_P[2]
+    if s.stock_bottom > s.p_mid[2]:
+        low = s.stock_bottom - s.p_mid[2]
     for i in range(8):
         s.total[i] = 0.0
     largest = 0.0
@@ -324,9 +349,9 @@ def _force(s: Record, turn: float, h: float) -> int:
             s.ny,
             s.dx,
             s.dy,
-            s.p_PT_P[0],
-            s.p_PT_P[1],
-            s.p_PT_P[2],
+            s.p_mid[0],
+            s.p_mid[1],
+            s.p_mid[2],
             radius,
             ux,
             uy,
@@ -372,21 +397,26 @@ def _end_face(s: Record, plunge: float, h: float) -> tuple[float, float]:
             s.ny,
             s.dx,
             s.dy,
-            s.p_PT_P[0],
-            s.p_PT_P[1],
-            s.p_PT_P[2],
+            s.p_mid[0],
+            s.p_mid[1],
+            s.p_mid[2],
             0.5 * s.mill_diameter,
             s.stock_bottom,
             s.contact_zone,
         )
-    s.contact_share += (target - s.contact_share) * h / (s.contact_time + h)
-    if target == 0.0 and s.contact_share < 1e-3:
-        s.contact_share = 0.0
-    if not (plunge > 0.0 and s.contact_share > 0.0):
+    # contact_time w' = target - w, solved exactly over the step; the force takes its mean
+    share, mean = target, target
+    if s.contact_time > 0.0:
+        periods = h / s.contact_time
+        decay = exp(-periods)
+        share = target + (s.contact_share - target) * decay
+        mean = target + (s.contact_share - target) * (1.0 - decay) / periods
+    s.contact_share = 0.0 if target == 0.0 and share < 1e-3 else share
+    if not (plunge > 0.0 and mean > 0.0):
         return 0.0, 0.0
     cutting = (1.0 + s.cutting_coefficient_error) * plunge
     edge = (1.0 + s.tool_wear) * (plunge / s.edge_onset if plunge < s.edge_onset else 1.0)
-    length = s.mill_teeth * s.contact_share * s.bottom_edge * 0.5 * s.mill_diameter
+    length = s.mill_teeth * mean * s.bottom_edge * 0.5 * s.mill_diameter
     arm = (1.0 - 0.5 * s.bottom_edge) * 0.5 * s.mill_diameter
     return length * (s.Krc * cutting + s.Kre * edge), length * arm * (s.Ktc * cutting + s.Kte * edge)
 
@@ -503,6 +533,7 @@ def _forget(s: Record) -> None:
         s.f_P[i] = 0.0
         s.m_P[i] = 0.0
         s.v_P[i] = 0.0
+        s.p_mid[i] = 0.0
         s.now[i] = 0.0
     for i in range(8):
         s.total[i] = 0.0
