@@ -83,6 +83,8 @@ def surface_points(path: ToolPath, volume: SweptVolume, size: FloatArray, spacin
     walls = SurfacePoints.joined(_side_walls(along, size, spacing), _corner_walls(around, size, spacing))
     walls = _inside(walls, size)
     walls = walls.select(volume.covers(walls.points, COVER_TOLERANCE) == 0.0)
+    # passes a whole diameter apart touch: what is between them is no wall
+    walls = walls.select(volume.covers(walls.points - 2.0 * COVER_TOLERANCE * walls.normal, 0.0) == 0.0)
     return _once(SurfacePoints.joined(walls, _floors(along, volume, size, spacing)), size, spacing)
 
 

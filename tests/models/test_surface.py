@@ -343,6 +343,12 @@ def test_a_thin_wall_that_is_gone_is_off_by_half_of_it_at_least() -> None:
     assert thinner.walls.max == pytest.approx(2e-4, abs=MICRO)
 
 
+def test_passes_a_diameter_apart_leave_no_wall_between_them() -> None:
+    touching = line((-0.07, RADIUS, -0.01), (0.07, RADIUS, -0.01), (0.07, -RADIUS, -0.01), (-0.07, -RADIUS, -0.01))
+    m = compare(touching, touching)
+    assert np.abs(m.walls.points[:, 1]) == pytest.approx(2 * RADIUS, abs=MICRO)
+
+
 def test_the_rim_of_the_block_that_is_gone_is_a_limit() -> None:
     beside = line((-0.07, 0.021, -0.01), (0.07, 0.021, -0.01))  # leaves 1 mm of the block
     m = compare(beside, moved(beside, 0.0, 2.5e-3, 0.0))
