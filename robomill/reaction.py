@@ -37,10 +37,12 @@ def half_time(t: FloatArray, signal: FloatArray, before: float, after: float) ->
 
 
 def reaction_time(run: Run) -> float:
-    """Delay [s] between deflection and executed correction at the cutter exit, each at half of its fall; nan without compensation.
+    """Delay [s] between deflection and executed correction at the cutter exit, each at half of its fall; nan without compensation or cut.
 
     Both are taken along the direction in which the tool springs back, normal to the feed. Positive: the robot is late.
     """
+    if not np.any(run["milling.depth"] > 0.0):
+        return float("nan")
     middle = steepest_release(run)
     t, moved, deflection = run.t, executed_correction(run), run["compliance.d_T_B"]
     n = round(WINDOW / float(t[1] - t[0]))
