@@ -1,0 +1,141 @@
+"""What a run comes to: figures where something was cut, none where nothing was, and a limit of the measure said everywhere."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from models import tool_table
+from models.cutting import EndMill
+from orchestration.results import Run
+from robomill import pictures
+from robomill.commands import _largest, _table
+from robomill.evaluation import Result, evaluate
+from robomill.reaction import reaction_time
+from robomill.scenario import Scenario, Workpiece
+from tests.tolerances import EXACT, ROUNDOFF
+
+BLOCK = Workpiece((1.3, 0.0, 1.2), (0.10, 0.06, 0.03))
+UPRIGHT = (2**-0.5, 0.0, 2**-0.5, 0.0)
+"""Quaternion of T with its x axis down."""
+FIGURES = ("max_deviation_m", "rms_deviation_m", "p95_deviation_m", "floor_rms_deviation_m", "peak_force_n", "reaction_t50_s")
+
+
+class Recorded(dict[str, Any]):
+    """A run whose tip goes along `way` [m] in P, displaced by `off` [m]."""
+
+    def __init__(self, way: np.ndarray, off: tuple[float, float, float], depth: float, **more: np.ndarray) -> None:
+        n = len(way)
+        self.t = 0.004 * np.arange(n)
+        self.info: dict[str, Any] = {}
+        zero, q = np.zeros((n, 3)), np.tile(UPRIGHT, (n, 1))
+        planned = way + BLOCK.position
+        super().__init__(
+            {
+                "path.p_BT_B": planned,
+                "path.quat_BT": q,
+                "path.v_BT_B": np.gradient(way, 0.004, axis=0),
+                "compliance.p_BT_B": planned + off,
+                "compliance.quat_BT": q,
+                "compliance.d_T_B": zero + np.multiply(off, np.linspace(1.0, 0.0, n)[:, None]),
+                "milling.depth": np.full(n, depth),
+                "milling.f_T_B": zero + 1.0,
+                "milling.f_peak": np.ones(n),
+                "sensor.f_T_T": zero + 1.0,
+                **more,
+            }
+        )
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        return self
+
+
+def along(y: float, z: float, n: int = 1401) -> np.ndarray:
+    """Through the block along x."""
+    return np.column_stack([np.linspace(-0.07, 0.07, n), np.full(n, y), np.full(n, z)])
+
+
+def result(run: Recorded) -> Result:
+    return evaluate("v", "a variant", cast(Run, run), BLOCK, 1.0)
+
+
+def table(one: Result) -> str:
+    console = Console(width=200, record=True, file=None, quiet=False)
+    with console.capture() as shown:
+        console.print(_table(cast(Scenario, SimpleNamespace(title="a scenario", paper={})), [one]))
+    return shown.get()
+
+
+@pytest.mark.parametrize(
+    ("z", "depth", "why"),
+    [
+        (0.0, 1e-5, "nominal path makes no surface in the block"),  # facing at the top of the block, the robot sags into it
+        (0.05, 0.0, "the tool never met the block"),
+        (-0.01, 0.0, "the tool never met the block"),  # the path goes through it, the tool went somewhere else
+    ],
+)
+def test_no_figures_where_nothing_is_cut(z: float, depth: float, why: str, tmp_path: Path) -> None:
+    nothing = result(Recorded(along(0.0, z), (0.0, 1e-3, -4e-4), depth))
+    assert nothing.surface is None
+    assert [nothing.figures[key] for key in FIGURES] == [None] * len(FIGURES)
+    assert why in nothing.figures["note"]
+    json.dumps(nothing.figures, allow_nan=False)
+    row = next(text for text in table(nothing).splitlines() if "a variant" in text)
+    assert row.split()[2:] == ["-"] * 5 + ["1"]
+    assert _largest(nothing.figures) == nothing.figures["note"]
+    assert np.isnan(reaction_time(cast(Run, Recorded(along(0.0, z), (0.0, 1e-3, 0.0), 0.0))))
+    figure = pictures.surfaces([nothing], BLOCK)
+    assert "nothing is cut" in [text.get_text() for text in figure.axes[0].texts]
+    assert "no figures" in figure.axes[0].get_title()
+
+
+def test_a_limit_of_the_measure_is_said_in_table_json_and_picture() -> None:
+    """1 mm of the block is left beside the slot; the tool is 2.5 mm off and takes it."""
+    limited = result(Recorded(along(0.021, -0.01), (0.0, 2.5e-3, 0.0), 0.01))
+    assert limited.figures["max_deviation_limited"] is True
+    assert ">= 2.50" in table(limited)
+    assert ">= 2.50 mm (limit of the measure)" in _largest(limited.figures)
+    figure = pictures.surfaces([limited], BLOCK)
+    assert "max >= 2.50 mm" in figure.axes[0].get_title()
+    plain = result(Recorded(along(0.0, -0.01), (0.0, 2.5e-3, 0.0), 0.01))
+    assert plain.figures["max_deviation_limited"] is False
+    assert ">=" not in table(plain) + _largest(plain.figures) + pictures.surfaces([plain], BLOCK).axes[0].get_title()
+
+
+def test_edges_have_a_figure_of_their_own() -> None:
+    """A strip of floor as wide as the error stands under material beside the displaced wall, 2 of 16 strips of it."""
+    figures = result(Recorded(along(0.0, -0.02), (0.0, 2.5e-3, 0.0), 0.02)).figures
+    assert figures["max_deviation_m"] == pytest.approx(2.5e-3, rel=1e3 * ROUNDOFF)
+    assert figures["floor_max_deviation_m"] == pytest.approx(0.0, abs=ROUNDOFF)
+    assert 0.0 < figures["edge_max_deviation_m"] <= 2.5e-3
+    assert 0.0 < figures["edge_share"] < 0.1
+
+
+def test_each_sample_is_cut_by_the_tool_in_the_spindle(tmp_path: Path) -> None:
+    way = np.vstack([along(-0.015, -0.005), along(-0.015, 0.02)[::-1], along(0.015, 0.02), along(0.015, -0.005)[::-1]])
+    number = np.repeat([1, 2], len(way) // 2)
+    np.save(tmp_path / "tools.npy", tool_table.rows({1: EndMill(0.02, 3, 0.5, 0.03), 2: EndMill(0.006, 2, 0.5, 0.02)}))
+    run = Recorded(way, (0.0, 1e-4, 0.0), 0.005, **{"path.tool": number})
+    run.info = {"parameters": {"milling": {"tools": str(tmp_path / "tools.npy")}}}
+    surface = result(run).surface
+    assert surface is not None
+    assert set(np.round(surface.walls.points[:, 1], 9)) == {-0.025, -0.005, 0.012, 0.018}
+    assert np.abs(surface.walls.deviation) == pytest.approx(1e-4, rel=1e4 * ROUNDOFF)
+
+
+def test_without_a_table_of_tools_the_diameter_of_the_component_counts() -> None:
+    run = Recorded(along(0.0, -0.005), (0.0, 1e-4, 0.0), 0.005, **{"path.tool": np.ones(1401)})
+    run.info = {"parameters": {"milling": {"diameter": 0.001}}}
+    one = result(run)
+    assert np.all(one.nominal.radius - 0.0005 == EXACT)
+    assert one.figures["max_deviation_m"] == pytest.approx(1e-4, rel=1e4 * ROUNDOFF)
