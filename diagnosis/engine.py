@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis import gate
+from diagnosis import gate, run_set
 from diagnosis.answer import Diagnosis, Menu, curves_of, effort_of, result_of, titles_of
 from diagnosis.catalogue import LOGGING, Catalogue, Nuisance
 from diagnosis.conclusion import Conclusion
@@ -63,7 +63,9 @@ def diagnose(
     used = [r for r in runs if not any(r is h for h in held)]
     if not used:
         raise DataError("no run to diagnose: all of them are held out")
+    run_set.check_each(used, held)
     conditions = [*sort_by_condition(used, system), *sort_by_condition(held, system, held_out=True)]
+    run_set.check_spans(conditions)
     n = sum(not c.held_out for c in conditions)
     ports = _ports(system, conditions, resolver, convert, catalogue)
     conditions = [replace(c, runs=tuple(in_units(r, ports, convert) for r in c.runs)) for c in conditions]
@@ -80,6 +82,7 @@ def diagnose(
     with Simulator(laboratory, workers, report, store) as simulator:
         simulator.expected = likely_count(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
         findings = _gate(laboratory, simulator, groups, n, channels, ranges)
+        findings += _other_programs(laboratory, simulator, groups, catalogue)
         fatal = [f for f in findings if f.fatal]
         if all(f.kind in EXPLAINABLE for f in fatal):
             search = Search(catalogue, simulator, groups[:n], nuisances)
@@ -99,6 +102,25 @@ def diagnose(
             result = result_of("bad_log", findings) | {"effort": effort_of(began, simulator)}
             return Diagnosis(result, {}, (), tuple(channels), curves, ports, titles_of(catalogue.titles, ports))
         return Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, began).diagnosis()
+
+
+def _other_programs(
+    laboratory: Laboratory, simulator: Simulator, groups: Sequence[Sequence[FloatArray]], catalogue: Catalogue
+) -> list[gate.Finding]:
+    """Recorded programs, held-out ones too, that are not what the nominal system plays."""
+    driven = {c.target.partition(".")[0] for c in laboratory.system.connections}
+    played = {c.name for c in laboratory.system.components} - driven - {c.component for c in catalogue.candidates}
+    channels, step = laboratory.channels, laboratory.system.step * laboratory.decimation
+    if not any(name.partition(".")[0] in played for name in channels):
+        return []
+    found: dict[str, gate.Finding] = {}
+    base = simulator.repeated(range(len(groups)), (), NOMINAL, "the log")
+    for condition, group, simulated in zip(laboratory.conditions, groups, base, strict=True):
+        for r, x in zip(condition.runs, group, strict=True):
+            if simulated is not None:
+                for f in run_set.other_program(r, x, np.mean(simulated, axis=0), channels, played, step):
+                    found.setdefault(f.channel, f)
+    return list(found.values())
 
 
 def _best(search: Search, fits: Sequence[Fit]) -> Fit:

@@ -8,10 +8,11 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from models.gcode import DIALECTS
 from orchestration.errors import Interrupted, OrchestrationError
+from robomill.option_types import in_unit
 
 DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exchangeable FMUs."
 
@@ -27,11 +28,20 @@ ACTIONS = {
 """Module and function of each command; imported when it is called, because some take seconds."""
 
 
+class _Parser(argparse.ArgumentParser):
+    """Ends with an exception that has the text, for --json."""
+
+    def error(self, message: str) -> NoReturn:
+        self.print_usage(sys.stderr)
+        print(f"{self.prog}: error: {message}", file=sys.stderr)
+        raise SystemExit(2) from ValueError(message)
+
+
 def parser() -> argparse.ArgumentParser:
     """All commands and their options."""
     from robomill import blind_command
 
-    main_parser = argparse.ArgumentParser("robomill", description=DESCRIPTION, epilog="Start with: robomill run scenarios/groove.toml")
+    main_parser = _Parser("robomill", description=DESCRIPTION, epilog="Start with: robomill run scenarios/groove.toml")
     commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     run = _command(commands, "run", "run a scenario in all its variants, or a system file once", "robomill run scenarios/groove.toml")
@@ -46,8 +56,10 @@ def parser() -> argparse.ArgumentParser:
         metavar="FOLDER",
         help="run the FMUs in FOLDER (dist) instead of the models in process",
     )
-    run.add_argument("--stop", type=float, metavar="S", help="stop time in s (system files and packages)")
-    run.add_argument("--step", type=float, metavar="S", help="communication step in s (system files and packages)")
+    run.add_argument("--stop", type=in_unit("s"), metavar="S", help="stop time, s or with a unit (system files and packages)")
+    run.add_argument(
+        "--step", type=in_unit("s"), metavar="S", help='communication step, s or with a unit, such as "4 ms" (system files and packages)'
+    )
     run.add_argument(
         "--loop",
         choices=("auto", "compiled", "python"),
@@ -142,13 +154,17 @@ def _plan_arguments(plan: argparse.ArgumentParser) -> None:
     """Where the program stands, and how it is read where it does not say itself."""
 
     def place(option: str, text: str) -> None:
-        plan.add_argument(option, nargs=3, type=float, metavar=("X", "Y", "Z"), help=text)
+        plan.add_argument(option, nargs=3, type=in_unit("mm"), metavar=("X", "Y", "Z"), help=text)
 
     plan.add_argument("program", type=Path, help="G-code, a path of points (TOML), or a scenario")
-    place("--at", "centre of the block's top in the base, mm (default: 1300 0 1200)")
-    plan.add_argument("--turn", type=float, metavar="DEG", help="workpiece turned about z, degrees")
+    place("--at", 'centre of the block\'s top in the base: mm, or with a unit, such as "1.3 m" (default: 1300 0 1200)')
+    plan.add_argument("--turn", type=in_unit("deg"), metavar="DEG", help="workpiece turned about z: degrees, or with a unit")
     plan.add_argument(
-        "--block", nargs=3, type=float, metavar=("LX", "LY", "LZ"), help="size of the block, mm; what the program cuts of it is checked"
+        "--block",
+        nargs=3,
+        type=in_unit("mm"),
+        metavar=("LX", "LY", "LZ"),
+        help="size of the block, mm; what the program cuts of it is checked",
     )
     plan.add_argument("--zero", metavar="PLACE", help="where G54 lies in the block, such as front-left-top (default: centre-top)")
     plan.add_argument(
@@ -167,7 +183,7 @@ def _plan_arguments(plan: argparse.ArgumentParser) -> None:
         help="unit of dwells: linuxcnc G4 P in s, fanuc and marlin in ms, haas in ms unless P has a decimal point (default: linuxcnc)",
     )
     plan.add_argument("--no-block-delete", action="store_true", help="execute lines that begin with /")
-    plan.add_argument("--tool", type=float, metavar="D", help="diameter of the tool, mm (default: that of milling_force)")
+    plan.add_argument("--tool", type=in_unit("mm"), metavar="D", help="diameter of the tool, mm (default: that of milling_force)")
     plan.add_argument("--out", type=Path, metavar="FILE.npy", help="write the segment table for the path component")
 
 
@@ -181,7 +197,12 @@ def _command(commands: Any, name: str, text: str, example: str) -> argparse.Argu
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; errors that a user can mend become one message on stderr and exit status 2."""
-    options = parser().parse_args(arguments)
+    try:
+        options = parser().parse_args(arguments)
+    except SystemExit as end:
+        if end.__cause__ is not None and "--json" in (sys.argv[1:] if arguments is None else arguments):
+            print(json.dumps({"error": str(end.__cause__)}))
+        raise
     module, function = ACTIONS[options.command]
     action = getattr(importlib.import_module(f"robomill.{module}"), function)
     try:

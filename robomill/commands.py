@@ -24,6 +24,7 @@ from fmus.documentation import reference_files
 from fmus.python.builder import build as build_python
 from models.declaration import Model
 from models.replay import replay_model
+from orchestration.assembly import assemble
 from orchestration.assembly import run as run_once
 from orchestration.errors import OrchestrationError
 from orchestration.results import Run
@@ -33,6 +34,7 @@ from orchestration.toml_text import parse
 from robomill import conformance, experiments, milling, ssp, static_loads
 from robomill.binding import convert, resolve, with_fmus
 from robomill.evaluation import Result, evaluate
+from robomill.plausibility import unusual_values
 from robomill.scenario import Scenario, ScenarioError, load_scenario
 
 RESULTS = Path("results")
@@ -135,10 +137,10 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     try:
         with _progress(options.json) as report:
             job = milling.prepare(scenario, folder, options.fmus, report, resume=options.resume, checkpoint_every=options.checkpoint_every)
+            job = replace(job, system=_adopted(_looped(job.system, options), options))  # the plan and its offline force stay nominal
+            job = replace(job, warnings=(*job.warnings, *milling.check_variants(job, chosen)))
             for text in job.warnings:
                 print(f"warning: {text}", file=sys.stderr)
-            job = replace(job, system=_adopted(_looped(job.system, options), options))  # the plan and its offline force stay nominal
-            milling.check_variants(job, chosen)
             for variant in chosen:
                 recorded, factor = milling.mill(job, variant, report, csv=options.csv)
                 results.append(evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor))
@@ -256,6 +258,9 @@ def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
     if options.checkpoint_every is not None:
         system = replace(system, recording=replace(system.recording, checkpoint_every=options.checkpoint_every))
     folder = options.out or RESULTS / system.name
+    with assemble(system, resolve, convert) as assembly:
+        for text in unusual_values(assembly):
+            print(f"warning: {text}", file=sys.stderr)
     with _progress(options.json) as report:
         result = run_once(
             system,

@@ -21,7 +21,7 @@ from models import gcode, point_path, tool_table
 from models.cutting import EndMill
 from models.declaration import FloatArray
 from models.trajectory import Placement, Plan, pilot_table, plan
-from orchestration.assembly import assemble, run
+from orchestration.assembly import Assembly, assemble, run
 from orchestration.errors import SlaveError
 from orchestration.fmu_description import open_fmu
 from orchestration.results import Run
@@ -29,6 +29,7 @@ from orchestration.system import Connection, System
 from orchestration.wiring import Wiring
 from robomill.binding import convert, resolve, with_fmus
 from robomill.plan_checks import Findings, check_plan
+from robomill.plausibility import unusual_values
 from robomill.scenario import ComponentParameters, Scenario, ScenarioError, Variant, Workpiece
 
 PARTS = ("path", "drive", "compliance", "milling", "sensor", "controller")
@@ -202,10 +203,31 @@ def _end_mill(mill: EndMill) -> str:
     return f"end mill D{1e3 * mill.diameter:g} z{mill.teeth:g}"
 
 
-def check_variants(job: Job, variants: Sequence[Variant]) -> None:
-    """Assemble every variant once, so that what cannot run is refused before any recording is replaced."""
+def check_variants(job: Job, variants: Sequence[Variant]) -> list[str]:
+    """Assemble every variant once, so that what cannot run is refused before a recording is replaced; returns what is unusual."""
+    found: list[str] = []
     for variant in variants:
-        assemble(with_parameters(job.system, variant.parameters), resolve, convert).close()
+        with assemble(with_parameters(job.system, variant.parameters), resolve, convert) as assembly:
+            _check_place(job, assembly)
+            found += unusual_values(assembly)
+    return [text for text in dict.fromkeys(found) if text not in job.warnings]
+
+
+def _check_place(job: Job, assembly: Assembly) -> None:
+    """ScenarioError where the block does not lie where the path was planned."""
+    quaternion = np.roll(Rotation.from_matrix(Placement(job.workpiece.position, job.workpiece.abc).R_BP).as_quat(canonical=True), 1)
+    given = assembly.parameters["milling"]
+    for name, key, planned in (
+        ("p_BP_B", "position", job.workpiece.position),
+        ("quat_BP", "abc", quaternion),
+        ("block_size", "size", job.workpiece.size),
+    ):
+        cut = [given.get(f"{name}[{i + 1}]") for i in range(len(planned))]
+        if None not in cut and not np.allclose(np.array(cut, dtype=np.float64), planned, rtol=0.0, atol=1e-9):
+            raise ScenarioError(
+                f"{job.scenario.file}: milling.{name} is {cut} where the block is cut, but the path is planned for {list(planned)}; "
+                f"give it as [workpiece] {key}, which both have"
+            )
 
 
 class _Stopwatch:

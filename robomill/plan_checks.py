@@ -15,6 +15,7 @@ from models.cutting import EndMill
 from models.dry_run import DryRun, dry_run
 from models.gcode import Move, Program, Vector
 from models.point_path import PointPath
+from robomill.plausibility import unusual_cuts
 
 _SAME_TOOL = 0.005
 """Share of its diameter within which a tool is the one that a comment names: comments round."""
@@ -66,6 +67,7 @@ def check_plan(program: Program | PointPath, size: Vector, tools: Mapping[int, E
                 f"{_name(number)} cuts {1e3 * result.depth[worst]:.1f} mm deep at line {moves[worst].line}, "
                 f"its edges are {1e3 * mill.cutting_length:g} mm long"
             )
+    texts += unusual_cuts([moves[i] for i in cutting], [float(result.depth[i]) for i in cutting], mills)
     return Findings((*texts, *_other_tools(program, mills)), cuts)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from argparse import Namespace
+from argparse import ArgumentTypeError, Namespace
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,11 +16,13 @@ from models.gcode import HOME, Program, Setup, Vector
 from models.parameters import load
 from models.point_path import PointPath
 from models.reachability import check_reachable
+from models.robots import KR300
 from models.trajectory import Placement, Plan
 from models.trajectory import plan as plan_path
 from orchestration.system import System
 from robomill.binding import convert
 from robomill.milling import notes_of, own_tool, read_program, with_parameters
+from robomill.option_types import in_unit
 from robomill.plan_checks import Findings, check_plan
 from robomill.scenario import OFFSETS, load_scenario, place_in_block
 
@@ -75,6 +77,11 @@ def _from_scenario(options: Namespace) -> _Task:
 
 def _from_options(options: Namespace) -> _Task:
     x, y, z = (1e-3 * v for v in options.at or (1300.0, 0.0, 1200.0))
+    if math.hypot(x, y, z) < float(KR300.dh_a[1]):
+        raise ValueError(
+            f"--at {1e3 * x:g} {1e3 * y:g} {1e3 * z:g}: these are mm, nearer to axis 1 than axis 2 is; if metres are meant, write "
+            f'them with their unit: --at "{1e3 * x:g} m" "{1e3 * y:g} m" "{1e3 * z:g} m"'
+        )
     size = _metres(options.block) if options.block else None
     if size is not None and min(size) <= 0.0:
         raise ValueError(f"--block {' '.join(f'{v:g}' for v in options.block)}: expected three positive lengths in mm")
@@ -98,9 +105,9 @@ def _setup(options: Namespace, size: Vector | None, radius: float) -> Setup:
         if name.upper() not in OFFSETS:
             raise ValueError(f"--offset {name}: expected one of {', '.join(OFFSETS)} and X Y Z in mm")
         try:
-            origins[OFFSETS[name.upper()]] = _metres([float(v) for v in values])
-        except ValueError:
-            raise ValueError(f"--offset {name} {' '.join(values)}: expected three numbers in mm") from None
+            origins[OFFSETS[name.upper()]] = _metres([in_unit("mm")(v) for v in values])
+        except ArgumentTypeError as error:
+            raise ValueError(f"--offset {name} {' '.join(values)}: {error}") from None
     zero = origins[54]
     return Setup(
         work_offsets=origins,

@@ -1,0 +1,122 @@
+"""The runs that are given, as a set: copies, repeats cut short, held-out runs that are diagnosed, other programs."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diagnosis.engine import diagnose
+from diagnosis.measured import DataError
+from diagnosis.run_set import check_each, other_program
+from orchestration.assembly import run
+from orchestration.results import Run
+from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
+
+
+def refused(folder: Path, runs: list[Run], held_out: list[Run] | None = None) -> str:
+    with pytest.raises(DataError) as caught:
+        diagnose(SYSTEM, runs, catalogue(folder), held_out=held_out or [], resolver=resolve)
+    return str(caught.value)
+
+
+def cut(r: Run, n: int) -> Run:
+    return replace(r, t=r.t[:n], columns={k: v[:n] for k, v in r.columns.items()})
+
+
+class TestEach:
+    """Each run once, and whole."""
+
+    def test_a_held_out_run_that_is_diagnosed(self, tmp_path: Path) -> None:
+        runs = measure()
+        text = refused(tmp_path, runs, [replace(runs[2], folder=Path("other"))])
+        assert text == (
+            "other is held out, and run2, which is diagnosed, has the same signals, bit for bit, as far as both go; "
+            "a run cannot confirm what was found in it"
+        )
+
+    def test_a_held_out_run_that_is_diagnosed_by_its_folder(self, tmp_path: Path) -> None:
+        (tmp_path / "a").mkdir()
+        (tmp_path / "b").symlink_to(tmp_path / "a")
+        runs, held = measure(), measure(seed=9)[:1]
+        text = refused(tmp_path, [replace(runs[0], folder=tmp_path / "a"), *runs[1:]], [replace(held[0], folder=tmp_path / "b")])
+        assert text.startswith(f"{tmp_path / 'b'} is held out, and {tmp_path / 'a'}, which is diagnosed, has the same folder")
+
+    def test_a_repeat_that_is_a_copy(self, tmp_path: Path) -> None:
+        runs = measure()
+        text = refused(tmp_path, [*runs, replace(runs[1], folder=Path("again"), info={**runs[1].info, "labels": {"repeat": 9}})])
+        assert text.startswith("again has the same signals, bit for bit, as far as both go as run1: a repeat has noise of its own")
+        assert "give one of them" in text
+
+    def test_a_copy_that_is_cut_short_is_a_copy(self, tmp_path: Path) -> None:
+        runs = measure()
+        assert "bit for bit" in refused(tmp_path, [*runs, replace(cut(runs[1], 790), folder=Path("again"))])
+
+    def test_copies_of_a_simulation_without_noise_are_copies(self, tmp_path: Path) -> None:
+        for name in ("a", "b"):
+            run(SYSTEM, tmp_path / name, stop=2.0, resolver=resolve)
+        with pytest.raises(DataError, match="one of a simulation without noise says nothing new"):
+            check_each([Run.load(tmp_path / "a"), Run.load(tmp_path / "b")], [])
+        shutil.rmtree(tmp_path / "b")
+        check_each([Run.load(tmp_path / "a")], [])
+
+    def test_a_run_that_is_not_finished(self, tmp_path: Path) -> None:
+        runs = measure()
+        text = refused(tmp_path, [replace(runs[0], info={**runs[0].info, "outcome": "interrupted"}), *runs[1:]])
+        assert text.startswith("run0: the run is not finished (outcome: interrupted); leave it out")
+
+    def test_a_repeat_cut_short(self, tmp_path: Path) -> None:
+        runs = measure()
+        text = refused(tmp_path, [runs[0], cut(runs[1], 700), *runs[2:]])
+        assert text.startswith(
+            "run1: is cut short: it has 0.000 to 6.990 s, the repeats of 'amplitude 1.0' together 0.000 to 8.000 s; leave it out"
+        )
+
+    def test_a_repeat_that_is_a_little_shorter_is_none(self, tmp_path: Path) -> None:
+        """5 % may be missing: doubled or halved, one of these two would change its answer."""
+        runs = measure()
+        assert diagnose(SYSTEM, [cut(runs[0], 765), *runs[1:]], catalogue(tmp_path), resolver=resolve).result["verdict"] == "none"
+        assert "is cut short" in refused(tmp_path, [cut(runs[0], 755), *runs[1:]])
+
+
+class TestProgram:
+    """What a component plays that nothing goes into is known: the recording shows whether it was the same."""
+
+    T = 0.01 * np.arange(800)
+
+    def found(self, measured: object, simulated: object) -> list[str]:
+        x, s = np.stack([measured, self.T], axis=1), np.stack([simulated, self.T], axis=1)
+        r = replace(measure(repeats=1)[0], folder=Path("r1"))
+        ports = {"path.x": r.ports["sensors.y[1]"], "drive.y": r.ports["sensors.y[1]"]}
+        return [f.text for f in other_program(replace(r, ports=ports), x, s, list(ports), {"path"}, 0.01)]
+
+    def test_the_same_late_and_rounded_is_the_same(self) -> None:
+        s = np.sin(self.T)
+        assert self.found(s, s) == []
+        assert self.found(np.round(np.sin(self.T - 0.25), 3), s) == []
+        assert self.found(np.full(800, 1.0001), np.ones(800)) == []
+
+    def test_another_amplitude_place_or_time_is_another(self) -> None:
+        s = np.sin(self.T)
+        for other in (1.15 * s, s + 0.15, np.sin(self.T - 0.6), np.cos(3.0 * self.T)):
+            (text,) = self.found(other, s)
+            assert text.startswith("is not what the nominal system plays: r1 is")
+            assert "another program, place or feed than [parameters] of its run.toml say?" in text
+        assert len(self.found(np.full(800, 1.2), np.ones(800))) == 1
+
+    def test_the_diagnosis_stops_there(self, tmp_path: Path) -> None:
+        """The force is recorded, but the runs say another amplitude than was played; with it as an effect it is no program."""
+        played = run(SYSTEM.with_parameters("force", {"amplitude": 1.3}), None, stop=8.0, resolver=resolve)
+        runs = [
+            replace(r, columns={**r.columns, "force.f": played["force.f"]}, ports={**r.ports, "force.f": played.ports["force.f"]})
+            for r in measure(amplitude=1.3)
+        ]
+        wrong = [replace(r, info={**r.info, "parameters": {"force": {"amplitude": 1.0}}}) for r in runs]
+        result = diagnose(SYSTEM, wrong, catalogue(tmp_path), resolver=resolve).result
+        assert result["verdict"] == "bad_log"
+        assert ("force.f", "program") in [(f["channel"], f["kind"]) for f in result["gate"]["findings"]]
+        right = diagnose(SYSTEM, runs, catalogue(tmp_path), resolver=resolve).result
+        assert "program" not in [f["kind"] for f in right["gate"]["findings"]]
