@@ -78,12 +78,18 @@ class Fmi2(Fmi):
 
     def instantiate(self) -> bool:
         """Make the instance; whether there is one."""
-        try:
-            self._fmu.instantiate(callbacks=self._callbacks, loggingOn=True)
-        except Exception:  # FMPy raises a bare one
-            return False
-        self.instance = ctypes.c_void_p(self._fmu.component)
-        return True
+        names = self.name.encode(), fmi2.fmi2CoSimulation, self.description.guid.encode(), self._location().encode()
+        visible, logging = 0, 1
+        made = self._fmu.component = self._fmu.fmi2Instantiate(*names, ctypes.byref(self._callbacks), visible, logging)
+        self.instance = ctypes.c_void_p(made)
+        return bool(made)
+
+    def _location(self) -> str:
+        """URI of the resources. That of pythonfmu has one escape, `%20` for a blank: it decodes no other, and crashes where nothing is."""
+        resources = self.description.folder / "resources"
+        return (
+            f"file:///{resources.as_posix().lstrip('/').replace(' ', '%20')}" if self.description.made_by_pythonfmu else resources.as_uri()
+        )
 
     def enter(self, start: float, stop: float) -> Iterator[Call]:
         """The calls that enter initialisation."""

@@ -81,6 +81,8 @@ class FmuDescription:
     can_serialise_state: bool
     made_by_pythonfmu: bool
     """Its log messages are finished texts, not printf formats."""
+    carries_tables: bool
+    """It is one of this project: built-in rows of its tables stand in its resources (`ssp_tables`)."""
     log_categories: tuple[str, ...]
     units: dict[str, Any] = field(repr=False)
     """FMPy's unit definitions by name."""
@@ -132,6 +134,7 @@ def describe(file: Path, folder: Path, names: Sequence[str]) -> FmuDescription:
         can_save_state=bool(md.coSimulation.canGetAndSetFMUstate),
         can_serialise_state=bool(md.coSimulation.canSerializeFMUstate),
         made_by_pythonfmu=(folder / "resources" / "slavemodule.txt").is_file(),
+        carries_tables=(md.generationTool or "").startswith("robomill "),
         log_categories=tuple(c.name for c in md.logCategories),
         units={u.name: u for u in md.unitDefinitions},
     )
