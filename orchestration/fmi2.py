@@ -85,11 +85,16 @@ class Fmi2(Fmi):
         return bool(made)
 
     def _location(self) -> str:
-        """URI of the resources. That of pythonfmu has one escape, `%20` for a blank: it decodes no other, and crashes where nothing is."""
+        """URI of the resources. For pythonfmu with one escape, `%20` for a blank: it decodes no other, and crashes where nothing is."""
         resources = self.description.folder / "resources"
-        return (
-            f"file:///{resources.as_posix().lstrip('/').replace(' ', '%20')}" if self.description.made_by_pythonfmu else resources.as_uri()
-        )
+        if not self.description.made_by_pythonfmu:
+            return resources.as_uri()
+        if "%20" in resources.as_posix():
+            raise SlaveError(
+                f"component {self.name!r}: {self.description.file.name} is unpacked to {resources.parent}, and the library of pythonfmu "
+                "takes %20 in a name for a blank: set TMPDIR to another folder"
+            )
+        return f"file:///{resources.as_posix().lstrip('/').replace(' ', '%20')}"
 
     def enter(self, start: float, stop: float) -> Iterator[Call]:
         """The calls that enter initialisation."""

@@ -17,6 +17,7 @@ from fmus.python.builder import _npy
 from orchestration.errors import SlaveError
 from orchestration.fmu import FmuSlave
 from orchestration.ssp_tables import carrying
+from robomill.conformance import check_fmu
 from tests.fmus.demo import MODEL
 
 OUTPUTS = Interface(MODEL).outputs
@@ -63,6 +64,24 @@ def test_a_folder_of_any_name(fmu: Path, tmp_path: Path, monkeypatch: pytest.Mon
     strange.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(strange))
     assert curve_value(carried(fmu, tmp_path, [[0.0, 42.5]]), {}) == 42.5
+
+
+def test_a_folder_that_the_library_of_pythonfmu_would_not_find(
+    built: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would crash the process."""
+    strange = tmp_path / "100%20"
+    strange.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(strange))
+    with pytest.raises(SlaveError, match=r"the library of pythonfmu takes %20 in a name for a blank: set TMPDIR to another folder"):
+        curve_value(built("demo"), {})
+
+
+def test_the_battery_in_a_folder_of_any_name(built: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    strange = tmp_path / "ä ö"
+    strange.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(strange))
+    assert [r for r in check_fmu(built("demo")) if not r.passed] == []
 
 
 def test_it_has_another_name_and_the_same_tables_give_the_same_bytes(fmu: Path, tmp_path: Path) -> None:
