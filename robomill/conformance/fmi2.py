@@ -90,7 +90,7 @@ class Fmi2(Calls):
 
     def enter(self, call: Call, start: float) -> None:
         """Enter initialisation."""
-        call("fmi2SetupExperiment", False, 0.0, start, False, 0.0)
+        call("fmi2SetupExperiment", *self.tolerance, start, False, 0.0)
         call("fmi2EnterInitializationMode")
 
     def step(self, call: Call, t: float, h: float) -> None:

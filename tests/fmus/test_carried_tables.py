@@ -102,7 +102,7 @@ def test_a_table_that_is_not_there_or_does_not_fit_is_no_built_in_one(fmi: int, 
     with pytest.raises(SlaveError, match=re.escape(f"spring 1: table curve from '{table}': the file does not exist or cannot be read")):
         slave.initialise(0.0, 1.0, 0.004)
     slave.close()
-    with pytest.raises(SlaveError, match=r"tables/curve.npy': has shape \(1, 3\), expected at most 10 rows of 2 columns"):
+    with pytest.raises(SlaveError, match=r"tables/curve.npy': has shape \(1, 3\), expected rows of 2 columns"):
         curve_value(carried(built_native("demo", fmi), tmp_path, [[0.0, 1.0, 2.0]]), {})
 
 
