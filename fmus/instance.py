@@ -6,6 +6,7 @@ import math
 import operator
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,8 +48,10 @@ class State(NamedTuple):
 class Instance:
     """A record with its functions. Compiled by default; plain Python on request or without Numba (`compiled` tells)."""
 
-    def __init__(self, interface: Interface, name: str | None = None, plain: bool = False) -> None:
+    def __init__(self, interface: Interface, name: str | None = None, plain: bool = False, tables: Path | None = None) -> None:
+        """`tables`: a folder whose NAME.npy, where there is one, holds the built-in rows of the table NAME."""
         self.interface = interface
+        self._folder = tables
         self.model: Model = interface.model
         self.name = name or self.model.name
         self.plain = plain
@@ -157,13 +160,23 @@ class Instance:
         try:
             if path:
                 return from_file(path, columns)
-            return self.model.built_in[name] if source is None or isinstance(source, str) else from_rows(source, columns)
+            return self._built_in(name, columns) if source is None or isinstance(source, str) else from_rows(source, columns)
         except (OSError, ValueError, TypeError, MemoryError) as error:
             raise ComponentError(f"{self.name}: table {name}{f' from {path!r}' if path else ''}: {error}") from None
 
     def _put_table(self, name: str, table: Table) -> None:
         self.tables[name] = table
         point(self.data, name, table)
+
+    def load_built_in(self) -> None:
+        """The built-in rows from the folder, for the tables that nothing was loaded into. ComponentError says what does not fit."""
+        for name, table in self.tables.items():
+            if not table.path:
+                self.load_table(name, "")
+
+    def _built_in(self, name: str, columns: int) -> Table:
+        file = self._folder / f"{name}.npy" if self._folder is not None else None
+        return replace(from_file(file, columns), path="") if file is not None and file.is_file() else self.model.built_in[name]
 
     # Running
 

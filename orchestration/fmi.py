@@ -6,9 +6,11 @@
 from __future__ import annotations
 
 import ctypes
+import os
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +19,7 @@ import numpy.typing as npt
 from orchestration.errors import SlaveError
 from orchestration.fmu_description import FmuDescription, Variable
 from orchestration.native import BlockData
-from orchestration.slave import FloatArray, Port, Scalar
+from orchestration.slave import FloatArray, Scalar, inputs, outputs
 
 WARNING, FATAL = 1, 4
 """Statuses: the largest that is no error; the one after which no call is allowed."""
@@ -87,6 +89,17 @@ class Fmi(ABC):
         self.description, self.name, self.messages = description, name, messages
         self.instance = ctypes.c_void_p()
         self.load()
+
+    def open_library(self) -> ctypes.CDLL:
+        """The library; SlaveError if the system cannot load it."""
+        here, library = Path.cwd(), self.description.library
+        try:
+            os.chdir(library.parent)  # some libraries find others that they need by the working directory
+            return ctypes.CDLL(str(library))
+        except OSError as error:
+            raise SlaveError(f"{self.description.file}: its binary cannot be loaded: {error}") from None
+        finally:
+            os.chdir(here)
 
     @abstractmethod
     def load(self) -> None:
@@ -159,9 +172,9 @@ def address(function: Any) -> int:
 
 def by_kind(description: FmuDescription, causality: str) -> Iterator[tuple[str, list[int], list[Variable]]]:
     """(type, places of the elements in the flat image, variables) for each type that occurs among the inputs or outputs."""
-    ports: list[Port] = [p for p in description.ports if p.causality == causality]
+    ports = {"input": inputs, "output": outputs}[causality](description.ports)
     place = {p.name: i for i, p in enumerate(ports)}
-    chosen = [v for v in description.variables if v.ports[0].causality == causality]
+    chosen = [v for v in description.variables if v.ports[0].name in place]
     for kind in dict.fromkeys(v.kind for v in chosen):
         found = [v for v in chosen if v.kind == kind]
         yield kind, [place[p.name] for v in found for p in v.ports], found

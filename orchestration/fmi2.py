@@ -1,15 +1,16 @@
-"""The calls of FMI 2.0 co-simulation, loaded by FMPy."""
+"""The calls of FMI 2.0 co-simulation.
+
+The library is loaded here and only what is called is looked for in it: some FMUs leave out functions that they do not need.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import itertools
 import math
-import os
 import weakref
 from collections import deque
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import fmpy
@@ -24,8 +25,23 @@ from orchestration.native import BlockData
 from orchestration.slave import Scalar
 
 _DTYPES = {"Real": np.float64, "Integer": np.int32, "Boolean": np.int32}
-_ACCESS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
-_DO_STEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
+_flag, _number, _count, _pointer = ctypes.c_int, ctypes.c_double, ctypes.c_size_t, ctypes.c_void_p
+_INSTANTIATE = (ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p, _pointer, _flag, _flag)
+_ACCESS = (_pointer, _count, _pointer)
+_ARGUMENTS: dict[str, tuple[Any, ...]] = {
+    "SetDebugLogging": (_flag, _count, _pointer),
+    "SetupExperiment": (_flag, _number, _number, _flag, _number),
+    "EnterInitializationMode": (),
+    "ExitInitializationMode": (),
+    "Terminate": (),
+    "DoStep": (_number, _number, _flag),
+    "GetFMUstate": (_pointer,),
+    "SetFMUstate": (_pointer,),
+    "FreeFMUstate": (_pointer,),
+    "SerializedFMUstateSize": (_pointer, _pointer),
+    "SerializeFMUstate": (_pointer, _pointer, _count),
+    "DeSerializeFMUstate": (_pointer, _count, _pointer),
+}
 
 # The proxy that formats printf messages knows ONE logger for the whole process, so there is one here,
 # which finds the instance by its environment pointer.
@@ -56,38 +72,54 @@ class Fmi2(Fmi):
 
     def load(self) -> None:
         """Load the library."""
-        here = Path.cwd()
+        self._library = self.open_library()
         try:
-            self._fmu = fmi2.FMU2Slave(
-                guid=self.description.guid,
-                modelIdentifier=self.description.identifier,
-                unzipDirectory=str(self.description.folder),
-                instanceName=self.name,
-            )
-        except Exception as error:  # FMPy raises bare Exception, AttributeError for a function that is not there
+            self._instantiate = self._function("Instantiate", ctypes.c_void_p, *_INSTANTIATE)
+            self._free = self._function("FreeInstance", None, _pointer)
+            self._do_step = self._function("DoStep")
+        except AttributeError as error:
             raise SlaveError(f"{self.description.file}: its binary cannot be loaded: {error}") from None
-        finally:
-            os.chdir(here)  # FMPy leaves the process in the binary's folder when loading fails
         number = next(_numbers)
         _instances[number] = self.messages
         self._callbacks = fmi2.fmi2CallbackFunctions(_LOGGER, _ALLOCATE, _FREE, componentEnvironment=number)
         if not self.description.made_by_pythonfmu:
             # pythonfmu hands over finished texts: a per cent sign in one would be formatted with garbage
             fmi2.addLoggerProxy(ctypes.byref(self._callbacks))
-        self._do_step = _DO_STEP(("fmi2DoStep", self._fmu.dll))
+
+    def _function(self, name: str, result: Any = ctypes.c_int, *arguments: Any) -> Any:
+        """A function of the library; AttributeError if it is not there."""
+        found = self._library["fmi2" + name]
+        found.restype = result
+        found.argtypes = arguments or (_pointer, *_ARGUMENTS.get(name, _ACCESS))
+        return found
 
     def instantiate(self) -> bool:
         """Make the instance; whether there is one."""
-        try:
-            self._fmu.instantiate(callbacks=self._callbacks, loggingOn=True)
-        except Exception:  # FMPy raises a bare one
-            return False
-        self.instance = ctypes.c_void_p(self._fmu.component)
-        return True
+        names = self.name.encode(), fmi2.fmi2CoSimulation, self.description.guid.encode(), self._location().encode()
+        visible, logging = 0, 1
+        made = self._instantiate(*names, ctypes.byref(self._callbacks), visible, logging)
+        self.instance = ctypes.c_void_p(made)
+        return bool(made)
+
+    def _location(self) -> str:
+        """URI of the resources. For pythonfmu with one escape, `%20` for a blank: it decodes no other, and crashes where nothing is."""
+        resources = self.description.folder / "resources"
+        if not self.description.made_by_pythonfmu:
+            return resources.as_uri()
+        if "%20" in resources.as_posix():
+            raise SlaveError(
+                f"component {self.name!r}: {self.description.file.name} is unpacked to {resources.parent}, and the library of pythonfmu "
+                "takes %20 in a name for a blank: set TMPDIR to another folder"
+            )
+        return f"file:///{resources.as_posix().lstrip('/').replace(' ', '%20')}"
 
     def enter(self, start: float, stop: float) -> Iterator[Call]:
         """The calls that enter initialisation."""
-        yield "SetupExperiment", (0, 0.0, start, int(math.isfinite(stop)), stop if math.isfinite(stop) else 0.0)
+        tolerance = self.description.tolerance
+        yield (
+            "SetupExperiment",
+            (int(tolerance is not None), tolerance or 0.0, start, int(math.isfinite(stop)), stop if math.isfinite(stop) else 0.0),
+        )
         yield "EnterInitializationMode", ()
 
     def parameter(self, variable: Variable, values: Sequence[Scalar]) -> Call:
@@ -109,12 +141,15 @@ class Fmi2(Fmi):
 
     def call(self, function: str, *arguments: Any) -> int:
         """Call a function."""
-        status: int = self._fmu._functions["fmi2" + function](self.instance, *arguments)
+        try:
+            status: int = self._function(function)(self.instance, *arguments)
+        except AttributeError:
+            raise SlaveError(f"component {self.name!r}: {self.description.file.name} has no function fmi2{function}") from None
         return status
 
     def address(self, function: str) -> int:
         """Address of a function."""
-        return address(self._fmu.dll["fmi2" + function])
+        return address(self._library["fmi2" + function])
 
     def step(self, t: float, h: float) -> int:
         """From `t` to `t + h` [s]."""
@@ -125,8 +160,11 @@ class Fmi2(Fmi):
         """Inputs or outputs by type."""
         made = []
         for kind, places, variables in by_kind(self.description, causality):
-            name = f"fmi2{way}{kind}"
-            made.append(Group(name, _ACCESS((name, self._fmu.dll)), places, variables, _DTYPES[kind], counted=False))
+            try:
+                function = self._function(f"{way}{kind}")
+            except AttributeError:
+                raise SlaveError(f"{self.description.file}: its binary has no function fmi2{way}{kind}") from None
+            made.append(Group(f"fmi2{way}{kind}", function, places, variables, _DTYPES[kind], counted=False))
         return made
 
     def compiled(self, inputs: Sequence[Group], outputs: Sequence[Group]) -> Addresses:
@@ -135,11 +173,11 @@ class Fmi2(Fmi):
 
     def free(self) -> None:
         """Free the instance."""
-        self._fmu.fmi2FreeInstance(self._fmu.component)
+        self._free(self.instance)
 
     def unload(self) -> None:
         """Unload the library."""
-        self._fmu.freeLibrary()
+        fmpy.freeLibrary(self._library._handle)
 
 
 def _block(group: Group) -> BlockData:

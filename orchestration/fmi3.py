@@ -10,7 +10,6 @@ import ctypes
 import math
 import os
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import fmpy
@@ -67,17 +66,13 @@ class Fmi3(Fmi):
 
     def load(self) -> None:
         """Load the library."""
-        here, library = Path.cwd(), self.description.library
+        self._library = self.open_library()
         try:
-            os.chdir(library.parent)  # some libraries find others that they need by the working directory
-            self._library = ctypes.CDLL(str(library))
             self._instantiate = self._function("InstantiateCoSimulation", ctypes.c_void_p, *_INSTANTIATE)
             self._free = self._function("FreeInstance", None, _pointer)
             self._do_step = self._function("DoStep")
-        except (OSError, AttributeError) as error:
+        except AttributeError as error:
             raise SlaveError(f"{self.description.file}: its binary cannot be loaded: {error}") from None
-        finally:
-            os.chdir(here)
         self._log = _LOG(lambda _, status, __, text: self.messages.append((status, (text or b"").decode("utf-8", "replace").rstrip())))
         # event handling needed, terminate simulation, early return; last successful time
         self.flags = np.zeros(3, dtype=np.uint8)
@@ -103,7 +98,11 @@ class Fmi3(Fmi):
 
     def enter(self, start: float, stop: float) -> Iterator[Call]:
         """The call that enters initialisation."""
-        yield "EnterInitializationMode", (False, 0.0, start, math.isfinite(stop), stop if math.isfinite(stop) else 0.0)
+        tolerance = self.description.tolerance
+        yield (
+            "EnterInitializationMode",
+            (tolerance is not None, tolerance or 0.0, start, math.isfinite(stop), stop if math.isfinite(stop) else 0.0),
+        )
 
     def parameter(self, variable: Variable, values: Sequence[Scalar]) -> Call:
         """The call that sets all elements of a parameter."""

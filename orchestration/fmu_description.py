@@ -31,6 +31,8 @@ _TYPES = {
         "String": ("string", "String"),
     },
     3: {
+        "Binary": ("binary", "Binary"),
+        "Clock": ("clock", "Clock"),
         "Float64": ("real", "Float64"),
         "Float32": ("real", "Float32"),
         **{name: ("integer", name) for name in _INTEGERS},
@@ -48,6 +50,7 @@ _WHOLE = {
 """Least and largest whole number that a type holds, and all between, by its name in the functions that get and set it."""
 MAX_ELEMENTS = 1_000_000
 """Of all variables of an FMU: a size of an array that was mistyped must not fill the memory."""
+_CAUSALITIES = {**{c: c for c in ("input", "output", "parameter")}, "structuralParameter": "structural parameter"}
 _SUFFIX = {"linux": ".so", "darwin": ".dylib", "win32": ".dll"}
 
 
@@ -81,6 +84,10 @@ class FmuDescription:
     can_serialise_state: bool
     made_by_pythonfmu: bool
     """Its log messages are finished texts, not printf formats."""
+    tolerance: float | None
+    """Of its solver, relative, where its default experiment names one; what others run it with."""
+    carries_tables: bool
+    """It is one of this project: built-in rows of its tables stand in its resources (`ssp_tables`)."""
     log_categories: tuple[str, ...]
     units: dict[str, Any] = field(repr=False)
     """FMPy's unit definitions by name."""
@@ -132,6 +139,8 @@ def describe(file: Path, folder: Path, names: Sequence[str]) -> FmuDescription:
         can_save_state=bool(md.coSimulation.canGetAndSetFMUstate),
         can_serialise_state=bool(md.coSimulation.canSerializeFMUstate),
         made_by_pythonfmu=(folder / "resources" / "slavemodule.txt").is_file(),
+        tolerance=_bound(md.defaultExperiment.tolerance) if md.defaultExperiment is not None else None,
+        carries_tables=(md.generationTool or "").startswith("robomill "),
         log_categories=tuple(c.name for c in md.logCategories),
         units={u.name: u for u in md.unitDefinitions},
     )
@@ -185,18 +194,13 @@ def _library(file: Path, folder: Path, identifier: str, names: Sequence[str], pl
 
 
 def _variables(file: Path, md: Any, fmi: int) -> tuple[Variable, ...]:
-    """Inputs, outputs and parameters of a model description.
-
-    Left out is what no bus carries: inputs and outputs that are texts, binaries and clocks, parameters that are arrays of texts.
-    """
+    """Inputs, outputs, parameters and structural parameters of a model description."""
     dependencies = {u.variable.name: _names(u.dependencies) for u in md.outputs}
     found: list[Variable] = []
     taken: set[str] = set()
     for v in md.modelVariables:
         kind, access = _TYPES[fmi].get(v.type, ("", ""))
-        if v.causality not in ("input", "output", "parameter") or not kind:
-            continue
-        if kind == "string" and (v.causality != "parameter" or v.dimensions):
+        if v.causality not in _CAUSALITIES or not kind:
             continue
         if getattr(v, "clocks", None):
             raise SlaveError(
@@ -226,7 +230,9 @@ def _element_names(v: Any) -> list[str]:
 
 
 def _starts(file: Path, v: Any, kind: str, count: int) -> list[Scalar | None]:
-    """One start value per element: an array may have one for all."""
+    """One start value per element: an array may have one for all. FMPy reads none of arrays of texts and of binaries."""
+    if kind == "binary" or (kind == "string" and v.dimensions):
+        return [None] * count
     texts = [v.start] if v.start is None or not v.dimensions else v.start.split()
     if len(texts) not in (1, count):
         raise SlaveError(f"{file}: array {v.name[:200]!r} has {count} elements and {len(texts)} start values; expected 1 or {count}")
@@ -250,8 +256,9 @@ def _ports(
     low, high = (
         _bound(own if own is not None else other) for own, other in ((v.min, declared and declared.min), (v.max, declared and declared.max))
     )
+    items = tuple((item.name, int(item.value)) for item in declared.items or ()) if v.type == "Enumeration" and declared else ()
     for name, start in zip(names, starts, strict=True):
-        yield PortData(name, v.causality, kind, unit, start, low, high, v.description or "", dependencies, limits)
+        yield PortData(name, _CAUSALITIES[v.causality], kind, unit, start, low, high, v.description or "", dependencies, limits, items)
 
 
 def _names(dependencies: Sequence[Any] | None) -> tuple[str, ...] | None:

@@ -1,7 +1,7 @@
 """Parameter values as people write them -> one checked value per element, in the unit of its port.
 
 A value is a text with a unit ("0.2 mm") that the converter given from outside turns into the port's
-unit, a number where the port has none, a boolean, a nested list for a whole array,
+unit, a number where the port has none, a boolean, the name of an item of an enumeration, a nested list for a whole array,
 `{value = [...], unit = "mm"}`, or `{file = "..."}`, a path relative to the system file for parameters
 that are texts. A number that code gives is one in the unit of the port (SI for the components of this
 project); one that a person wrote (`orchestration.written`) is refused where the port has a unit.
@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.errors import PlacedError, unknown
-from orchestration.slave import EXACT, Port, Scalar, arrays, whole_range
+from orchestration.errors import PlacedError, available, unknown
+from orchestration.slave import CARRIED, EXACT, Port, Scalar, arrays, items, whole_range
 from orchestration.written import place_of
 
 Convert = Callable[[float, str, str], float]
@@ -83,6 +83,9 @@ def expand(ports: Sequence[Port], values: Mapping[str, Any], causality: str = "p
                 raise PlacedError(str(error), place) from None
         else:
             other = [p for p in ports if name in (p.name, p.name.partition("[")[0])]
+            if other and other[0].causality == "structural parameter":
+                text = f"{name!r} is a structural parameter: it decides sizes of arrays and keeps its value {other[0].start}"
+                raise PlacedError(text, place)
             if other:
                 raise PlacedError(f"{name!r} is {_a(other[0].causality)}, not {_a(causality)}", place)
             raise PlacedError(unknown(causality, name, whole), place)
@@ -142,8 +145,13 @@ def prepare(
 
 
 def _scalar(port: Port, value: Any, convert: Convert, folder: Path | None, by_hand: bool) -> Scalar:
-    if port.type == "string":
+    if port.type == "string" and port.causality == "parameter":
         return _text(value, folder)
+    if port.type not in CARRIED:
+        raise ValueError(f"is of type {port.type}, which cannot be set here; it keeps its start value")
+    names = items(port)
+    if isinstance(value, str) and value in names:
+        return names[value]
     wanted = port.unit or "1"
     if isinstance(value, np.generic):
         value = value.item()
@@ -151,6 +159,8 @@ def _scalar(port: Port, value: Any, convert: Convert, folder: Path | None, by_ha
         if value in (True, False):
             return bool(value)
         raise ValueError(f"expected true or false; found {value!r}")
+    if isinstance(value, str) and names:
+        raise ValueError(f"expected an item of the enumeration: {_listed(names)}; found {value!r}")
     if isinstance(value, Mapping):
         if set(value) != {"value", "unit"}:
             raise ValueError(f"expected a value or {{value = ..., unit = ...}}; found a table with {', '.join(value)}")
@@ -176,6 +186,8 @@ def _scalar(port: Port, value: Any, convert: Convert, folder: Path | None, by_ha
             raise ValueError(
                 f"{value!r} may stand for several whole numbers; above {EXACT} write it without decimal point, exponent and unit"
             )
+        if names and number not in names.values():
+            raise ValueError(f"expected an item of the enumeration: {_listed(names)}; found {value!r}")
     for bound, outside, word in (
         (port.minimum, port.minimum is not None and number < port.minimum, "below its minimum"),
         (port.maximum, port.maximum is not None and number > port.maximum, "above its maximum"),
@@ -183,6 +195,10 @@ def _scalar(port: Port, value: Any, convert: Convert, folder: Path | None, by_ha
         if outside:
             raise ValueError(f"{number:.9g} {wanted} is {word} {bound:.9g} {wanted}")
     return int(number) if port.type == "integer" else float(number)
+
+
+def _listed(names: Mapping[str, int]) -> str:
+    return available(f"{name} ({value})" for name, value in names.items())
 
 
 def _text(value: Any, folder: Path | None) -> str:

@@ -30,7 +30,8 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 Scalar = float | int | bool | str
 ParameterValue = Scalar | Sequence[Any]
-KINDS = ("real", "integer", "boolean", "string")
+CARRIED = ("real", "integer", "boolean")
+"""Types of ports that can be connected and recorded: numbers on the bus. The others (string, binary, clock) keep their values."""
 EXACT = 2**53 - 1
 """Largest whole number that float64 tells from all others: what goes from component to component is float64."""
 INT64 = (-(2**63), 2**63 - 1)
@@ -39,8 +40,9 @@ INT64 = (-(2**63), 2**63 - 1)
 class Port(Protocol):
     """One scalar variable of a component as others see it.
 
-    Inputs and outputs are real, integer or boolean; on the bus all are float64 (booleans 0.0 and
-    1.0). Parameters may also be strings. Values, start, minimum and maximum are in `unit`.
+    Inputs and outputs that are real, integer (enumerations, too) or boolean can be connected; on the bus all are float64
+    (booleans 0.0 and 1.0). Those of other types are there to be named, and stay at their starts. Parameters may be strings.
+    Values, start, minimum and maximum are in `unit`.
     A port may also have `limits`: (least, largest) whole number that its type holds, and all between; see `whole_range`.
     """
 
@@ -51,12 +53,12 @@ class Port(Protocol):
 
     @property
     def causality(self) -> str:
-        """`input`, `output` or `parameter`."""
+        """`input`, `output`, `parameter`, or `structural parameter`, which cannot be set."""
         ...
 
     @property
     def type(self) -> str:
-        """`real`, `integer`, `boolean` or `string`."""
+        """`real`, `integer`, `boolean`, `string`, `binary` or `clock`."""
         ...
 
     @property
@@ -105,6 +107,8 @@ class PortData:
     dependencies: tuple[str, ...] | None = None
     limits: tuple[int, int] | None = field(default=None, compare=False)
     """Least and largest whole number that its type holds, and all between; None = those of 64 bits."""
+    items: tuple[tuple[str, int], ...] = ()
+    """Of an enumeration: names and values."""
 
 
 @runtime_checkable
@@ -174,8 +178,13 @@ def leave_initialisation(slave: Slave) -> None:
 
 def plain(p: Port) -> PortData:
     """A port as plain data."""
-    limits = getattr(p, "limits", None)
-    return PortData(p.name, p.causality, p.type, p.unit, p.start, p.minimum, p.maximum, p.description, p.dependencies, limits)
+    about = (p.name, p.causality, p.type, p.unit, p.start, p.minimum, p.maximum, p.description, p.dependencies)
+    return PortData(*about, getattr(p, "limits", None), tuple(items(p).items()))
+
+
+def items(p: Port) -> dict[str, int]:
+    """Value by name of the items of an enumeration; only ports of FMUs have them."""
+    return dict(getattr(p, "items", ()))
 
 
 def whole_range(p: Port) -> tuple[int, int]:
@@ -190,13 +199,13 @@ def base_name(name: str) -> str:
 
 
 def inputs(ports: Sequence[Port]) -> tuple[Port, ...]:
-    """The input ports, in the order of `Slave.set_inputs`."""
-    return tuple(p for p in ports if p.causality == "input")
+    """The input ports that can be connected, in the order of `Slave.set_inputs`."""
+    return tuple(p for p in ports if p.causality == "input" and p.type in CARRIED)
 
 
 def outputs(ports: Sequence[Port]) -> tuple[Port, ...]:
-    """The output ports, in the order of `Slave.get_outputs`."""
-    return tuple(p for p in ports if p.causality == "output")
+    """The output ports that can be connected, in the order of `Slave.get_outputs`."""
+    return tuple(p for p in ports if p.causality == "output" and p.type in CARRIED)
 
 
 def arrays(ports: Sequence[Port]) -> dict[str, tuple[Port, ...]]:

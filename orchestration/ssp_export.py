@@ -2,9 +2,10 @@
 
 Flat: components in one system, no connectors of the system, connections element by element, only connectors that are
 connected; one parameter set named `default` per component, in a file of its own beside the FMUs, no mappings; the
-prefixes `ssd`, `ssc` and `ssv`, which some importers take literally. Files of parameters that are texts (tables) go
-to `resources/`; the value is then the path within the package. What SSP has no words for is in annotations that others may ignore: our
-own (`ANNOTATION`: algorithm, delayed connections, end of the run, ...) and the step where libcosim, Ecos and OMSimulator look for it.
+prefixes `ssd`, `ssc` and `ssv`, which some importers take literally. Files of parameters that are texts (tables) go into
+the FMU if it is one of ours (`ssp_tables`), else to `resources/`; the value is then the path within the package. What SSP has
+no words for is in annotations that others may ignore: our own (`ANNOTATION`: algorithm, delayed connections, end of the run,
+...) and the step where libcosim, Ecos and OMSimulator look for it.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from orchestration.assembly import Assembly, assemble
 from orchestration.errors import SystemFileError
 from orchestration.parameters import Convert, same_unit_only
 from orchestration.slave import Port, Scalar, arrays, inputs, outputs
+from orchestration.ssp_tables import carrying
 from orchestration.system import Component, Recording, System
 
 ANNOTATION = "com.github.robomill"
@@ -131,7 +133,7 @@ class _Package:
         SubElement(simulation, "oms:FixedStepMaster", {"description": "oms-ma", "stepSize": step, **tolerances})
 
     def _component(self, parent: Element, c: Component, sources: dict[bytes, str]) -> None:
-        fmu = (self.system.folder / c.source).read_bytes()
+        fmu, values = self._with_tables(c)
         place = sources.setdefault(fmu, self._free(f"{RESOURCES}/{Path(c.source).name}"))
         self.files[place] = fmu
         component = SubElement(parent, "ssd:Component", name=c.name, type="application/x-fmu-sharedlibrary", source=place)
@@ -142,10 +144,19 @@ class _Package:
             for p in connected:
                 connector = SubElement(connectors, "ssd:Connector", name=p.name, kind=p.causality)
                 SubElement(connector, f"ssc:{_TYPES[p.type]}", _some(unit=p.unit if p.type == "real" else None))
-        values = {**self.assembly.parameters[c.name], **self.assembly.inputs.get(c.name, {})}
+        values |= self.assembly.inputs.get(c.name, {})
         if values:
             bindings = SubElement(component, "ssd:ParameterBindings")
             SubElement(bindings, "ssd:ParameterBinding", source=self._parameter_set(c.name, values))
+
+    def _with_tables(self, c: Component) -> tuple[bytes, dict[str, Scalar]]:
+        """The FMU of a component and its parameters: files that are named stand in the FMU itself, if it is one of ours."""
+        fmu, values = (self.system.folder / c.source).read_bytes(), dict(self.assembly.parameters[c.name])
+        if not getattr(_description(self.assembly.slaves[c.name]), "carries_tables", False):
+            return fmu, values
+        texts = {p.name for p in self.ports[c.name] if p.type == "string"}
+        tables = {name: Path(str(values.pop(name))).read_bytes() for name in texts & values.keys() if values[name]}
+        return carrying(fmu, tables) if tables else fmu, values
 
     def _parameter_set(self, name: str, values: Mapping[str, Scalar]) -> str:
         root = Element("ssv:ParameterSet", {"xmlns:ssv": NAMESPACES["xmlns:ssv"], "version": "1.0", "name": SET})

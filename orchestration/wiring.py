@@ -17,7 +17,7 @@ import numpy.typing as npt
 from orchestration.errors import WiringError, unknown
 from orchestration.graph import Element, Link, execution_order, feedthrough, find_loop
 from orchestration.loops import Loop, lay_out, regroup
-from orchestration.slave import FloatArray, Port, PortData, arrays, base_name, inputs, outputs, whole_range
+from orchestration.slave import CARRIED, FloatArray, Port, PortData, arrays, base_name, inputs, outputs, whole_range
 from orchestration.system import Connection, System
 
 Indices = npt.NDArray[np.intp]
@@ -185,13 +185,15 @@ def _expand(
         ports = components[name]
         members = named[name].get(port) or tuple(p for p in ports if p.name == port)
         if not members:
-            others = arrays([p for p in ports if p.causality == wanted])
+            others = arrays(outputs(ports) if wanted == "output" else inputs(ports))
             if base_name(port) in others:
                 whole = others[base_name(port)]
                 return [], [f"connection {c}: there is no {text}: {name}.{base_name(port)} has {_size(whole, base_name(port))}"]
             return [], [f"connection {c}: {unknown(f'{wanted} of {name!r}:', port, others)}"]
         if members[0].causality != wanted:
             return [], [f"connection {c}: {_direction(text, members[0].causality, word, wanted, name)}"]
+        if members[0].type not in CARRIED:
+            return [], [f"connection {c}: {text} is of type {members[0].type}, which cannot be connected: only numbers and booleans can"]
         ends.append((name, port, members))
     (source, from_port, froms), (target, to_port, tos) = ends
     if [p.name[len(from_port) :] for p in froms] != [p.name[len(to_port) :] for p in tos] and not len(froms) == len(tos) == 1:
@@ -206,6 +208,8 @@ def _expand(
 
 def _direction(text: str, causality: str, word: str, wanted: str, name: str) -> str:
     article = "an" if causality[0] in "aeiou" else "a"
+    if causality == "structural parameter":
+        return f"{text} is a structural parameter, which decides sizes of arrays and keeps its start value"
     if causality == "parameter":
         return f"{text} is a parameter; set it under [components.{name}.parameters]"
     never = " (an output is never a destination)" if causality == "output" else ""

@@ -25,6 +25,7 @@ import traceback
 from array import array
 from collections.abc import Callable, Sequence
 from functools import wraps
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from fmus.instance import ComponentError, Instance, State, TableState
@@ -84,9 +85,9 @@ class Slave(Fmi2Slave):
     notes: ClassVar[tuple[str, ...]] = ()
     """Warnings for the log of every instance, such as that a cache could not be written."""
 
-    def __init__(self, instance_name: str = "", **_: Any) -> None:
+    def __init__(self, instance_name: str = "", resources: str = "", **_: Any) -> None:
         self._log: list[Message] = [Message(_WARNING, _CATEGORIES[_WARNING], note) for note in self.notes]
-        self._instance = Instance(self.interface, instance_name or None)
+        self._instance = Instance(self.interface, instance_name or None, tables=Path(resources) / "tables" if resources else None)
         self._inputs_end = len(self.interface.inputs)
         self._reals = self._instance.floats.data
         self._images: dict[tuple[int, ...], slice | None] = {}
@@ -119,7 +120,8 @@ class Slave(Fmi2Slave):
 
     @_guarded
     def setup_experiment(self, start: float, stop: float | None, tolerance: float | None) -> None:
-        """Start and stop time [s]; models take any."""
+        """Start and stop time [s]; models take any. Tables that no file was named for get the rows that the FMU carries."""
+        self._instance.load_built_in()
 
     @_guarded
     def enter_initialization_mode(self) -> None:

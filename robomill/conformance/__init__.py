@@ -38,6 +38,7 @@ TIMEOUT = 300.0
 _RUNNABLE = "units and descriptions"
 """The first check of an FMU that can be run: of the right kind, with a description that can be read."""
 _SHOWN_PROBLEMS = 3
+_SIGNALS = ("input", "output")
 _REALS = ("Real", "Float64", "Float32")
 
 
@@ -66,13 +67,14 @@ def _static_checks(path: Path, folder: Path) -> Iterator[Result]:
     from orchestration.archive import unpack  # here, as the other process has nothing of the project
     from orchestration.errors import SlaveError
     from orchestration.fmu_description import describe
+    from orchestration.slave import CARRIED
 
     check = "archive"
     try:
         names = unpack(path, folder)
         yield Result(check, "passed", f"{len(names)} files, {path.stat().st_size} bytes")
         check = "model description"
-        describe(path, folder, names)
+        ports = describe(path, folder, names).ports
     except SlaveError as error:
         yield Result(check, "failed", str(error).removeprefix(f"{path}: "))
         return
@@ -84,7 +86,7 @@ def _static_checks(path: Path, folder: Path) -> Iterator[Result]:
         yield Result("model description", "failed", f"{len(problems)} problem{'s' * (len(problems) > 1)}: {shown}")
     else:
         yield Result("model description", "passed", f"FMI {md.fmiVersion}, {len(md.modelVariables)} variables, no problem found by FMPy")
-    yield _documented(md)
+    yield _documented(md, [f"{p.type} {p.causality} {p.name}" for p in ports if p.causality in _SIGNALS and p.type not in CARRIED])
     icon = "model.png" if md.fmiVersion == "2.0" else "terminalsAndIcons/icon.png"
     parts = {"documentation/index.html": "documentation", icon: "icon", "documentation/licenses/": "licence"}
     missing = [what for part, what in parts.items() if not any(n.startswith(part) for n in names)]
@@ -99,11 +101,14 @@ def _only_once(folder: Path) -> bool:
     return bool(fmpy.read_model_description(str(folder), validate=False).coSimulation.canBeInstantiatedOnlyOncePerProcess)
 
 
-def _documented(md: Any) -> Result:
+def _documented(md: Any, apart: Sequence[str]) -> Result:
+    """`apart`: inputs and outputs that the master cannot connect."""
     shown = [v for v in md.modelVariables if v.causality in ("input", "output", "parameter")]
     bare = [v.name for v in shown if not v.description]
     unitless = [v.name for v in shown if v.type in _REALS and not (v.unit or (v.declaredType and v.declaredType.unit))]
     lacks = [f"no {what} for {some(names)}" for what, names in (("description", bare), ("unit", unitless)) if names]
+    if apart:
+        lacks.append(f"cannot be connected here: {some(apart)}")
     return Result(
         "units and descriptions", "finding" if lacks else "passed", "; ".join(lacks) or f"all {len(shown)} inputs, outputs, parameters"
     )

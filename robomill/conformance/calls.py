@@ -81,6 +81,13 @@ class Calls(ABC):
         finally:
             os.chdir(here)
 
+    @property
+    def tolerance(self) -> tuple[bool, float]:
+        """Whether the default experiment names a tolerance of the solver, and which."""
+        default = self.description.defaultExperiment
+        named = default is not None and default.tolerance is not None
+        return named, float(default.tolerance) if named else 0.0
+
     def missing(self) -> list[str]:
         """Functions that the library should export and does not."""
         return [name for name in self.functions if not hasattr(self._library, name)]

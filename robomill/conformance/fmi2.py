@@ -68,7 +68,7 @@ class Fmi2(Calls):
         callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(message)
         callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
         callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free)
-        if not (self.folder / "resources" / "slavemodule.txt").is_file():  # pythonfmu hands over finished texts
+        if not self._made_by_pythonfmu():  # which hands over finished texts
             fmi2.addLoggerProxy(ctypes.byref(callbacks))
         return callbacks
 
@@ -76,13 +76,21 @@ class Fmi2(Calls):
         """Address of a new instance, if there is one."""
         made = self.function("fmi2Instantiate", POINTER)
         made.argtypes = (ctypes.c_char_p, _FLAG, ctypes.c_char_p, ctypes.c_char_p, POINTER, _FLAG, _FLAG)
-        guid, resources = self.description.guid.encode(), (self.folder / "resources").as_uri().encode()
+        guid, resources = self.description.guid.encode(), self._location().encode()
         instance: int | None = made(name.encode(), _CO_SIMULATION, guid, resources, ctypes.addressof(self._callbacks), False, True)
         return instance
 
+    def _location(self) -> str:
+        """URI of the resources; pythonfmu decodes no escape but `%20`."""
+        resources = self.folder / "resources"
+        return f"file:///{resources.as_posix().lstrip('/').replace(' ', '%20')}" if self._made_by_pythonfmu() else resources.as_uri()
+
+    def _made_by_pythonfmu(self) -> bool:
+        return (self.folder / "resources" / "slavemodule.txt").is_file()
+
     def enter(self, call: Call, start: float) -> None:
         """Enter initialisation."""
-        call("fmi2SetupExperiment", False, 0.0, start, False, 0.0)
+        call("fmi2SetupExperiment", *self.tolerance, start, False, 0.0)
         call("fmi2EnterInitializationMode")
 
     def step(self, call: Call, t: float, h: float) -> None:

@@ -77,7 +77,7 @@ class Fmi3(Calls):
 
     def enter(self, call: Call, start: float) -> None:
         """Enter initialisation."""
-        call("fmi3EnterInitializationMode", False, 0.0, start, False, 0.0)
+        call("fmi3EnterInitializationMode", *self.tolerance, start, False, 0.0)
 
     def step(self, call: Call, t: float, h: float) -> None:
         """From `t` to `t + h` [s]. `CallFailed`, too, if the FMU returns early, wants to end here or wants event mode."""

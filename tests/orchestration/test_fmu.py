@@ -17,6 +17,7 @@ from orchestration.fmu import FmuSlave
 from orchestration.results import Run
 from orchestration.slave import PortData, Slave, inputs, outputs
 from orchestration.system import Component, System
+from robomill.conformance import check_fmu
 from tests.orchestration import c_fmu
 from tests.orchestration.mocks import gain, resolver, source, system
 
@@ -253,6 +254,32 @@ class TestPythonfmu:
         with pytest.raises(SlaveError, match=r"component 'x': Amplifier.fmu cannot save its state \(canGetAndSetFMUstate is false\)"):
             slave.get_state()
         slave.close()
+
+
+def test_functions_that_are_not_needed_may_be_missing(euler, tmp_path):
+    source = c_fmu.SOURCE
+    for name in ("GetFMUstate", "DeSerializeFMUstate", "GetDirectionalDerivative", "CancelStep", "GetStringStatus", "SetString", "Reset"):
+        assert f"fmi2Status fmi2{name}(" in source
+        source = source.replace(f"fmi2Status fmi2{name}(", f"fmi2Status without_{name}(")
+    flags = 'canGetAndSetFMUstate="true" canSerializeFMUstate="true"'
+    file = c_fmu.build(tmp_path, source, c_fmu.DESCRIPTION.replace(flags, ""))
+    found, expected = (run(System("one", 0.004, (Component("x", str(f)),), stop=0.04)) for f in (file, euler))
+    assert np.array_equal(found["x.y"], expected["x.y"])
+    with pytest.raises(RunError, match=r"component 'x'.*euler.fmu has no function fmi2SetString"):
+        run(System("one", 0.004, (Component("x", str(file), {"label": "a"}),), stop=0.04))
+    needed = c_fmu.build(tmp_path, c_fmu.SOURCE.replace("fmi2Status fmi2DoStep(", "fmi2Status do_step("))
+    with pytest.raises(SystemFileError, match=r"its binary cannot be loaded: .*undefined symbol: fmi2DoStep"):
+        run(System("one", 0.004, (Component("x", str(needed)),), stop=0.04))
+
+
+def test_the_tolerance_of_its_default_experiment(tmp_path):
+    """What others run it with: without, some vendors' solvers do not start."""
+    setup = "if (t0 < 0) {"
+    source = c_fmu.SOURCE.replace(setup, f"((Model *)c)->v.y = td ? tol : -1.0; {setup}")
+    for experiment, expected in (('<DefaultExperiment tolerance="1e-5"/>', 1e-5), ("", -1.0)):
+        file = c_fmu.build(tmp_path, source, c_fmu.DESCRIPTION.replace("  <ModelVariables>", f"  {experiment}<ModelVariables>"))
+        assert run(System("one", 0.004, (Component("x", str(file), inputs={"u": 0.0}),), stop=0.04))["x.y"][-1] == expected
+        assert {r.check: r.outcome for r in check_fmu(file)}["runs in a fresh process"] == "passed"
 
 
 def test_an_fmu_of_which_a_process_can_have_one_instance(tmp_path):

@@ -48,6 +48,8 @@ typedef struct {
     Word *record;      /* with one word more, the time */
     char *name;
     Rows *tables;
+    char *resources;   /* folder, with a separator at its end */
+    char *carried;     /* "+NAME" for each table whose built-in rows stand in the resources instead of here: what follows TOKEN */
     bool stale;        /* init has to run before outputs are read */
     bool running;      /* the first step may come */
     bool failed;       /* a step failed: only a reset or a state helps */
@@ -232,9 +234,23 @@ static void drop(Rows *rows) {
     *rows = (Rows){.path = NULL};
 }
 
-/* The rows of a table in a file, or those built in. */
+static bool is_carried(const Instance *I, const Table *T) {
+    size_t length = strlen(T->name);
+    for (const char *at = I->carried; (at = strchr(at, '+')); )
+        if (!strncmp(++at, T->name, length) && (at[length] == '+' || !at[length]))
+            return true;
+    return false;
+}
+
+/* The rows of a table in a file, or those built in: in the library, or in a file that the FMU carries. */
 static int read_rows(const Instance *I, const Table *T, const char *path, Rows *found) {
     Text why = {.length = 0};
+    char carried[4096];
+    const char *named = path;
+    if (!*path && is_carried(I, T)) {
+        snprintf(carried, sizeof carried, "%stables/%s.npy", I->resources, T->name);
+        path = carried;
+    }
     FILE *file = *path ? open_file(path) : NULL;
     *found = (Rows){.path = malloc(strlen(path) + 1), .count = T->count};
     if (!found->path)
@@ -249,7 +265,7 @@ static int read_rows(const Instance *I, const Table *T, const char *path, Rows *
         drop(found);
         FAIL(I, "table %s from '%s': %s", T->name, path, why.text);
     }
-    strcpy(found->path, path);
+    strcpy(found->path, named);
     found->rows = found->owned ? found->owned : T->rows;
     found->hash = hash_rows(found->rows, found->count, T->columns);
     return OK;
@@ -387,15 +403,46 @@ static void destroy(Instance *I) {
     for (uint32_t i = 0; I->tables && i < TABLE_COUNT; i++)
         drop(&I->tables[i]);
     free(I->tables);
+    free(I->resources);
+    free(I->carried);
     free(I->record);
     free(I->name);
     free(I);
 }
 
-static Instance *create(const char *name, const char *token, Logger2 *logger2, Logger3 *logger3, void *environment) {
+static int hexadecimal(char c) {
+    return c >= '0' && c <= '9' ? c - '0' : c >= 'a' && c <= 'f' ? c - 'a' + 10 : c >= 'A' && c <= 'F' ? c - 'A' + 10 : -1;
+}
+
+/* The folder of a location: a URI (FMI 2.0: file:///a%20b, file://localhost/a, file:/a) or a path (FMI 3.0). Freed by the caller. */
+static char *folder_of(const char *where) {
+    bool uri = !strncmp(where, "file:", 5);
+    if (uri) {
+        where += 5;
+        if (!strncmp(where, "//", 2) && (where += 2, *where && *where != '/'))
+            where += strcspn(where, "/");
+        if (where[0] == '/' && where[1] && where[2] == ':')  /* /C:/ */
+            where++;
+    }
+    char *folder = malloc(strlen(where) + 2), *to = folder;
+    if (!folder)
+        return NULL;
+    for (; *where; where++) {
+        int high = uri && *where == '%' ? hexadecimal(where[1]) : -1, low = high >= 0 ? hexadecimal(where[2]) : -1;
+        *to++ = low >= 0 ? (char)(high * 16 + low) : *where;
+        where += low >= 0 ? 2 : 0;
+    }
+    if (to > folder && to[-1] != '/' && to[-1] != '\\')
+        *to++ = '/';
+    *to = 0;
+    return folder;
+}
+
+static Instance *create(const char *name, const char *token, const char *where, Logger2 *logger2, Logger3 *logger3, void *environment) {
     Instance nobody = {.name = (char *)(name && *name ? name : MODEL_NAME), .logger2 = logger2, .logger3 = logger3, .environment = environment};
     Text t = begin(&nobody);
-    if (!token || strcmp(token, TOKEN)) {
+    size_t length = strlen(TOKEN);
+    if (!token || strncmp(token, TOKEN, length) || (token[length] && token[length] != '+')) {
         put(&t, "the instantiation token (GUID) is '%s', expected '%s': model description and library belong to different FMUs", token ? token : "", TOKEN);
         return report(&nobody, &t), NULL;
     }
@@ -405,11 +452,18 @@ static Instance *create(const char *name, const char *token, Logger2 *logger2, L
         I->record = malloc((WORDS + 1) * sizeof(Word));
         I->tables = calloc(TABLE_COUNT + 1, sizeof *I->tables);
         I->name = malloc(strlen(nobody.name) + 1);
+        I->carried = malloc(strlen(token + length) + 1);
+        I->resources = folder_of(where ? where : "");
         if (I->name)
             strcpy(I->name, nobody.name);
-        if (I->record && I->tables && I->name && reset(I) == OK)
+        if (I->carried)
+            strcpy(I->carried, token + length);
+        bool enough = I->record && I->tables && I->name && I->carried && I->resources;
+        if (enough && reset(I) == OK)
             return I;
         destroy(I);
+        if (enough)  /* it has said what is wrong */
+            return NULL;
     }
     put(&t, "needs %u bytes of memory, which are not there", WORDS * (unsigned)sizeof(Word));
     return report(&nobody, &t), NULL;
@@ -626,12 +680,12 @@ EXPORT const char *fmi2GetTypesPlatform(void) { return "default"; }
 EXPORT const char *fmi2GetVersion(void) { return "2.0"; }
 
 EXPORT Instance *fmi2Instantiate(const char *name, int type, const char *guid, const char *where, const Callbacks2 *callbacks, int visible, int logging) {
-    (void)where, (void)visible, (void)logging;
+    (void)visible, (void)logging;
     if (type != 1) {
         callbacks->logger(callbacks->environment, name, ERROR, "logStatusError", "%s: this FMU is for co-simulation", name);
         return NULL;
     }
-    return create(name, guid, callbacks->logger, NULL, callbacks->environment);
+    return create(name, guid, where, callbacks->logger, NULL, callbacks->environment);
 }
 EXPORT void fmi2FreeInstance(Instance *I) { destroy(I); }
 EXPORT int fmi2SetDebugLogging(Instance *I, int on, size_t n, const char *const categories[]) {
@@ -699,8 +753,8 @@ EXPORT const char *fmi3GetVersion(void) { return "3.0"; }
 EXPORT Instance *fmi3InstantiateCoSimulation(
     const char *name, const char *token, const char *where, bool visible, bool logging, bool events, bool early_return,
     const uint32_t intermediate[], size_t n, void *environment, Logger3 *logger, void *update) {
-    (void)where, (void)visible, (void)logging, (void)events, (void)early_return, (void)intermediate, (void)n, (void)update;
-    return create(name, token, NULL, logger, environment);
+    (void)visible, (void)logging, (void)events, (void)early_return, (void)intermediate, (void)n, (void)update;
+    return create(name, token, where, NULL, logger, environment);
 }
 EXPORT Instance *fmi3InstantiateModelExchange(void) { return NULL; }
 EXPORT Instance *fmi3InstantiateScheduledExecution(void) { return NULL; }
