@@ -539,7 +539,7 @@ def test_spindle_start_angle_is_the_rotation_that_the_tool_starts_with() -> None
 
 
 # ---------------------------------------------------------------- parity
-@pytest.mark.parametrize("effect", [None, *EFFECTS])
+@pytest.mark.parametrize("effect", [None, "actual_feed", *EFFECTS])
 def test_plain_and_compiled_agree_in_every_bit(effect: str | None) -> None:
     """A wandering path that plunges, ramps and leaves the block, on coarse dexels; the whole record is compared."""
     rng = np.random.default_rng(3)
@@ -547,7 +547,7 @@ def test_plain_and_compiled_agree_in_every_bit(effect: str | None) -> None:
     parameters: dict[str, Any] = {"spacing": 2e-3, "block_size": [0.02, 0.016, 0.02], "substeps": 3}
     parameters["quat_BP"] = Rotation.from_euler("z", 20, degrees=True).as_quat(scalar_first=True)
     if effect:
-        parameters[effect] = EFFECTS[effect]
+        parameters[effect] = EFFECTS.get(effect, 1)
     velocity = np.column_stack([np.full(steps, 0.05), 0.03 * rng.normal(size=steps), np.where(np.arange(steps) % 40 < 20, -0.04, 0.035)])
     path = np.array([-0.012, 0.0, 0.0005]) + np.cumsum(velocity * H, axis=0) + 1e-4 * rng.normal(size=(steps, 3))
     path[:, 2] = np.maximum(path[:, 2], -0.015)
