@@ -29,14 +29,14 @@ class DryRun:
     depth: FloatArray
     """(n,) height of the material over the tip of the tool [m], the largest along the move; 0 in air.
 
-    For rapids under a tool that is smaller by the diagonal of a cell, so that passing by a wall is no collision.
+    Under a tool that is smaller by the diagonal of a cell: the cells at the edge of a cut are cut in part.
     """
     removed: FloatArray
     """(n,) volume [m3]."""
     below: float
     """Length [m] of the feed moves whose tip is below the top of the block."""
     beside: float
-    """Length [m] of those parts of it that run clear of the block's sides."""
+    """Length [m] of those of them that are clear of the block's sides from end to end: runs in and out are not."""
 
 
 def dry_run(moves: Sequence[Move], size: Vector, radii: Mapping[int, float]) -> DryRun:
@@ -50,10 +50,10 @@ def dry_run(moves: Sequence[Move], size: Vector, radii: Mapping[int, float]) -> 
     nx, ny = workpiece.cells(lx, spacing), workpiece.cells(ly, spacing)
     points, owner = _points(moves, spacing)
     radius = np.array([radii[m.tool] for m in moves])
-    rapid = np.array([m.feed is None for m in moves])
-    depth, removed, lengths = np.zeros(len(moves)), np.zeros(len(moves)), np.zeros(2)
-    compiled(_mill)(np.zeros(nx * ny), nx, ny, lx / nx, ly / ny, -lz, points, owner, radius, rapid, depth, removed, lengths)
-    return DryRun(tuple(moves), depth, removed, float(lengths[0]), float(lengths[1]))
+    feeds = np.array([m.feed is not None for m in moves])
+    depth, removed, below, near = np.zeros(len(moves)), np.zeros(len(moves)), np.zeros(len(moves)), np.zeros(len(moves))
+    compiled(_mill)(np.zeros(nx * ny), nx, ny, lx / nx, ly / ny, -lz, points, owner, radius, feeds, depth, removed, below, near)
+    return DryRun(tuple(moves), depth, removed, float(np.sum(below)), float(np.sum(below[near == 0.0])))
 
 
 def _points(moves: Sequence[Move], spacing: float) -> tuple[FloatArray, FloatArray]:
@@ -92,10 +92,11 @@ def _mill(
     p: FloatArray,
     owner: FloatArray,
     radius: FloatArray,
-    rapid: FloatArray,
+    feeds: FloatArray,
     depth: FloatArray,
     removed: FloatArray,
-    lengths: FloatArray,
+    below: FloatArray,
+    near: FloatArray,
 ) -> None:
     cell = dx if dx < dy else dy
     margin = math.sqrt(dx * dx + dy * dy)
@@ -108,16 +109,16 @@ def _mill(
         length = math.sqrt((xb - xa) ** 2 + (yb - ya) ** 2 + (zb - za) ** 2)
         pieces = math.floor(length / cell) + 1
         r = radius[i]
-        reach = r - margin if rapid[i] else r
         for n in range(pieces + 1):
             t = n / pieces
             x, y, z = xa + t * (xb - xa), ya + t * (yb - ya), za + t * (zb - za)
-            deep = _deepest(height, nx, ny, dx, dy, bottom, x, y, z, reach)
+            deep = _deepest(height, nx, ny, dx, dy, bottom, x, y, z, r - margin)
             depth[i] = max(depth[i], deep)
-            if not rapid[i] and z < 0.0 and n > 0:
-                lengths[0] += length / pieces
-                if abs(x) > 0.5 * nx * dx + r or abs(y) > 0.5 * ny * dy + r:
-                    lengths[1] += length / pieces
+            if feeds[i] and z < 0.0:
+                if n > 0:
+                    below[i] += length / pieces
+                if abs(x) <= 0.5 * nx * dx + r and abs(y) <= 0.5 * ny * dy + r:
+                    near[i] = 1.0
         removed[i] += workpiece.cut(height, nx, ny, dx, dy, 0.0, bottom, xa, ya, za, xb, yb, zb, r, False)
 
 
