@@ -183,6 +183,7 @@ def _plan_arguments(plan: argparse.ArgumentParser) -> None:
         help="unit of dwells: linuxcnc G4 P in s, fanuc and marlin in ms, haas in ms unless P has a decimal point (default: linuxcnc)",
     )
     plan.add_argument("--no-block-delete", action="store_true", help="execute lines that begin with /")
+    plan.add_argument("--wear", action="store_true", help="G41 and G42 correct wear only: the program has the centre path")
     plan.add_argument("--tool", type=in_unit("mm"), metavar="D", help="diameter of the tool, mm (default: that of milling_force)")
     plan.add_argument("--out", type=Path, metavar="FILE.npy", help="write the segment table for the path component")
 

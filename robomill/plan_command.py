@@ -26,7 +26,7 @@ from robomill.option_types import in_unit
 from robomill.plan_checks import Findings, check_plan
 from robomill.scenario import OFFSETS, load_scenario, place_in_block
 
-_PLACES = {"at", "turn", "start", "home", "offset", "zero", "block", "tool", "dialect", "no_block_delete"}
+_PLACES = {"at", "turn", "start", "home", "offset", "zero", "block", "tool", "dialect", "no_block_delete", "wear"}
 """Options that a scenario has its own keys for."""
 
 
@@ -90,11 +90,11 @@ def _from_options(options: Namespace) -> _Task:
         if options.tool <= 0.0:
             raise ValueError(f"--tool {options.tool:g}: expected a diameter in mm, more than 0")
         mill = EndMill(1e-3 * options.tool, mill.teeth, mill.helix, math.inf)
-    program = read_program(options.program, _setup(options, size, 0.5 * mill.diameter))
+    program = read_program(options.program, _setup(options, size))
     return _Task(program, Placement((x, y, z), (math.radians(options.turn or 0.0), 0.0, 0.0)), size, {0: mill})
 
 
-def _setup(options: Namespace, size: Vector | None, radius: float) -> Setup:
+def _setup(options: Namespace, size: Vector | None) -> Setup:
     """How the program is read, from the options."""
     origins: dict[float, Vector] = {54: (0.0, 0.0, 0.0)}
     if options.zero:
@@ -115,7 +115,7 @@ def _setup(options: Namespace, size: Vector | None, radius: float) -> Setup:
         home=_from_zero(options.home, zero) if options.home else HOME,
         dialect=options.dialect or "linuxcnc",
         block_delete=not options.no_block_delete,
-        radii={0: radius},
+        wear=options.wear,
     )
 
 

@@ -12,6 +12,7 @@ A scenario is TOML. Physical values carry their unit (``"0.2 mm"``); only 0 need
     home = ["0 mm", "0 mm", "100 mm"]   # where G28, G30 and G53 lead
     dialect = "fanuc"                   # linuxcnc (default), fanuc, haas, marlin: units of dwells
     block_delete = false                # execute lines that begin with /
+    wear = true                         # G41 and G42 correct wear only: the program has the centre path
     feed = "25 mm/s"                    # until the program names one; so does
     spindle_speed = "13000 rpm"
 
@@ -55,7 +56,7 @@ PLAIN_OFFSETS: Mapping[float, Vector] = {54: (0.0, 0.0, 0.0)}
 """Work offsets where a scenario names none."""
 OFFSETS = {f"G{n:g}": float(n) for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3)}
 """Names of the work offsets, and the numbers that the reader of programs knows them by."""
-_READING = {"start", "home", "dialect", "block_delete", "feed", "spindle_speed"}
+_READING = {"start", "home", "dialect", "block_delete", "wear", "feed", "spindle_speed"}
 """Keys of [scenario] that say how the program is read."""
 _FACES: Mapping[str, tuple[tuple[int, float], ...]] = {
     "left": ((0, -0.5),),
@@ -150,7 +151,7 @@ def load_scenario(path: str | Path) -> Scenario:
         parameters=top.get("parameters", {}).parameters(),
         variants=tuple(_variant(name, entry) for name, entry in top.get("variants", {}).items()),
         paper={name: _figures(entry) for name, entry in top.get("paper", {}).items()},
-        reading=_reading(head, workpiece.work_offsets if workpiece else PLAIN_OFFSETS, tools),
+        reading=_reading(head, workpiece.work_offsets if workpiece else PLAIN_OFFSETS),
         tools=tools,
     )
 
@@ -201,9 +202,9 @@ def place_in_block(name: str, size: Vector) -> Vector:
     return x, y, z
 
 
-def _reading(head: Entry, offsets: Mapping[float, Vector], tools: Mapping[int, EndMill]) -> Setup:
+def _reading(head: Entry, offsets: Mapping[float, Vector]) -> Setup:
     """The keys of [scenario] that say how the program is read."""
-    setup = Setup(work_offsets=offsets, radii={number: 0.5 * mill.diameter for number, mill in tools.items()})
+    setup = Setup(work_offsets=offsets)
     zero = offsets[54]
     for key in ("start", "home"):
         if key in head:
@@ -216,7 +217,8 @@ def _reading(head: Entry, offsets: Mapping[float, Vector], tools: Mapping[int, E
     for key, value in (("feed", feed), ("spindle_speed", speed)):
         if value is not None and value <= 0.0:
             raise head[key].fail(f"{head[key].value!r} is not positive")
-    return replace(setup, dialect=dialect.value, block_delete=head.get("block_delete", True).flag(), feed=feed, spindle_speed=speed)
+    block_delete, wear = head.get("block_delete", setup.block_delete).flag(), head.get("wear", setup.wear).flag()
+    return replace(setup, dialect=dialect.value, block_delete=block_delete, wear=wear, feed=feed, spindle_speed=speed)
 
 
 def _tool(name: str, entry: Entry) -> tuple[int, EndMill]:

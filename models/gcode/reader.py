@@ -212,9 +212,14 @@ def _modes(block: Block, state: State, words: dict[str, float], g: dict[str, flo
     if "plane" in g:
         state.plane = int(g["plane"])
     if g.get("cutter compensation") in (41, 42):
-        raise block.error(
-            f"'G{g['cutter compensation']:g}' (cutter radius compensation: not supported)", "let the CAM system output the centre path"
-        )
+        code = f"G{g['cutter compensation']:g}"
+        if not state.setup.wear:
+            raise block.error(
+                f"'{code}' (cutter radius compensation: not supported)",
+                "let the CAM system output the centre path; if it has, and D corrects wear only, say so with --wear or wear = true",
+            )
+        words.pop("D", None)
+        state.notes.skip(code, "correction of wear; the program has the centre path")
     if "work offset" in g:
         _work_offset(block, state, g["work offset"])
     if "path control" in g:

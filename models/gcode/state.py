@@ -43,8 +43,8 @@ class Setup:
     """Feed [m/s] until the program names one."""
     spindle_speed: float | None = None
     """Spindle speed [rad/s], clockwise, until the program names one: routers are often switched by hand."""
-    radii: Mapping[int, float] = field(default_factory=dict)
-    """T number -> radius [m], for G41 and G42; 0: of the tool where none is named."""
+    wear: bool = False
+    """G41 and G42 correct wear only: the program has the centre path, and D holds nothing here."""
 
 
 @dataclass

@@ -179,6 +179,8 @@ class TestArcs:
 
 
 ERRORS = [
+    ("G41 D1 X5", 4, "G41", "cutter radius compensation"),
+    ("G42.1 D3 X5", 4, "G42.1", "cutter radius compensation"),
     ("G1 X#3", 4, "#3", "variables"),
     ("#1=5", 4, "#1", "variables"),
     ("G1 X[1+2]", 4, "[1+2]", "expressions"),

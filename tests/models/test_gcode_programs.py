@@ -268,6 +268,12 @@ class TestLines:
         assert len(parse("%\nG0 X0 Y0 Z0\nX1\n%\nX2").actions) == 1
         assert len(parse("G0 X0 Y0 Z0\nX1\n%\nX2").actions) == 1
 
+    def test_a_correction_of_wear_leaves_the_centre_path(self) -> None:
+        text = "G1 X5\nG41 D1 X7\nY5\nG40 X0"
+        assert ends(text, wear=True) == ends(text.replace("G41 D1", "").replace("G40", ""))
+        with pytest.raises(GCodeError, match="wear = true"):
+            moves(text)
+
     def test_m99_at_the_end_is_read_once(self) -> None:
         program = parse(START + "G1 X5\nM99\nG1 X9")
         assert len(program.actions) == 1

@@ -165,7 +165,7 @@ class TestScenario:
 
     def test_reading(self, cell: Path) -> None:
         reading = (
-            'start = [0, 0, "80 mm"]\nhome = [0, 0, "90 mm"]\ndialect = "haas"\nblock_delete = false\n'
+            'start = [0, 0, "80 mm"]\nhome = [0, 0, "90 mm"]\ndialect = "haas"\nblock_delete = false\nwear = true\n'
             'feed = "25 mm/s"\nspindle_speed = "60 rpm"'
         )
         loaded = load_scenario(
@@ -182,7 +182,7 @@ class TestScenario:
         assert setup.home == pytest.approx((-0.005, -0.03, 0.06))
         assert (setup.dialect, setup.block_delete, setup.feed) == ("haas", False, 0.025)
         assert setup.spindle_speed == pytest.approx(2 * np.pi, rel=ROUNDOFF)
-        assert setup.radii == {2: 0.008}
+        assert setup.wear
         assert loaded.tools[2].teeth == 3
 
     @pytest.mark.parametrize(
@@ -193,8 +193,8 @@ class TestScenario:
             ("", 'zero = "middle"', "", "words, joined by '-': left, right"),
             ("", 'zero = "corner"\nwork_offsets = { G54 = [0, 0, 0] }', "", "give one of them"),
             ("", "", tool(0), "1 or more"),
-            ("", "", tool(1).replace("teeth = 3", "teeth = 2.5"), "whole number from 1 to"),
-            ("", "", tool(1, "-1 mm"), "positive lengths"),
+            ("", "", tool(1).replace("teeth = 3", "teeth = 2.5"), "expected a whole number"),
+            ("", "", tool(1, "-1 mm"), "expected a positive length"),
         ],
     )
     def test_refused(self, cell: Path, reading: str, workpiece: str, tools: str, said: str) -> None:
