@@ -17,6 +17,8 @@ _WORD = re.compile(r"([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))")
 _EXPONENT = re.compile(r"((?:\d+\.?\d*|\.\d+)[eE][+-]\d{1,3})(?![\d.])")
 """A number with exponent, as scripts print them; an E word stands apart from the number before it."""
 _CONTROL = {code: None for code in range(32) if chr(code) not in "\t\n\r"}
+_COMMANDS = "$?!~"
+"""First characters of lines that are commands to a control (Grbl), not part of the program."""
 _CHECKSUM = re.compile(r"\*\d+$")
 _TOOL_COMMENT = re.compile(
     r"\bT\s*0*(\d+)\b.*?\b(?:D|DIA|DIAM|DIAMETER|DURCHMESSER)\s*[=:]?\s*(\d+\.?\d*|\.\d+)\s*(MM|IN|\")?", re.IGNORECASE
@@ -101,7 +103,7 @@ def blocks(name: str, source: tuple[str, ...], notes: Notes, block_delete: bool)
             if code[1:].strip():
                 notes.skip("% line", "a comment")
             continue
-        if code[:1] == "$":
+        if code[:1] in _COMMANDS and code:
             notes.skip(code.split()[0], "a command to the control")
             continue
         if code[:1] == "/":

@@ -231,7 +231,7 @@ class TestLines:
             "\x01G1 X5",
             "O1234\nG1 X5",
             ":0020\nG1 X5",
-            "$H\nG1 X5",
+            "$H\n?  ; status\nG1 X5",
             "G1 X5 E0.3",
             "G1 X5 A0. B0",
             "M62 P3\nG1 X5",
