@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 from typing import Any
 
@@ -278,17 +277,6 @@ class TestLines:
         program = parse(START + "G1 X5\nM99\nG1 X9")
         assert len(program.actions) == 1
         assert "M99" in notes(program)
-
-    def test_a_hundred_thousand_lines_are_read_in_linear_time(self) -> None:
-        """Four times the lines take at most eight times as long: a quadratic reader takes sixteen."""
-
-        def seconds(count: int) -> float:
-            text = START + "".join(f"N{i} G1 X{i % 97}.5 Y{i % 89}.25\n" for i in range(count))
-            begin = time.process_time()
-            assert len(parse(text).actions) == count
-            return time.process_time() - begin
-
-        assert seconds(40_000) < 8.0 * seconds(10_000)
 
 
 class TestStart:

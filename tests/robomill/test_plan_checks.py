@@ -151,7 +151,7 @@ class TestPlanCommand:
             (["--zero", "corner"], "needs --block"),
             (["--block", "10", "60", "0"], "three positive lengths"),
             (["--offset", "G53", "0", "0", "0"], "expected one of G54"),
-            (["--offset", "G55", "0", "0", "a"], "three numbers in mm"),
+            (["--offset", "G55", "0", "0", "a"], "--offset G55 0 0 a: 'a' is not a number with a unit"),
             (["--tool", "-1"], "more than 0"),
         ],
     )
