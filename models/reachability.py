@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from models.declaration import FloatArray, record
-from models.path_interpolator import MODEL, Q_START, evaluate, init
+from models.declaration import FloatArray, compiled, record
+from models.path_interpolator import MODEL, Q_START
 from models.robots import KR300, SPINDLE_ACROSS, Robot, Tool, jacobian, robot_variables
 from models.segment_table import AXIS_1, TAU
 from models.trajectory import Plan, PlanError
@@ -19,6 +20,9 @@ _MOST_PATH, _MOST_ANGLE = 10e-3, math.radians(5.0)
 """Samples are at most this many m and rad apart: an axis angle bends by less than 1e-5 rad over 10 mm."""
 _LEAST_PATH, _LEAST_ANGLE = 2e-3, math.radians(1.0)
 """Samples at the ends of rows are left out if they are closer than this."""
+
+_CHUNK = 4096
+"""Rows that are looked at together."""
 
 
 @dataclass(frozen=True)
@@ -47,21 +51,13 @@ def check_reachable(plan: Plan, robot: Robot = KR300, tool: Tool = SPINDLE_ACROS
             data[variable.name] = variable.start_values
     data["q_start"] = q_start
     MODEL.load_table(data, "segments", plan.table)
-    s = record(data)
     times = _samples(plan)
+    angles = _follow(plan, data, times)
     twists = np.column_stack([plan.velocity(times), _angular_velocity(plan, times)])
-    angles, speeds, J = np.zeros((len(times), 6)), np.zeros((len(times), 6)), np.zeros((6, 6))
-    status = init(s)
-    for i, tau in enumerate(times):
-        if i > 0:
-            s.path_time = tau
-            status = evaluate(s, False)
-        if status:
-            raise PlanError(f"{plan.where(float(tau))}: {MODEL.message(status, s, float(tau)).split(': ', 1)[1]}")
-        angles[i] = s.q_ref
-        jacobian(s, angles[i], J)
-        # Englert (2011), Eq. (4.5); least squares where the wrist is aligned
-        speeds[i] = np.abs(np.linalg.lstsq(J, twists[i], rcond=1e-9)[0])
+    J = np.zeros((len(times), 6, 6))
+    _jacobians(data, angles, J)
+    # Englert (2011), Eq. (4.5); least squares where the wrist is aligned
+    speeds = np.abs(np.einsum("nij,nj->ni", np.linalg.pinv(J, rcond=1e-9), twists))
     excess = speeds / robot.speed_max
     if np.max(excess) > 1.0:
         moment, axis = divmod(int(np.argmax(excess)), 6)
@@ -74,6 +70,31 @@ def check_reachable(plan: Plan, robot: Robot = KR300, tool: Tool = SPINDLE_ACROS
     return Reach(times, angles, margin, np.max(speeds, axis=0))
 
 
+def _follow(plan: Plan, data: npt.NDArray[np.void], times: FloatArray) -> FloatArray:
+    """Axis angles [rad] (n, 6) of the path interpolator at path times [s]."""
+    argument: Any
+    try:
+        (init, step), argument = MODEL.compiled_for_data(), data
+    except ImportError:
+        (init, step), argument = MODEL.plain(), record(data)
+    data["speed_ratio"] = 0.0  # the path time stands still: a step evaluates it
+    angles = np.zeros((len(times), 6))
+    for i, tau in enumerate(times.tolist()):
+        data["path_time"] = tau
+        status = init(argument) if i == 0 else step(argument, tau, 1.0)
+        if status:
+            raise PlanError(f"{plan.where(tau)}: {MODEL.message(status, record(data), tau).split(': ', 1)[1]}")
+        angles[i] = data["q_ref"][0]
+    return angles
+
+
+@compiled
+def _jacobians(data: npt.NDArray[np.void], angles: FloatArray, J: FloatArray) -> None:
+    """The Jacobian (n, 6, 6) at axis angles (n, 6)."""
+    for i in range(len(angles)):
+        jacobian(data[0], angles[i], J[i])
+
+
 def _angular_velocity(plan: Plan, times: FloatArray) -> FloatArray:
     """Angular velocity of T in B [rad/s] (n, 3), by central differences over 20 us."""
     before, after = (np.clip(times + x, 0.0, plan.duration) for x in (-1e-5, 1e-5))
@@ -84,16 +105,9 @@ def _angular_velocity(plan: Plan, times: FloatArray) -> FloatArray:
 def _samples(plan: Plan) -> FloatArray:
     """Path times [s] to look at: the ends of rows, and between them so that no step is longer than allowed."""
     edges = plan.table[:, TAU]
-    steps = np.linspace(0.0, 1.0, 9)
     kept = [0.0]
     path = angle = 0.0
-    for i, (start, end) in enumerate(itertools.pairwise(edges)):
-        tau = start + (np.nextafter(end, start) - start) * steps
-        far = float(np.sum(np.linalg.norm(np.diff(plan.position(tau), axis=0), axis=1)))
-        wide = 0.0
-        if np.any(plan.table[i, AXIS_1:]):
-            turned = plan.rotation(tau)
-            wide = float(np.sum((turned[:-1].inv() * turned[1:]).magnitude()))
+    for start, end, far, wide in zip(*(x.tolist() for x in (edges[:-1], edges[1:], *_extents(plan))), strict=True):
         n = max(1, math.ceil(far / _MOST_PATH), math.ceil(wide / _MOST_ANGLE))
         path, angle = path + far, angle + wide
         if n > 1 or path >= _LEAST_PATH or angle >= _LEAST_ANGLE:
@@ -102,3 +116,21 @@ def _samples(plan: Plan) -> FloatArray:
     if kept[-1] < edges[-1]:
         kept.append(float(edges[-1]))
     return np.array(kept)
+
+
+def _extents(plan: Plan) -> tuple[FloatArray, FloatArray]:
+    """Path [m] and turn [rad] of every row but the last, (n,) each, from nine points of it."""
+    edges = plan.table[:, TAU]
+    far, wide = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
+    turning = np.any(plan.table[:-1, AXIS_1:], axis=1)
+    for first in range(0, len(far), _CHUNK):
+        rows = np.arange(first, min(first + _CHUNK, len(far)))
+        start, end = edges[rows, None], edges[rows + 1, None]
+        tau = start + (np.nextafter(end, start) - start) * np.linspace(0.0, 1.0, 9)
+        moved = np.diff(plan.position(tau.ravel()).reshape(len(rows), 9, 3), axis=1)
+        far[rows] = np.sum(np.linalg.norm(moved, axis=2), axis=1)
+        if np.any(turning[rows]):
+            turned = tau[turning[rows]]
+            before, after = plan.rotation(turned[:, :-1].ravel()), plan.rotation(turned[:, 1:].ravel())
+            wide[rows[turning[rows]]] = np.sum((before.inv() * after).magnitude().reshape(-1, 8), axis=1)
+    return far, wide

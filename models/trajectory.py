@@ -458,7 +458,8 @@ def _blend_pieces(before: _Stretch, after: _Stretch, corner: int, distance: floa
     s = 0.0
     for piece in pieces:
         owner = before if s + 0.5 * piece.length < 0.5 * length else after
-        result.append(replace(owner, shape=piece, turn=turn.part(s), feed=feed, corner=corner))
+        said = (feed, owner.line, owner.block, owner.spindle)
+        result.append(_Stretch(piece, turn.part(s), *said, owner.tolerance, owner.distance, owner.tool, rapid=owner.rapid, corner=corner))
         s += piece.length
     return result
 
