@@ -17,7 +17,7 @@ A TOML file::
     [[nuisance]]                        # calibrated numbers, believed to a standard deviation
     component = "drive"
     parameters = ["loop_frequency"]     # elements, or whole arrays
-    relative = 0.01                     # of the nominal value; or: absolute = 0.4 [unit]
+    relative = 0.01                     # of the nominal value; or: absolute = 0.4 and its unit, that of the parameter
     source = "..."
 
     [[seed]]                            # where the simulation has noise of its own: another value is another repeat
@@ -44,13 +44,13 @@ from __future__ import annotations
 import difflib
 import math
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from orchestration.toml_text import parse
+from orchestration.toml_file import TomlFile
+from orchestration.written import merged
 
 LOGGING = "logging"
 """Component that stands for the log itself."""
@@ -62,7 +62,7 @@ Address = tuple[str, str]
 
 _EFFECT = {"name", "component", "description", "source", "locations", "minimum", "maximum", "prior", "unit", "sign"}
 _LOCATION = {"name", "parameters"}
-_NUISANCE = {"component", "parameters", "relative", "absolute", "source"}
+_NUISANCE = {"component", "parameters", "relative", "absolute", "unit", "source"}
 _QUIET = {"component", "parameters"}
 _SEED = {"component", "parameter"}
 _REFINEMENT = {"divide", "sampled"}
@@ -112,6 +112,8 @@ class Candidate:
     both_signs: bool
     locations: int
     """How many locations the effect has: its prior probability is shared among them."""
+    place: str = field(default="", compare=False)
+    """Where its unit stands: `catalogue.toml:12`."""
 
     @property
     def name(self) -> str:
@@ -149,6 +151,10 @@ class Tolerance:
     address: Address
     size: float
     relative: bool
+    unit: str = "1"
+    """Of an absolute size."""
+    place: str = ""
+    """Where it stands: `catalogue.toml:12`."""
 
     def nuisances(self, nominal: Mapping[str, float]) -> list[Nuisance]:
         """One for each element; `nominal` parameter element -> value [unit]. CatalogueError if there is no such parameter."""
@@ -196,27 +202,39 @@ class Catalogue:
         file = Path(path)
         if not file.is_file():
             raise FileNotFoundError(f"no catalogue {file}")
-        try:
-            table = parse(file.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise CatalogueError(f"{file}: not valid TOML: {error}") from None
-        return _Reader(file).catalogue(table)
+        return _Reader(file, TomlFile.load(file, CatalogueError)).catalogue()
+
+    def check_units(self, units: Mapping[Address, str]) -> None:
+        """CatalogueError for an effect or a tolerance whose unit is not that of its parameter; `units` by component and element."""
+        stated = [(c.place, f"effect {c.effect!r}", a, c.unit) for c in self.candidates for a in c.addresses]
+        stated += [(t.place, "nuisance", t.address, t.unit) for t in self.tolerances if not t.relative]
+        for place, what, (component, name), unit in stated:
+            wanted = (
+                "s" if component == LOGGING and what == "nuisance" else units.get((component, name), units.get((component, f"{name}[1]")))
+            )
+            if wanted is not None and unit != wanted:
+                raise CatalogueError(
+                    f"{place}: {what}: its unit is {unit!r}, that of {component}.{name} is {wanted!r}: give the sizes in that unit"
+                )
 
 
 class _Reader:
     """The checks; every message begins with the file and the entry."""
 
-    def __init__(self, file: Path) -> None:
-        self.file = file
+    def __init__(self, file: Path, content: TomlFile) -> None:
+        self.file, self.content = file, content
+        self.at: tuple[str | int, ...] = ()
+        """The entry that is read."""
 
     def fail(self, where: str, text: str) -> CatalogueError:
-        return CatalogueError(f"{self.file}: {where}: {text}")
+        return CatalogueError(f"{self.content.place(*self.at)}: {where}: {text}")
 
     def keys(self, where: str, table: Any, allowed: set[str], required: set[str]) -> dict[str, Any]:
         if not isinstance(table, dict):
             raise self.fail(where, f"expected a table, found {table!r}")
         for key in table:
             if key not in allowed:
+                self.at = (*self.at, key)
                 near = difflib.get_close_matches(key, allowed, 1)
                 raise self.fail(
                     where, f"unknown key {key!r}{f', did you mean {near[0]!r}' if near else ''}; known: {', '.join(sorted(allowed))}"
@@ -228,7 +246,8 @@ class _Reader:
 
     def number(self, where: str, key: str, value: Any, *, positive: bool = True) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or (positive and value <= 0.0):
-            raise self.fail(where, f"{key} = {value!r}; expected a {'positive ' if positive else ''}number in SI units")
+            self.at = (*self.at, key)
+            raise self.fail(where, f"{key} = {value!r}; expected a {'positive ' if positive else ''}number in the unit that is stated")
         return float(value)
 
     def text(self, where: str, key: str, value: Any) -> str:
@@ -245,11 +264,13 @@ class _Reader:
                 raise self.fail(where, f"parameter {name!r} of the log; expected 'KIND PATTERN' with KIND one of {', '.join(OBSERVATIONS)}")
         return tuple(value)
 
-    def catalogue(self, table: dict[str, Any]) -> Catalogue:
+    def catalogue(self) -> Catalogue:
+        table = dict(self.content.table)
         self.keys("the file", table, {"effect", "nuisance", "quiet", "seed", "refinement", "titles"}, {"effect"})
         candidates: list[Candidate] = []
         descriptions: dict[str, tuple[str, str]] = {}
         for i, entry in enumerate(self.listed("effect", table["effect"])):
+            self.at = ("effect", i)
             found = self.effect(f"[[effect]] {i + 1}", entry)
             name = found[0].effect
             if name in descriptions:
@@ -258,26 +279,28 @@ class _Reader:
             candidates += found
         tolerances: list[Tolerance] = []
         for i, entry in enumerate(self.listed("nuisance", table.get("nuisance", []))):
-            where = f"[[nuisance]] {i + 1}"
+            where, self.at = f"[[nuisance]] {i + 1}", ("nuisance", i)
             self.keys(where, entry, _NUISANCE, {"component", "parameters", "source"})
             self.text(where, "source", entry["source"])
             given = [k for k in ("relative", "absolute") if k in entry]
             if len(given) != 1:
                 raise self.fail(where, f"expected either relative or absolute; found {' and '.join(given) or 'neither'}")
             component, size = self.text(where, "component", entry["component"]), self.number(where, given[0], entry[given[0]])
+            unit, place = self.text(where, "unit", entry.get("unit", "1")), self.content.place(*self.at, given[0])
             tolerances += [
-                Tolerance((component, p), size, given[0] == "relative") for p in self.names(where, component, entry["parameters"])
+                Tolerance((component, p), size, given[0] == "relative", unit, place)
+                for p in self.names(where, component, entry["parameters"])
             ]
-        quiet: dict[str, dict[str, Any]] = {}
+        quiet: dict[str, Mapping[str, Any]] = {}
         for i, entry in enumerate(self.listed("quiet", table.get("quiet", []))):
-            where = f"[[quiet]] {i + 1}"
+            where, self.at = f"[[quiet]] {i + 1}", ("quiet", i)
             self.keys(where, entry, _QUIET, _QUIET)
-            quiet.setdefault(self.text(where, "component", entry["component"]), {}).update(
-                self.keys(where, entry["parameters"], set(entry["parameters"]), set())
-            )
+            component = self.text(where, "component", entry["component"])
+            values = self.content.written(self.keys(where, entry["parameters"], set(entry["parameters"]), set()), *self.at, "parameters")
+            quiet[component] = merged(quiet.get(component, {}), values)
         seeds = []
         for i, entry in enumerate(self.listed("seed", table.get("seed", []))):
-            where = f"[[seed]] {i + 1}"
+            where, self.at = f"[[seed]] {i + 1}", ("seed", i)
             self.keys(where, entry, _SEED, _SEED)
             seeds.append((self.text(where, "component", entry["component"]), self.text(where, "parameter", entry["parameter"])))
         refinement = self.refinement(table["refinement"]) if "refinement" in table else None
@@ -318,15 +341,18 @@ class _Reader:
         locations = self.listed("locations", entry["locations"])
         if not locations:
             raise self.fail(where, "has no locations")
-        for place in locations:
-            self.keys(f"{where}, locations", place, _LOCATION, _LOCATION)
-            name = self.text(where, "name of a location", place["name"])
+        for spot in locations:
+            self.keys(f"{where}, locations", spot, _LOCATION, _LOCATION)
+            name = self.text(where, "name of a location", spot["name"])
             if name in seen:
                 raise self.fail(where, f"location {name!r} is there twice")
             seen.add(name)
-            parameters = self.names(f"{where}, location {name!r}", component, place["parameters"])
+            parameters = self.names(f"{where}, location {name!r}", component, spot["parameters"])
+            place = self.content.place(*self.at, "unit")
             made.append(
-                Candidate(entry["name"], component, name, parameters, low, high, prior, entry["unit"], sign == "both", len(locations))
+                Candidate(
+                    entry["name"], component, name, parameters, low, high, prior, entry["unit"], sign == "both", len(locations), place
+                )
             )
         return made
 

@@ -189,12 +189,12 @@ def _ports(
 def _nuisances(
     system: System, conditions: Sequence[Condition], resolver: Resolver | None, convert: Convert, catalogue: Catalogue
 ) -> list[Nuisance]:
-    """The catalogue's tolerances about the values that the parameters have in the first condition."""
-    if not catalogue.tolerances:
-        return []
+    """The catalogue's tolerances about the values that the parameters have in the first condition; CatalogueError for units that differ."""
     values: dict[str, dict[str, float]] = {}
     configured = Laboratory(system, conditions, (), resolver, convert, catalogue.quiet or {}).configured(0)
     with assemble(configured, resolver, convert) as assembly:
+        parameters = [(c, p) for c, slave in assembly.slaves.items() for p in slave.ports if p.causality == "parameter"]
+        catalogue.check_units({(c, p.name): p.unit or "1" for c, p in parameters})
         for name, slave in assembly.slaves.items():
             starts = {p.name: p.start for p in slave.ports if p.causality == "parameter" and p.type == "real"}
             given = {**starts, **assembly.parameters.get(name, {})}

@@ -105,3 +105,43 @@ def test_an_effect_is_there_once(tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_text(ENTRY + ENTRY)
     with pytest.raises(CatalogueError, match="effect 'lag': is there twice"):
         Catalogue.load(tmp_path / "c.toml")
+
+
+TOLERANCE = '[[nuisance]]\ncomponent = "a"\nparameters = ["r"]\nabsolute = 0.4\nunit = "m"\nsource = "s"\n'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("", "", ""),
+        ('unit = "s"', 'unit = "ms"', "c.toml:7: effect 'lag': its unit is 'ms', that of a.p[1] is 's': give the sizes in that unit"),
+        ('unit = "m"\n', "", "c.toml:16: nuisance: its unit is '1', that of a.r is 'm'"),
+        ('unit = "m"', 'unit = "mm"', "c.toml:16: nuisance: its unit is 'mm', that of a.r is 'm'"),
+    ],
+)
+def test_sizes_are_in_the_unit_of_the_parameter(tmp_path: Path, old: str, new: str, text: str) -> None:
+    """Whole arrays are known by their first element."""
+    (tmp_path / "c.toml").write_text((ENTRY + TOLERANCE).replace(old, new, 1))
+    catalogue = Catalogue.load(tmp_path / "c.toml")
+    units = {("a", "p[1]"): "s", ("a", "p[2]"): "s", ("a", "r[1]"): "m"}
+    if not text:
+        catalogue.check_units(units)
+        return
+    with pytest.raises(CatalogueError) as error:
+        catalogue.check_units(units)
+    assert text in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("minimum = 0.1", "minimum = inf", "c.toml:8: effect 'lag': minimum = inf; expected a positive number in the unit that is stated"),
+        ("minimum", "minimun", "c.toml:8: effect 'lag': unknown key 'minimun', did you mean 'minimum'"),
+        ("absolute = 0.4", "absolute = true", "c.toml:16: [[nuisance]] 1: absolute = True; expected a positive number"),
+    ],
+)
+def test_the_line_is_named(tmp_path: Path, old: str, new: str, line: str) -> None:
+    (tmp_path / "c.toml").write_text((ENTRY + TOLERANCE).replace(old, new, 1))
+    with pytest.raises(CatalogueError) as error:
+        Catalogue.load(tmp_path / "c.toml")
+    assert line in str(error.value)

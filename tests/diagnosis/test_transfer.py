@@ -91,7 +91,7 @@ def test_a_promise_is_no_surer_than_the_fitted_values() -> None:
     assert not Transfer(1.06, 1.03, -43.4, 114.1, doubt=0.16).holds
 
 
-TOLERATED = '[[nuisance]]\ncomponent = "drive"\nparameters = ["inertia_error"]\nabsolute = 0.002\nsource = "made up"\n'
+TOLERATED = '[[nuisance]]\ncomponent = "drive"\nparameters = ["inertia_error"]\nabsolute = 0.002\nunit = "kg.m2"\nsource = "made up"\n'
 HEAVY = {"inertia_error": 0.06}
 
 
