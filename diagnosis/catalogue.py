@@ -44,6 +44,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -245,7 +246,10 @@ class _Reader:
         return table
 
     def number(self, where: str, key: str, value: Any, *, positive: bool = True) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or (positive and value <= 0.0):
+        usable = (
+            not isinstance(value, bool) and isinstance(value, int | float) and abs(value) <= sys.float_info.max
+        )  # no NaN, inf, huge integer
+        if not usable or (positive and value <= 0.0):
             self.at = (*self.at, key)
             raise self.fail(where, f"{key} = {value!r}; expected a {'positive ' if positive else ''}number in the unit that is stated")
         return float(value)
@@ -327,6 +331,7 @@ class _Reader:
         if isinstance(entry, dict) and isinstance(entry.get("name"), str):
             where = f"effect {entry['name']!r}"
         self.keys(where, entry, _EFFECT, _EFFECT)
+        self.text(where, "name", entry["name"])
         component = self.text(where, "component", entry["component"])
         sign = entry["sign"]
         if sign not in ("positive", "both"):

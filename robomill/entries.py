@@ -88,7 +88,7 @@ class Entry:
     def folder_name(self) -> str:
         """A text that can be the name of a folder."""
         name = self.text()
-        if name in (".", "..") or any(c in name for c in "/\\\0"):
+        if name in (".", "..") or any(c in name for c in "/\\") or not name.isprintable():
             raise self.fail(f"{name!r} cannot be the name of a folder, in which its results stand")
         return name
 

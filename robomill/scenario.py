@@ -211,7 +211,7 @@ def _reading(head: Entry, offsets: Mapping[float, Vector]) -> Setup:
             x, y, z = (c + o for c, o in zip(head[key].vector("m"), zero, strict=True))
             setup = replace(setup, start=(x, y, z)) if key == "start" else replace(setup, home=(x, y, z))
     dialect = head.get("dialect", setup.dialect)
-    if dialect.value not in DIALECTS:
+    if dialect.text() not in DIALECTS:
         raise dialect.fail(f"{dialect.value!r}; known: {', '.join(DIALECTS)}")
     feed, speed = (head[k].si(u) if k in head else None for k, u in (("feed", "m/s"), ("spindle_speed", "rad/s")))
     for key, value in (("feed", feed), ("spindle_speed", speed)):
@@ -244,5 +244,7 @@ def _variant(name: str, entry: Entry) -> Variant:
 
 def _figures(entry: Entry) -> dict[str, float]:
     """Published figures; the name ends in the unit they are kept in, as in summary.json."""
-    units = {key: next((u for suffix, u in _PAPER_UNITS.items() if key.endswith(suffix)), "1") for key in entry.table().value}
-    return {key: entry[key].si(unit) for key, unit in units.items()}
+    units = {key: next((u for suffix, u in _PAPER_UNITS.items() if key.endswith(suffix)), None) for key in entry.table().value}
+    for key in (k for k, unit in units.items() if unit is None):
+        raise entry[key].fail(f"the name of a figure ends in its unit, as in summary.json: {', '.join(_PAPER_UNITS)}")
+    return {key: entry[key].si(unit) for key, unit in units.items() if unit is not None}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -132,7 +133,7 @@ def load_mapping(file: Path) -> LogMapping:
     read = _Reader(TomlFile.load(file, LogError))
     content = read.keys([], read.content.table, _TOP)
     log = read.keys(["log"], content.get("log", {}), _LOG)
-    if "format" in log and log["format"] not in READERS:
+    if "format" in log and read.text_of(["log", "format"], log["format"]) not in READERS:
         raise read.fail(["log", "format"], unknown("format", str(log["format"]), READERS))
     for key in ("delimiter", "decimal"):
         if key in log and len(read.text_of(["log", key], log[key])) != 1:
@@ -153,7 +154,7 @@ def load_mapping(file: Path) -> LogMapping:
         {k: v for k, v in log.items() if k != "format"},
         _clock(read, content.get("clock")),
         about,
-        _free(read, "labels", content.get("labels", {})),
+        _labels(read, content.get("labels", {})),
         _parameters(read, content.get("parameters", {}), models),
         found,
     )
@@ -163,6 +164,13 @@ def _free(read: _Reader, name: str, table: Any) -> dict[str, Any]:
     if not isinstance(table, dict):
         raise read.fail([name], f"expected a table; found {table!r}")
     return table
+
+
+def _labels(read: _Reader, table: Any) -> dict[str, Any]:
+    for name, value in _free(read, "labels", table).items():
+        if not isinstance(value, str | bool | int | float) or (isinstance(value, float) and not math.isfinite(value)):
+            raise read.fail(["labels", name], f"expected a text, a number, true or false; found {value!r}")
+    return dict(table)
 
 
 def _parameters(read: _Reader, table: Any, models: Mapping[str, Model]) -> dict[str, Any]:
@@ -199,7 +207,7 @@ def _unasked(value: Any) -> Any:
 def _components(read: _Reader, table: Any) -> dict[str, Model]:
     found = {}
     for name, source in _free(read, "components", table).items():
-        if source not in COMPONENTS:
+        if read.text_of(["components", name], source) not in COMPONENTS:
             raise read.fail(["components", name], unknown("component", str(source), COMPONENTS))
         found[name] = COMPONENTS[source]
     return found

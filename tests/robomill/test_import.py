@@ -217,6 +217,7 @@ def test_a_parameter_that_is_wrong_is_refused_where_it_stands(tmp_path: Path, li
             'map.toml:8: signal.0.rotation.abc: 90 has no unit; expected a text with one, such as "90 deg"',
         ),
         ('"kN"', '"kN"\nsign = true', "expected a number or a list of numbers; found True"),
+        ("[clock]", "[labels]\ntier = 1979-05-27\n[clock]", "map.toml:2: labels.tier: expected a text, a number, true or false"),
         ("[clock]", "[log]\nskip_rows = true\n[clock]", "expected a whole number from 0; found True"),
     ],
 )

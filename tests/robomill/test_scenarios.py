@@ -182,6 +182,10 @@ class TestBadFiles:
             (('"100 mm", "60 mm"', 'true, "60 mm"'), "bad.toml:12: [workpiece] size.0: True is neither a number nor a text with a unit"),
             (('"100 mm", "60 mm"', '"-2 1", "60 mm"'), "bad.toml:12: [workpiece] size.0: '-2 1' is not a number with a unit"),
             (('"0.7 mm"', "0.7"), 'max_deviation_m: 0.7 has no unit; expected a text with one, such as "0.7 mm"'),
+            (
+                ("max_deviation_m =", "max_deviation ="),
+                "max_deviation: the name of a figure ends in its unit, as in summary.json: _m, _n, _s",
+            ),
             (('name = "groove"', 'name = ""'), "bad.toml:2: [scenario] name: expected a text; found ''"),
             (('name = "groove"', 'name = "../groove"'), "bad.toml:2: [scenario] name: '../groove' cannot be the name of a folder"),
             (

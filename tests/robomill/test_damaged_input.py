@@ -1,0 +1,89 @@
+"""Every file that people write, with one value replaced by something else: read, or refused with the file and the line; never a crash."""
+
+from __future__ import annotations
+
+import random
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from diagnosis.catalogue import Catalogue, CatalogueError
+from orchestration.errors import OrchestrationError
+from orchestration.system import System
+from robomill.binding import convert
+from robomill.entries import ScenarioError
+from robomill.experiments import load_experiment
+from robomill.logs.mapping import load_mapping
+from robomill.logs.reading import LogError
+from robomill.scenario import load_scenario
+
+ROOT = Path(__file__).parents[2]
+READERS: list[tuple[str, Callable[[Path], object]]] = [
+    ("scenarios/groove.toml", load_scenario),
+    ("scenarios/milling_cell.toml", lambda f: System.load(f, convert)),
+    ("scenarios/experiments/tap_test.toml", load_experiment),
+    ("scenarios/next_runs/cuts.toml", load_experiment),
+    ("docs/tutorial/map.toml", load_mapping),
+    ("scenarios/catalogue.toml", Catalogue.load),
+]
+STRANGE = (
+    *(
+        "true",
+        "nan",
+        "inf",
+        "-inf",
+        '""',
+        '" "',
+        "[]",
+        "{}",
+        "[[]]",
+        "-1",
+        "0",
+        "1e400",
+        "9" * 400,
+        '"16 MM"',
+        '"mm"',
+        '"-2 1"',
+        "1979-05-27",
+    ),
+    *(
+        "{value = 1}",
+        "{value = [1], unit = 3}",
+        '{value = "1", unit = "mm"}',
+        "[1, [2]]",
+        "{file = 3}",
+        '"../x"',
+        "[true]",
+        '"NaN mm"',
+        "[{a = 1}]",
+    ),
+)
+
+
+def damaged(text: str, random_: random.Random) -> str:
+    lines = text.splitlines()
+    i = random_.choice([k for k, line in enumerate(lines) if re.match(r"^[\w.\"\[\]]+ *= ", line)])
+    key = lines[i].split("=")[0]
+    lines[i] = f"{key}= {random_.choice(STRANGE)}"
+    if random_.random() < 0.1:
+        lines.insert(i, lines[i])
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize(("name", "read"), READERS, ids=[name for name, _ in READERS])
+def test_a_damaged_value_is_read_or_refused_with_its_file(name: str, read: Callable[[Path], object], tmp_path: Path) -> None:
+    for folder in ("scenarios", "docs/tutorial"):  # files name others relative to their own folder
+        shutil.copytree(ROOT / folder, tmp_path / folder)
+    random_, file = random.Random(2030), tmp_path / name
+    text, refused = file.read_text(encoding="utf-8"), []
+    for _ in range(80):
+        file.write_text(damaged(text, random_), encoding="utf-8")
+        try:
+            read(file)
+        except (OrchestrationError, ScenarioError, LogError, CatalogueError, FileNotFoundError) as error:
+            refused.append(str(error))
+    assert len(refused) > 20
+    assert all(file.name in said and "Traceback" not in said for said in refused)
