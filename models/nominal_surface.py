@@ -85,23 +85,31 @@ def surface_points(path: ToolPath, volume: SweptVolume, size: FloatArray, spacin
     walls = walls.select(volume.covers(walls.points, COVER_TOLERANCE) == 0.0)
     # passes a whole diameter apart touch: what is between them is no wall
     walls = walls.select(volume.covers(walls.points - 2.0 * COVER_TOLERANCE * walls.normal, 0.0) == 0.0)
-    return _once(SurfacePoints.joined(walls, _floors(along, volume, size, spacing)), size, spacing)
+    return _once(SurfacePoints.joined(walls, _floors(along, around, volume, size, spacing)), size, spacing)
 
 
 def floor_points(path: ToolPath, volume: SweptVolume, size: FloatArray, spacing: float, beside: SweptVolume) -> SurfacePoints:
     """The points of the floors alone, and of these only what lies `beside` another volume, not under it or in it."""
-    return _floors(_stations(path, size, spacing)[0], volume, size, spacing, beside)
+    return _floors(*_stations(path, size, spacing), volume, size, spacing, beside)
 
 
-def _floors(at: _Stations, volume: SweptVolume, size: FloatArray, spacing: float, beside: SweptVolume | None = None) -> SurfacePoints:
-    """Points under the cutter, across the whole of it; where it cuts through, at the bottom of the block."""
-    columns = np.minimum(_ROWS, np.ceil(2.0 * at.radius / (_ACROSS * spacing))).astype(int)
-    index, share = _spread(columns)
-    left = np.column_stack([-at.direction[:, 1], at.direction[:, 0]])
-    xy = at.position[index, :2] + ((2.0 * share - 1.0) * at.radius[index])[:, None] * left[index]
+def _floors(
+    along: _Stations, around: _Stations, volume: SweptVolume, size: FloatArray, spacing: float, beside: SweptVolume | None = None
+) -> SurfacePoints:
+    """Points under the cutter, across the whole of it and around corners and ends; where it cuts through, at the bottom of the block."""
+    across, share = _spread(np.minimum(_ROWS, np.ceil(2.0 * along.radius / (_ACROSS * spacing))).astype(int))
+    left = np.column_stack([-along.direction[:, 1], along.direction[:, 0]])
+    straight = along.position[across, :2] + ((2.0 * share - 1.0) * along.radius[across])[:, None] * left[across]
+    sector, turned = _spread(np.ceil(np.abs(around.turn) * around.radius / (_ACROSS * spacing)).astype(int))
+    ray, out = _spread(np.minimum(_ROWS, np.ceil(around.radius[sector] / (_ACROSS * spacing))).astype(int))
+    sector, turned = sector[ray], turned[ray]
+    angle = around.start[sector] + turned * around.turn[sector]
+    round_ = around.position[sector, :2] + (out * around.radius[sector])[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    xy = np.vstack([straight, round_])
     xyz = np.column_stack([xy, np.full(len(xy), -LEAST_DEPTH)])
-    points = SurfacePoints(xyz, np.zeros((len(xy), 3)), np.zeros(len(xy), dtype=np.bool_), at.time[index], at.length[index])
-    points = _once(_inside(points, size), size, _ACROSS * spacing)
+    time, length = (np.concatenate([getattr(along, name)[across], getattr(around, name)[sector]]) for name in ("time", "length"))
+    points = SurfacePoints(xyz, np.zeros((len(xy), 3)), np.zeros(len(xy), dtype=np.bool_), time, length)
+    points = _once(_inside(points, size), size, spacing)
     if beside is not None:
         points = points.select(beside.covers(points.points, 0.0) == 0.0)
     height, slope = volume.bottom(points.points[:, :2])

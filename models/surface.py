@@ -145,11 +145,12 @@ def measure(nominal: ToolPath, actual: ToolPath, block_size: npt.ArrayLike, spac
             f"nothing is cut: the nominal path makes no surface in the block of {_mm(size * 1e3)} mm; the tip spans x, y, z = "
             f"{_mm(low)} to {_mm(high)} mm from the centre of the block's top"
         )
-    deviation, edge, limited = _left(at, cut)
-    inside = np.flatnonzero(deviation == 0.0)
-    for of_kind, gouged in ((at.wall[inside], _gouged_walls), (~at.wall[inside], _gouged_floors)):
-        which = inside[of_kind]
-        deviation[which], edge[which], limited[which] = gouged(at.select(which), planned, cut, size)
+    bottom = np.full(len(at), -np.inf)
+    bottom[~at.wall], _ = cut.bottom(at.points[~at.wall, :2])
+    deviation, edge, limited = _left(at, cut, bottom)
+    walls, floors = (np.flatnonzero((deviation == 0.0) & kind) for kind in (at.wall, ~at.wall))
+    deviation[walls], edge[walls], limited[walls] = _gouged_walls(at.select(walls), planned, cut, size)
+    deviation[floors], edge[floors], limited[floors] = _gouged_floors(at.select(floors), planned, bottom[floors], size)
     # the bottom of the block under a through cut is no surface, unless a skin is left
     real = (at.points[:, 2] > -size[2]) | (deviation > 0.0)
     measured = SurfaceDeviation(at.points, at.normal, deviation, at.wall, edge, limited, at.time, at.length).select(real)
@@ -164,23 +165,23 @@ _Found = tuple[FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]
 """Deviation, edge, limited."""
 
 
-def _left(at: SurfacePoints, cut: SweptVolume) -> _Found:
-    """Material left: from the nominal surface to where the tool came nearest; over a floor not more than stands up to the block's top."""
-    most = np.full(len(at), np.inf)
-    most[~at.wall] = np.maximum(cut.bottom(at.points[~at.wall, :2])[0] - at.points[~at.wall, 2], 0.0)
+def _left(at: SurfacePoints, cut: SweptVolume, bottom: FloatArray) -> _Found:
+    """Material left: from the nominal surface to where the tool came nearest; over a floor not more than stands up to the block's top.
+
+    `bottom` [m] (n,) is the lowest that the tool was over floors.
+    """
+    most = np.where(at.wall, np.inf, np.maximum(bottom - at.points[:, 2], 0.0))
     far, nearest = cut.distance(at.points, most)
     edge = ~_along(nearest - at.points, at.normal, far)
     return np.where(at.wall, far, np.minimum(far, -at.points[:, 2])), edge, np.zeros(len(far), dtype=np.bool_)
 
 
-def _gouged_floors(at: SurfacePoints, planned: SweptVolume, cut: SweptVolume, size: FloatArray) -> _Found:
-    """From the machined floor below a nominal one back to the nominal surface."""
+def _gouged_floors(at: SurfacePoints, planned: SweptVolume, bottom: FloatArray, size: FloatArray) -> _Found:
+    """From the machined floor, at the height `bottom` [m] (n,), below a nominal one back to the nominal surface."""
     below = at.points.copy()
-    height, _ = cut.bottom(at.points[:, :2])
-    through = height < -size[2]
-    below[:, 2] = np.minimum(np.maximum(height, -size[2]), at.points[:, 2])
+    below[:, 2] = np.minimum(np.maximum(bottom, -size[2]), at.points[:, 2])
     far, nearest = planned.distance(below, at.points[:, 2] - below[:, 2])
-    return -far, ~_along(nearest - below, at.normal, far), through
+    return -far, ~_along(nearest - below, at.normal, far), bottom < -size[2]
 
 
 def _gouged_walls(at: SurfacePoints, planned: SweptVolume, cut: SweptVolume, size: FloatArray) -> _Found:

@@ -83,6 +83,19 @@ class SweptVolume:
         return height, slope
 
 
+@kernel
+def _to_chord(x: float, y: float, xa: float, ya: float, xb: float, yb: float) -> float:
+    """Distance squared of a point from the segment a-b."""
+    ux, uy = xb - xa, yb - ya
+    wx, wy = x - xa, y - ya
+    length2 = ux * ux + uy * uy
+    if length2 > 0.0:
+        t = min(max((wx * ux + wy * uy) / length2, 0.0), 1.0)
+        wx -= t * ux
+        wy -= t * uy
+    return wx * wx + wy * wy
+
+
 def _tree(rows: FloatArray) -> FloatArray:
     """Hulls as a heap (node i has 2 i + 1 and 2 i + 2; the last level are runs of LEAF segments), (nodes, 6).
 
@@ -95,26 +108,22 @@ def _tree(rows: FloatArray) -> FloatArray:
     levels = max(0, math.ceil(math.log2(-(-len(rows) // LEAF))))
     hulls = np.zeros((2 ** (levels + 1) - 1, 6))
     hulls[:, WIDE], hulls[:, LOW] = -np.inf, np.inf
-    for level in range(levels + 1):
-        starts = np.arange(0, len(rows), LEAF << (levels - level))
-        ends = np.append(starts[1:], len(rows)) - 1
-        first, last = rows[starts, XA : YA + 1], rows[ends, XB : YB + 1]
-        run = np.repeat(np.arange(len(starts)), ends - starts + 1)
-        off = np.maximum(*(_off_chord(rows[:, x : x + 2], first[run], last[run]) for x in (XA, XB)))
-        own = hulls[2**level - 1 : 2**level - 1 + len(starts)]
-        own[:, :2], own[:, 2:4] = first, last
-        own[:, WIDE] = np.maximum.reduceat(off + wide, starts)
-        own[:, LOW] = np.minimum.reduceat(low, starts)
+    compiled(_enclose)(rows, wide, low, levels, hulls)
     return hulls
 
 
-def _off_chord(points: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Distance of points (n, 2) from the segments a-b (n, 2)."""
-    along, way = b - a, points - a
-    length2 = np.einsum("ij,ij->i", along, along)
-    share = np.clip(np.einsum("ij,ij->i", way, along) / np.where(length2 > 0.0, length2, 1.0), 0.0, 1.0)
-    result: FloatArray = np.hypot(*(way - share[:, None] * along).T)
-    return result
+def _enclose(rows: FloatArray, wide: FloatArray, low: FloatArray, levels: int, hulls: FloatArray) -> None:
+    for level in range(levels + 1):
+        run = LEAF << (levels - level)
+        for i in range(-(-len(rows) // run)):
+            first, last = i * run, min((i + 1) * run, len(rows)) - 1
+            hull = hulls[(1 << level) - 1 + i]
+            xa, ya, xb, yb = rows[first, XA], rows[first, YA], rows[last, XB], rows[last, YB]
+            hull[0], hull[1], hull[2], hull[3] = xa, ya, xb, yb
+            for k in range(first, last + 1):
+                off2 = max(_to_chord(rows[k, XA], rows[k, YA], xa, ya, xb, yb), _to_chord(rows[k, XB], rows[k, YB], xa, ya, xb, yb))
+                hull[WIDE] = max(hull[WIDE], math.sqrt(off2) + wide[k])
+                hull[LOW] = min(hull[LOW], low[k])
 
 
 # ---------------------------------------------------------------- one cutter, one segment
@@ -263,19 +272,6 @@ def _span(xa: float, ya: float, xb: float, yb: float, ex: float, ey: float, radi
 
 
 # ---------------------------------------------------------------- loops over points, down the tree
-@kernel
-def _to_chord(x: float, y: float, xa: float, ya: float, xb: float, yb: float) -> float:
-    """Distance squared of a point from the segment a-b."""
-    ux, uy = xb - xa, yb - ya
-    wx, wy = x - xa, y - ya
-    length2 = ux * ux + uy * uy
-    if length2 > 0.0:
-        t = min(max((wx * ux + wy * uy) / length2, 0.0), 1.0)
-        wx -= t * ux
-        wy -= t * uy
-    return wx * wx + wy * wy
-
-
 @kernel
 def _to_hull(hull: FloatArray, x: float, y: float, z: float) -> float:
     """Distance squared of a point from a hull, inf from an empty one."""

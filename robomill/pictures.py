@@ -71,7 +71,7 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
     bar = figure.colorbar(ScalarMappable(norm, MAP), ax=list(axes[: len(results)]), shrink=0.8)
     bar.set_label(
         "deviation along the surface normal in mm\n"
-        "(red: material left, blue: gouged; walls folded outwards; yellow: beside an edge, not counted; crosses: limit of the measure)"
+        "(red: material left, blue: gouged; walls folded outwards;\nyellow: beside an edge, not counted; crosses: at least so much)"
     )
     return figure
 

@@ -17,12 +17,25 @@ def executed_correction(run: Run) -> FloatArray:
     return moved
 
 
-def steepest_release(run: Run, span: float = 0.1) -> int:
-    """Index of the sample in the middle of the `span` [s] in which the deflection falls most: where the cutter leaves the material."""
+def steepest_release(run: Run, span: float = 0.1) -> int | None:
+    """Index of the sample in the middle of the `span` [s] in which the deflection falls most where the cutter leaves the material.
+
+    It leaves where it is engaged WINDOW before and not engaged any more from WINDOW after to twice that: a tool that is soon in
+    the material again shows no step that a delay could be read from. None if it never leaves.
+    """
+    step = float(run.t[1] - run.t[0])
+    engaged = run["milling.depth"] > 0.0
     deflection = np.linalg.norm(run["compliance.d_T_B"], axis=1)
-    n = max(1, round(span / float(run.t[1] - run.t[0])))
-    fall = deflection[:-n] - deflection[n:]
-    return int(np.argmax(fall)) + n // 2
+    n, window = max(1, round(span / step)), round(WINDOW / step)
+    middle = np.arange(len(deflection) - n) + n // 2
+    before = engaged[np.maximum(middle - window, 0)]
+    cuts = np.concatenate([[0], np.cumsum(engaged)])  # steps engaged so far
+    end = np.minimum(middle + 2 * window, len(engaged))
+    leaves = before & (cuts[end] == cuts[np.minimum(middle + window, len(engaged) - 1)])
+    if not np.any(leaves):
+        return None
+    fall = np.where(leaves, deflection[:-n] - deflection[n:], -np.inf)
+    return int(middle[np.argmax(fall)])
 
 
 def half_time(t: FloatArray, signal: FloatArray, before: float, after: float) -> float:
@@ -37,13 +50,13 @@ def half_time(t: FloatArray, signal: FloatArray, before: float, after: float) ->
 
 
 def reaction_time(run: Run) -> float:
-    """Delay [s] between deflection and executed correction at the cutter exit, each at half of its fall; nan without compensation or cut.
+    """Delay [s] between deflection and executed correction at the cutter exit, each at half of its fall; nan without compensation or exit.
 
     Both are taken along the direction in which the tool springs back, normal to the feed. Positive: the robot is late.
     """
-    if not np.any(run["milling.depth"] > 0.0):
-        return float("nan")
     middle = steepest_release(run)
+    if middle is None:
+        return float("nan")
     t, moved, deflection = run.t, executed_correction(run), run["compliance.d_T_B"]
     n = round(WINDOW / float(t[1] - t[0]))
     part = slice(max(0, middle - n), min(len(t), middle + 2 * n))

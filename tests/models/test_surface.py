@@ -127,6 +127,9 @@ def test_circular_pocket_with_too_large_a_radius() -> None:
 
 def test_plunge_is_measured_all_around() -> None:
     hole = np.array([[0, 0, 0.005], [0, 0, -0.002], [0, 0, -0.004], [0, 0, 0.005]])
+    bottom = compare(hole, moved(hole, 0.0, 0.0, 1e-4)).floors
+    assert bottom.deviation == pytest.approx(1e-4, abs=MICRO)
+    assert np.hypot(*bottom.points[:, :2].T).max() > 0.9 * RADIUS
     m = compare(hole, moved(hole, 1e-4, 0, 0)).walls
     angle = np.arctan2(m.points[:, 1], m.points[:, 0])
     assert (

@@ -139,3 +139,20 @@ def test_without_a_table_of_tools_the_diameter_of_the_component_counts() -> None
     one = result(run)
     assert np.all(one.nominal.radius - 0.0005 == EXACT)
     assert one.figures["max_deviation_m"] == pytest.approx(1e-4, rel=1e4 * ROUNDOFF)
+
+
+def released(engaged: np.ndarray, late: float) -> Recorded:
+    """The deflection falls within 40 ms from 1.5 s on, the correction follows `late` [s] after; `engaged` is the depth."""
+    run = Recorded(along(0.0, -0.01, len(engaged)), (0.0, 1e-3, 0.0), 0.01)
+    fall = np.clip(1.0 - (run.t - 1.5) / 0.04, 0.0, 1.0), np.clip(1.0 - (run.t - 1.5 - late) / 0.04, 0.0, 1.0)
+    d, c = (1e-3 * f[:, None] * [0.0, 1.0, 0.0] for f in fall)
+    run |= {"milling.depth": engaged, "compliance.d_T_B": d, "compliance.p_BT_B": run["path.p_BT_B"] + d - c}
+    return run
+
+
+def test_a_reaction_time_is_read_where_the_cutter_leaves_and_stays_out() -> None:
+    """Where it is soon in the material again, the levels before and after are no step (a boss crossed by its own groove: -730 ms)."""
+    t = 0.004 * np.arange(1000)
+    assert reaction_time(cast(Run, released(np.where(t < 1.53, 0.01, 0.0), 0.1))) == pytest.approx(0.1, rel=1e3 * ROUNDOFF)
+    assert np.isnan(reaction_time(cast(Run, released(np.where((t < 1.53) | (t > 1.6), 0.01, 0.0), 0.1))))
+    assert np.isnan(reaction_time(cast(Run, released(np.full(1000, 0.01), 0.1))))
