@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from models.gcode import codes
-from models.gcode.actions import GCodeError, Program
+from models.gcode.actions import GCodeError, Move, Program
 from models.gcode.arcs import AbsoluteCentreError
 from models.gcode.cycles import drill
 from models.gcode.motion import go_home, move
@@ -58,7 +58,7 @@ def _carry_out(source: tuple[str, ...], name: str, setup: Setup, absolute_centre
         _execute(block, state, changes_tools)
         if state.ended:
             break
-    if not state.actions:
+    if not any(isinstance(action, Move) for action in state.actions):
         raise last.error("no move", "a program needs at least one move between two known points")
     return Program(name, tuple(state.actions), source, state.tool, state.spindle_speed, notes.texts, named_diameters(source, state.unit))
 

@@ -258,6 +258,8 @@ class TestRefusals:
     def test_program_without_a_move(self) -> None:
         with pytest.raises(GCodeError, match="no move"):
             parse("G21\nM30")
+        with pytest.raises(GCodeError, match="no move"):
+            parse("G0 X0 Y0 Z0\nG4 P1\nM30")
 
     def test_missing_file(self) -> None:
         with pytest.raises(FileNotFoundError, match=r"no program file nowhere\.ngc"):
