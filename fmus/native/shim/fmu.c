@@ -419,8 +419,9 @@ static char *folder_of(const char *where) {
     bool uri = !strncmp(where, "file:", 5);
     if (uri) {
         where += 5;
-        if (!strncmp(where, "//", 2) && (where += 2, *where && *where != '/'))
-            where += strcspn(where, "/");
+        if (!strncmp(where, "//", 2))
+            for (where += 2; *where && *where != '/'; where++)  /* a host */
+                ;
         if (where[0] == '/' && where[1] && where[2] == ':')  /* /C:/ */
             where++;
     }
