@@ -90,7 +90,9 @@ def surface_points(path: ToolPath, volume: SweptVolume, size: FloatArray, spacin
 
 def floor_points(path: ToolPath, volume: SweptVolume, size: FloatArray, spacing: float, beside: SweptVolume) -> SurfacePoints:
     """The points of the floors alone, and of these only what lies `beside` another volume, not under it or in it."""
-    return _floors(*_stations(path, size, spacing), volume, size, spacing, beside)
+    along, around = _stations(path, size, spacing)
+    # a recorded path trembles: it has corners everywhere, whose floors are those along it
+    return _floors(along, around.select(np.zeros(len(around.time), dtype=np.bool_)), volume, size, spacing, beside)
 
 
 def _floors(
