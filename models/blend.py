@@ -15,7 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from models.declaration import FloatArray, compiled, kernel
+from models.compiled import compiled_on_call
+from models.declaration import FloatArray, kernel
 from models.path_geometry import SAMPLES, Polynomial, Shape, polynomial_at
 from models.segment_table import HELIX
 
@@ -118,7 +119,7 @@ def dot(a: FloatArray, b: FloatArray) -> float:
     return product
 
 
-@compiled
+@compiled_on_call
 def put_control(corner: FloatArray, distance: float, control: FloatArray) -> bool:
     """`bezier_control` of a corner into (6, 3); False if there is none."""
     return control_points(corner, distance, control, np.zeros((6, 3)), np.zeros((4, 3)))
@@ -167,7 +168,7 @@ def bernstein(degree: int, j: int, u: float) -> float:
     return value
 
 
-@compiled
+@compiled_on_call
 def put_bezier(control: FloatArray, u: float, out: FloatArray) -> None:
     """`bezier_derivatives` into (3, 3)."""
     bezier(control, u, out)
@@ -186,7 +187,7 @@ def bezier(control: FloatArray, u: float, out: FloatArray) -> None:
             out[2, i] += bernstein(3, j, u) * 20.0 * (control[j + 2, i] - 2.0 * control[j + 1, i] + control[j, i])
 
 
-@compiled
+@compiled_on_call
 def arc_length(control: FloatArray, u0: float, u1: float) -> float:
     """Length [m] of the Bezier curve between two parameters (Gauss-Legendre, 24 nodes)."""
     return length_between(control, u0, u1)
@@ -220,7 +221,7 @@ def put_state(control: FloatArray, u: float, out: FloatArray) -> None:
         out[2, i] = (out[2, i] - along * out[1, i]) / (speed * speed)
 
 
-@compiled
+@compiled_on_call
 def put_pieces(control: FloatArray, coefficients: FloatArray, lengths: FloatArray) -> int:
     """`arc_length_pieces` into (n, 3, 6) and (n,), room for 2^7; returns their number."""
     start, end, spans = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((_HALVINGS + 2, 3))
@@ -271,7 +272,7 @@ def speed_error(piece: FloatArray, length: float) -> float:
     return worst
 
 
-@compiled
+@compiled_on_call
 def _within(corner: FloatArray, limit: float, tolerance: float) -> float:
     """Largest distance up to `limit` [m] at which path and blend deviate by at most `tolerance` [m]."""
     control, ends, v = np.zeros((6, 3)), np.zeros((6, 3)), np.zeros((4, 3))

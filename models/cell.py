@@ -30,8 +30,8 @@ def cell(address: int, rows: int, columns: int, row: int, column: int) -> float:
 def row_at(address: int, rows: int, columns: int, time: float, guess: int) -> int:
     """The last row whose number in column 0, which increases from row to row, is not above `time`; row 0 if there is none.
 
-    Found by steps that double from row `guess` on, and bisection: the row after the guess costs two looks, any other a logarithm of
-    their distance. The result does not depend on the guess. `rows` is at least one.
+    Found by steps that double from row `guess` on, and bisection: the guess itself costs two looks, the row after it four, any
+    other a logarithm of their distance. The result does not depend on the guess. `rows` is at least one.
     """
     low, high = 0, rows - 1  # the row wanted is in low..high
     near = min(max(guess, 0), high)

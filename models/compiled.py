@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
-from typing import Any
+from functools import cache, wraps
+from typing import Any, TypeVar
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 @cache
-def compiled(function: Callable[..., None]) -> Callable[..., None]:
+def compiled(function: Function) -> Function:
     """The function compiled by Numba (kept on disk, see models/cache.py), or as it is without Numba."""
     try:
         from numba import njit
@@ -18,5 +20,15 @@ def compiled(function: Callable[..., None]) -> Callable[..., None]:
 
     with compiled_code(function):
         fast: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
-    result: Callable[..., None] = fast
+    result: Function = fast
     return result
+
+
+def compiled_on_call(function: Function) -> Function:
+    """As a decorator: `compiled` when it is first called, so that an import compiles nothing."""
+
+    @wraps(function)
+    def call(*arguments: Any) -> Any:
+        return compiled(function)(*arguments)
+
+    return call  # type: ignore[return-value]  # same arguments and result

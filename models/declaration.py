@@ -19,7 +19,7 @@ import string
 import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, wraps
+from functools import cached_property
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -59,30 +59,6 @@ def kernel(function: Function) -> Function:
         return function
     marked: Function = register_jitable(**COMPILER_OPTIONS)(function)
     return marked
-
-
-def compiled(function: Function) -> Function:
-    """A function of numbers and arrays for Python to call: compiled at its first call, kept on disk; plain without Numba.
-
-    For loops outside of `init` and `step`. It may use what is marked by `kernel`, and arrays of its own.
-    """
-    made: list[Any] = []
-
-    @wraps(function)
-    def call(*arguments: Any) -> Any:
-        if not made:
-            try:
-                from numba import njit
-
-                from models.cache import compiled_code
-            except ImportError:
-                made.append(function)
-            else:
-                with compiled_code(function):
-                    made.append(njit(error_model="numpy", fastmath=False, boundscheck=True, cache=True)(function))
-        return made[0](*arguments)
-
-    return call  # type: ignore[return-value]  # same arguments and result
 
 
 @dataclass(frozen=True)

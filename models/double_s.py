@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.declaration import FloatArray, compiled, kernel
+from models.compiled import compiled_on_call
+from models.declaration import FloatArray, kernel
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ def put_phase(phases: FloatArray, count: int, duration: float, speed: float, acc
     return count + 1
 
 
-@compiled
+@compiled_on_call
 def zones_to_phases(lengths: FloatArray, limits: FloatArray, acceleration: float, jerk: float, phases: FloatArray) -> int:
     """Fill the rows of `phases`, as the fields of `Phase`, for zones (n,); 7 n + 1 rows are enough. Returns how many are filled."""
     n = len(lengths)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from models.declaration import FloatArray, compiled, record
+from models.compiled import compiled_on_call
+from models.declaration import FloatArray, record
 from models.path_interpolator import MODEL, Q_START
 from models.robots import KR300, SPINDLE_ACROSS, Robot, Tool, jacobian, robot_variables
 from models.segment_table import AXIS_1, TAU
@@ -88,7 +89,7 @@ def _follow(plan: Plan, data: npt.NDArray[np.void], times: FloatArray) -> FloatA
     return angles
 
 
-@compiled
+@compiled_on_call
 def _jacobians(data: npt.NDArray[np.void], angles: FloatArray, J: FloatArray) -> None:
     """The Jacobian (n, 6, 6) at axis angles (n, 6)."""
     for i in range(len(angles)):

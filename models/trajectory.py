@@ -19,7 +19,8 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from models.blend import blend, hermite
-from models.declaration import FloatArray, compiled
+from models.compiled import compiled_on_call
+from models.declaration import FloatArray
 from models.double_s import path_at, phases, time_at
 from models.gcode import Arc, Dwell, Move, Program, Vector
 from models.parameters import load, quantity
@@ -162,7 +163,7 @@ class _Turn:
         return (0.0, 0.0) if self.steady else (_largest(self.f_1, self.f_2, 1, length), _largest(self.f_1, self.f_2, 2, length))
 
 
-@compiled
+@compiled_on_call
 def _largest(f_1: FloatArray, f_2: FloatArray, order: int, length: float) -> float:
     """Sum of the largest sizes of a derivative of two quintics (6,) over [0, length], at even steps."""
     one = two = 0.0
@@ -549,7 +550,7 @@ def _rows(run: list[_Stretch], elements: FloatArray, profile: FloatArray, tau: f
     return rows
 
 
-@compiled
+@compiled_on_call
 def _cut(edges: FloatArray, profile: FloatArray, tau: float, owners: IntArray, laws: FloatArray) -> int:
     """Fill the elements and time laws (tau, sigma, speed, acceleration, jerk) of the rows of a run; returns their number.
 
