@@ -121,7 +121,7 @@ def test_what_is_there_is_replaced_only_when_asked_for(cell, capsys):
     assert (folder / "cartesian" / "signals.parquet").read_bytes() == recording
     with pytest.raises(SystemExit):
         main(["run", "part.toml", "--resume", "--overwrite"])
-    (cell / "one.toml").write_text('name = "one"\nstep = 0.004\nstop = 0.1\n[components.drive]\nsource = "robot_drive"\n')
+    (cell / "one.toml").write_text('name = "one"\nstep = "4 ms"\nstop = "0.1 s"\n[components.drive]\nsource = "robot_drive"\n')
     assert main(["run", "one.toml"]) == 0
     assert "results/one already holds a run" in refused(capsys, "run", "one.toml")
     assert main(["run", "one.toml", "--overwrite"]) == 0
@@ -137,13 +137,13 @@ def test_two_at_once_in_one_folder(cell, capsys):
 
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGINT"])
 def test_signals_end_a_command_with_their_status(cell, name):
-    (cell / "one.toml").write_text('name = "one"\nstep = 0.004\nstop = 1e6\n[components.drive]\nsource = "robot_drive"\n')
+    (cell / "one.toml").write_text('name = "one"\nstep = "4 ms"\nstop = "1e6 s"\n[components.drive]\nsource = "robot_drive"\n')
     process = subprocess.Popen(
         [sys.executable, "-m", "robomill", "run", "one.toml"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     live = cell / "results" / "one" / "signals.arrow"
     for _ in range(600):
-        if live.exists() and live.stat().st_size > 100_000:
+        if process.poll() is not None or (live.exists() and live.stat().st_size > 100_000):
             break
         time.sleep(0.1)
     process.send_signal(getattr(signal, name))
