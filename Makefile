@@ -7,7 +7,7 @@ READY := .venv/ready
 
 run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictures in results/test_part
 	$(BIN)/robomill build
-	$(BIN)/robomill run scenarios/test_part.toml --fmus
+	$(BIN)/robomill run scenarios/test_part.toml --fmus --overwrite
 
 test: $(READY) ## every test, the slow ones too, on all cores
 	$(BIN)/python -m pytest -m "slow or not slow" --numprocesses auto --dist loadfile

@@ -143,6 +143,9 @@ def _enter(laboratory: Laboratory) -> None:
     global _LABORATORY  # noqa: PLW0603 - a worker process has one laboratory, given when it starts
     _LABORATORY = laboratory
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_DFL)  # forked, it would do what the parent does then
 
 
 def _work(task: tuple[int, Setting]) -> FloatArray | None:

@@ -27,7 +27,7 @@ FIGURES = HERE / "figures"
 
 def results(changes: dict[str, dict[str, Any]], variants: Iterable[str], folder: Path) -> dict[str, Result]:
     """The groove with some parameters changed (None: back to the component's default)."""
-    job = milling.prepare(with_changes(GROOVE, changes), folder)
+    job = milling.prepare(with_changes(GROOVE, changes), folder, overwrite=True)
     for component, values in changes.items():
         for name in (n for n, v in values.items() if v is None):
             old = job.system.component(component)
@@ -60,7 +60,7 @@ def positions(folder: Path) -> None:
         turn = float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi
         workpiece = replace(GROOVE.workpiece, position=tuple(place), abc=(turn, 0.0, 0.0))
         try:
-            job = milling.prepare(replace(GROOVE, workpiece=workpiece), folder)
+            job = milling.prepare(replace(GROOVE, workpiece=workpiece), folder, overwrite=True)
         except OrchestrationError:
             continue  # out of reach
         pair = [evaluate(v.name, v.title, milling.mill(job, v)[0], workpiece, 1.0).figures["max_deviation_m"] for v in GROOVE.variants[:2]]
@@ -124,7 +124,7 @@ def smooth_loop(folder: Path) -> System:
     program = folder / "smooth.ngc"
     program.write_text(GROOVE.program.read_text().replace("Z-11.7", f"Z-{pitch:.4f}"))
     edge = {"Kte": "4.5 N/mm", "Kre": "5 N/mm", "Kae": "0.25 N/mm"}
-    job = milling.prepare(replace(with_changes(GROOVE, {"milling": {"teeth": 12, **edge}}), program=program), folder)
+    job = milling.prepare(replace(with_changes(GROOVE, {"milling": {"teeth": 12, **edge}}), program=program), folder, overwrite=True)
     ports = [
         ("path.q_ref", "compliance.q_link", False),
         ("compliance.p_BT_B", "milling.p_BT_B", False),

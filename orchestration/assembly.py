@@ -13,6 +13,7 @@ from typing import Any
 from orchestration import checkpoint
 from orchestration.errors import OrchestrationError, PlacedError, SlaveError, SystemFileError, describe
 from orchestration.isolation import IsolatedSlave
+from orchestration.lock import FolderLock
 from orchestration.master import Manipulator, Master, Observer, Progress, Saver
 from orchestration.memory import Memory
 from orchestration.parameters import Convert, prepare, same_unit_only
@@ -132,27 +133,43 @@ def run(
         end = math.inf
     if math.isnan(end):
         raise OrchestrationError("stop is not a number (NaN)")
-    if folder is not None and not (overwrite or resume):
-        check_vacant([Path(folder)])
-    with assemble(system, resolver, convert) as assembly:
-        if folder is None:
-            if resume:
-                raise OrchestrationError("resume needs the folder of the run")
+    if folder is None:
+        if resume:
+            raise OrchestrationError("resume needs the folder of the run")
+        with assemble(system, resolver, convert) as assembly:
             memory = Memory(assembly.about())
             _master(assembly, (memory, *observers), manipulators, None).run(end, start, progress, system.stop_when)
-            return memory.run()
-        r, place = system.recording, Path(folder)
-        about = {**assembly.about(), **checkpoint.identity(system, assembly.parameters)}
-        recorder = Recorder(place, r.columns, r.every, r.chunk, r.csv, about, {**system.labels, **(labels or {})}, overwrite or resume)
-        saved = checkpoint.continuation(place, recorder.info(assembly.wiring, system.step), end, system.stop_when) if resume else None
-        if isinstance(saved, Run):
-            return saved
-        recorder.resume_after = saved.done if saved is not None else None
-        save = (r.checkpoint_every, _saver(assembly, recorder)) if r.checkpoint_every else None
-        master = _master(assembly, (recorder, *observers), manipulators, place)
-        with _watched(system, place):
-            master.run(end, start, progress, system.stop_when, saved, save)
-    return Run.load(place)
+        return memory.run()
+    r, place = system.recording, Path(folder)
+    with _claimed(place) as lock:
+        if not (overwrite or resume):
+            check_vacant([place])
+        with assemble(system, resolver, convert) as assembly:
+            about = {**assembly.about(), **checkpoint.identity(system, assembly.parameters)}
+            names = {**system.labels, **(labels or {})}
+            recorder = Recorder(place, r.columns, r.every, r.chunk, r.csv, about, names, overwrite or resume, lock=lock)
+            saved = checkpoint.continuation(place, recorder.info(assembly.wiring, system.step), end, system.stop_when) if resume else None
+            if isinstance(saved, Run):
+                return saved
+            recorder.resume_after = saved.done if saved is not None else None
+            save = (r.checkpoint_every, _saver(assembly, recorder)) if r.checkpoint_every else None
+            master = _master(assembly, (recorder, *observers), manipulators, place)
+            with _watched(system, place):
+                master.run(end, start, progress, system.stop_when, saved, save)
+        return Run.load(place)
+
+
+@contextmanager
+def _claimed(folder: Path) -> Iterator[FolderLock]:
+    """The lock of a folder, which is made if it is not there; one that was made and holds nothing in the end goes again."""
+    made = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with FolderLock(folder) as lock:
+            yield lock
+    finally:
+        if made and not any(folder.iterdir()):
+            folder.rmdir()
 
 
 @contextmanager

@@ -149,6 +149,11 @@ class CompiledLoop:
             failed = self._loops.failed(outcome, operation, status)
         return Chunk(made, self._columns, failed, outcome != compiled.VIOLATED)
 
+    def reached(self, t: float) -> float:
+        """Time of the last row in the middle of a chunk that began at `t` [s]."""
+        times = self._columns[:1] if self._columns is not None else np.zeros(0)
+        return float(np.nanmax(times, initial=t))
+
     def pace(self, elapsed: float) -> None:
         """Longer or shorter chunks from now on: the last one, with all that belongs to it, took `elapsed` s of wall clock.
 

@@ -216,9 +216,9 @@ class Master:
 
     def _ended_by(self, call: str) -> RunError:
         """The error of a component that was about to end the process."""
-        name = self._current
-        text = f"component {name!r} called {call} after t = {self.time:.9g} s, which ends the process; {contained(name)}"
-        return RunError(text, name, self.time, self.folder)
+        name, t = self._current, self.time if self._compiled is None else self._compiled.reached(self.time)
+        text = f"component {name!r} called {call} after t = {t:.9g} s, which ends the process; {contained(name)}"
+        return RunError(text, name, t, self.folder)
 
     def initialise(self, start: float, stop: float, observed: bool = True) -> None:
         """Initialise all slaves and leave initialisation; observers see the outputs at the start if `observed`.

@@ -70,6 +70,8 @@ class Recorder:
     labels: Mapping[str, Any] = field(default_factory=dict)
     overwrite: bool = False
     resume_after: int | None = None
+    lock: FolderLock | None = None
+    """Of the folder, if the caller holds it; else it is taken for as long as the run lasts."""
 
     def begin(self, wiring: Wiring, step: float) -> None:
         """Choose the columns, write run.toml, open the stream."""
@@ -80,12 +82,16 @@ class Recorder:
         fields = [pa.field("t", pa.float64(), metadata={"unit": "s", "description": "time"})]
         fields += [pa.field(f"{c}.{p.name}", _TYPES[p.type], metadata=_metadata(c, p)) for c, p in ports]
         self.folder.mkdir(parents=True, exist_ok=True)
-        self._lock = FolderLock(self.folder)
+        self._own_lock = FolderLock(self.folder) if self.lock is None else None
         try:
             self._open(wiring, step, chosen, info, fields)
         except BaseException:
-            self._lock.release()
+            self._release()
             raise
+
+    def _release(self) -> None:
+        if self._own_lock is not None:
+            self._own_lock.release()
 
     def _open(self, wiring: Wiring, step: float, chosen: list[int], info: dict[str, Any], fields: list[Any]) -> None:
         self._seen = 0
@@ -253,7 +259,7 @@ class Recorder:
             if self.csv:
                 write_csv(self.folder)
         finally:
-            self._lock.release()
+            self._release()
 
     def info(self, wiring: Wiring, step: float) -> dict[str, Any]:
         """What run.toml says, except how the run ended."""

@@ -119,14 +119,26 @@ def load(folder: Path) -> Run:
 
 
 def check_vacant(folders: Iterable[Path]) -> None:
-    """ResultsError that names all of these folders that hold a run: nobody has asked for overwriting."""
-    held = {folder: [n for n in (RUN, SIGNALS, LIVE) if (folder / n).exists()] for folder in folders}
+    """ResultsError that names all of these folders that hold a run: nobody has asked for overwriting.
+
+    One that failed before its first step was done counts as none: there is nothing that could be lost.
+    """
+    held = {folder: [n for n in (RUN, SIGNALS, LIVE) if (folder / n).exists()] for folder in folders if not _came_to_nothing(folder)}
     found = [f"{folder} already holds a run ({', '.join(names)})" for folder, names in held.items() if names]
     if found:
         raise ResultsError(
             "\n".join(found) + "; choose another folder, or allow overwriting (overwrite = True; --overwrite), "
             "or resume (resume = True; --resume), which keeps what is finished"
         )
+
+
+def _came_to_nothing(folder: Path) -> bool:
+    if not ((folder / RUN).is_file() and (folder / SIGNALS).is_file() and read_info(folder).get("outcome") == "failed"):
+        return False
+    try:
+        return bool(pyarrow.parquet.read_metadata(folder / SIGNALS).num_rows <= 1)  # the first row is that of the start
+    except (pa.ArrowInvalid, OSError):
+        return False
 
 
 def read_info(folder: Path) -> dict[str, Any]:

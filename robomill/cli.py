@@ -5,8 +5,11 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -67,7 +70,9 @@ def parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--csv", action="store_true", help="also write signals.csv")
     run.add_argument("--checkpoint-every", type=int, metavar="STEPS", help="save each so many steps all that --resume goes on from")
-    run.add_argument(
+    present = run.add_mutually_exclusive_group()
+    present.add_argument("--overwrite", action="store_true", help="replace runs that are in the folder (default: that is refused)")
+    present.add_argument(
         "--resume",
         action="store_true",
         help="keep finished runs in the folder, go on with one that has a checkpoint, begin the others anew",
@@ -205,18 +210,45 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(json.dumps({"error": str(end.__cause__)}))
         raise
     module, function = ACTIONS[options.command]
-    action = getattr(importlib.import_module(f"robomill.{module}"), function)
     try:
-        return int(action(options))
-    except (Interrupted, KeyboardInterrupt) as error:
-        print(f"robomill {options.command}: {str(error) or 'interrupted'}", file=sys.stderr)
-        return 130
+        with _ended_by_signals():
+            action = getattr(importlib.import_module(f"robomill.{module}"), function)
+            return int(action(options))
+    except Interrupted as error:
+        print(f"robomill {options.command}: {error}", file=sys.stderr)
+        return 128 + error.signal
+    except KeyboardInterrupt as error:
+        number = error.args[0] if error.args else signal.SIGINT
+        print(f"robomill {options.command}: interrupted{f' by {number.name}' if error.args else ''}", file=sys.stderr)
+        return 128 + int(number)
     except (OrchestrationError, ValueError, LookupError, OSError, RuntimeError) as error:
         text = error.args[0] if isinstance(error, KeyError) and error.args else error
         if options.json:
             print(json.dumps({"error": str(text)}))
         print(f"robomill {options.command}: {text}", file=sys.stderr)
         return 2
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """SIGTERM and SIGHUP end a command as Ctrl-C does: processes that it has started go, and temporary files."""
+    names = [n for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n)]
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(number: int, _: Any) -> None:
+        raise KeyboardInterrupt(signal.Signals(number))
+
+    before = {getattr(signal, n): signal.getsignal(getattr(signal, n)) for n in names}
+    caught = {number: old for number, old in before.items() if old == signal.SIG_DFL}
+    for number in caught:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number, old in caught.items():
+            signal.signal(number, old)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,8 @@ from models.replay import replay_model
 from orchestration.assembly import assemble
 from orchestration.assembly import run as run_once
 from orchestration.errors import OrchestrationError
-from orchestration.results import Run
+from orchestration.lock import FolderLock
+from orchestration.results import Run, check_vacant
 from orchestration.ssp_import import open_ssp
 from orchestration.system import System
 from orchestration.toml_text import parse
@@ -76,7 +77,8 @@ def run(options: Namespace) -> int:
     if scenario.kind != "milling":
         _only_cells_take(options, scenario.kind)
     folder.mkdir(parents=True, exist_ok=True)
-    return _run_milling(scenario, folder, options) if scenario.kind == "milling" else _run_static(scenario, folder, options)
+    with FolderLock(folder):
+        return _run_milling(scenario, folder, options) if scenario.kind == "milling" else _run_static(scenario, folder, options)
 
 
 def _only_systems_take(options: Namespace, *names: str) -> None:
@@ -113,7 +115,10 @@ def _run_experiment(options: Namespace) -> int:
     experiment = experiments.load_experiment(options.file)
     folder = options.out or RESULTS / experiment.name
     with _progress(options.json) as report:
-        summary = experiments.run_experiment(experiment, folder, options.variant, options.fmus, options.csv, report)
+        folder.mkdir(parents=True, exist_ok=True)
+        with FolderLock(folder):
+            again = options.overwrite
+            summary = experiments.run_experiment(experiment, folder, options.variant, options.fmus, options.csv, report, overwrite=again)
     _write(folder / "summary.json", summary)
     if options.json:
         print(json.dumps(summary, indent=1))
@@ -133,10 +138,13 @@ def _run_experiment(options: Namespace) -> int:
 def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     assert scenario.workpiece is not None  # load_scenario checks it for this kind
     chosen = _chosen(scenario, options.variant).variants
+    if not (options.overwrite or options.resume):
+        check_vacant(folder / v.name for v in chosen)
     results: list[Result] = []
     try:
         with _progress(options.json) as report:
-            job = milling.prepare(scenario, folder, options.fmus, report, resume=options.resume, checkpoint_every=options.checkpoint_every)
+            again = {"resume": options.resume, "overwrite": options.overwrite}
+            job = milling.prepare(scenario, folder, options.fmus, report, **again, checkpoint_every=options.checkpoint_every)
             job = replace(job, system=_adopted(_looped(job.system, options), options))  # the plan and its offline force stay nominal
             job = replace(job, warnings=(*job.warnings, *milling.check_variants(job, chosen)))
             for text in job.warnings:
@@ -270,7 +278,7 @@ def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
             resolver=resolve,
             convert=convert,
             progress=lambda done, total: report(system.name, done, total),
-            overwrite=True,
+            overwrite=options.overwrite,
             resume=options.resume,
         )
     rows, end, columns = len(result), float(result.t[-1]), list(result.columns)

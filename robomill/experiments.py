@@ -47,7 +47,7 @@ from models import gcode, point_path
 from models.declaration import FloatArray
 from models.trajectory import Placement, Plan, plan
 from orchestration.assembly import run
-from orchestration.results import RUN, Run, read_info
+from orchestration.results import RUN, Run, check_vacant, read_info
 from orchestration.system import System
 from orchestration.toml_text import dump, parse
 from orchestration.written import merged
@@ -210,9 +210,21 @@ def in_folder(known: ComponentParameters, folder: Path) -> dict[str, Mapping[str
 
 
 def run_condition(
-    experiment: Experiment, c: ExperimentCondition, repeat: int, folder: Path, fmus: Path | None = None, csv: bool = False, tier: str = "T1"
+    experiment: Experiment,
+    c: ExperimentCondition,
+    repeat: int,
+    folder: Path,
+    fmus: Path | None = None,
+    csv: bool = False,
+    tier: str = "T1",
+    overwrite: bool = False,
 ) -> Run:
-    """One repeat into `folder` (overwritten). Raises what reader, planner and master raise."""
+    """One repeat into `folder`; a run that is there is replaced with `overwrite`, else refused.
+
+    Raises what reader, planner and master raise.
+    """
+    if not overwrite:
+        check_vacant([folder])
     system = System.load(experiment.system, convert)
     planned, known = prepare(experiment, c, system, folder)
     seed = {"sensor": {"seed": 1000 * (1 + experiment.conditions.index(c)) + repeat}}
@@ -229,11 +241,15 @@ def run_condition(
         "kind": experiment.kind,
         "tier": tier,
     }
-    run(configured, folder, resolver=resolve, convert=convert, labels=labels, overwrite=True)
+    run(configured, folder, resolver=resolve, convert=convert, labels=labels, overwrite=overwrite)
     info = read_info(folder)
     info["parameters"] = known
     (folder / RUN).write_text(dump(info), encoding="utf-8")
     return Run.load(folder)
+
+
+def _place(folder: Path, c: ExperimentCondition, repeat: int) -> Path:
+    return folder / f"{folder_of(c.name)}-{repeat}"
 
 
 def run_experiment(
@@ -243,21 +259,28 @@ def run_experiment(
     fmus: Path | None = None,
     csv: bool = False,
     progress: Progress | None = None,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
-    """All repeats of all conditions (or of those in `names`) below `folder`; returns what summary.json holds."""
+    """All repeats of all conditions (or of those in `names`) below `folder`; returns what summary.json holds.
+
+    Runs that are there are replaced with `overwrite`; else nothing is begun.
+    """
     chosen = [c for c in experiment.conditions if not names or c.name in names]
     unknown = sorted(set(names or ()) - {c.name for c in experiment.conditions})
     if unknown:
         raise ScenarioError(
             f"{experiment.file}: no condition {', '.join(unknown)}; conditions: {', '.join(c.name for c in experiment.conditions)}"
         )
+    repeats = range(1, experiment.repeats + 1)
+    if not overwrite:
+        check_vacant(_place(folder, c, repeat) for c in chosen for repeat in repeats)
     runs: list[dict[str, Any]] = []
     for i, c in enumerate(chosen):
-        for repeat in range(1, experiment.repeats + 1):
+        for repeat in repeats:
             if progress is not None:
                 progress(experiment.name, i * experiment.repeats + repeat - 1, len(chosen) * experiment.repeats)
-            place = folder / f"{folder_of(c.name)}-{repeat}"
-            result = run_condition(experiment, c, repeat, place, fmus, csv)
+            place = _place(folder, c, repeat)
+            result = run_condition(experiment, c, repeat, place, fmus, csv, overwrite=overwrite)
             size = np.linalg.norm(result["compliance.d_T_B"], axis=1)
             runs.append(
                 {

@@ -53,6 +53,8 @@ class Job:
     folder: Path
     resume: bool = False
     """Whether runs that are in the folder already are kept or continued."""
+    overwrite: bool = False
+    """Whether they are replaced; with neither, a variant that is there already is refused."""
     notes: tuple[str, ...] = ()
     """What the reader of the program skipped or decided."""
     warnings: tuple[str, ...] = ()
@@ -71,13 +73,15 @@ def prepare(
     progress: Progress | None = None,
     *,
     resume: bool = False,
+    overwrite: bool = False,
     checkpoint_every: int | None = None,
 ) -> Job:
     """Plan the program and estimate the cutting force along it.
 
     `fmus`: folder of FMUs to run instead of the in-process components; `resume` keeps finished runs in the folder and goes on with
-    interrupted ones; `checkpoint_every` [steps] instead of what the system file says. Raises what the reader of the program, the
-    planner and the master raise; nothing is left half done in `folder` that a second call would trip over.
+    interrupted ones, `overwrite` replaces them (the tables and the offline run are made anew in any case); `checkpoint_every` [steps]
+    instead of what the system file says. Raises what the reader of the program, the planner and the master raise; nothing is left
+    half done in `folder` that a second call would trip over.
     """
     assert scenario.program is not None
     assert scenario.workpiece is not None  # load_scenario checks both for this kind
@@ -111,7 +115,7 @@ def prepare(
         system = with_fmus(system, fmus)
     if checkpoint_every is not None:
         system = replace(system, recording=replace(system.recording, checkpoint_every=checkpoint_every))
-    job = Job(scenario, workpiece, planned, system, folder, resume, notes_of(program), findings.texts)
+    job = Job(scenario, workpiece, planned, system, folder, resume, overwrite, notes_of(program), findings.texts)
     np.save(pilot, _pilot(job, progress))
     return job if _is_recording(system, "path") else replace(job, system=system.with_parameters("path", {"pilot": str(pilot)}))
 
@@ -172,7 +176,7 @@ def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool
         convert=convert,
         progress=_reporting(progress, variant.title, job.steps),
         labels=labels,
-        overwrite=True,
+        overwrite=job.overwrite,
         observers=[watch],
         resume=job.resume,
     )

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from orchestration.assembly import run as record
+from orchestration.lock import FolderLock
 from orchestration.results import Run
 from robomill.cli import main
 from tests.orchestration.mocks import resolver, source, system
@@ -91,7 +92,7 @@ def test_one_variant_again_keeps_the_figures_of_the_others(cell, capsys):
     assert main(["run", "part.toml", "--no-pictures"]) == 0
     file = cell / "results" / "part" / "summary.json"
     before = json.loads(file.read_text())["variants"]
-    assert main(["run", "part.toml", "--no-pictures", "--variant", "cartesian"]) == 0
+    assert main(["run", "part.toml", "--no-pictures", "--variant", "cartesian", "--overwrite"]) == 0
     after = json.loads(file.read_text())["variants"]
     assert list(after) == ["uncompensated", "cartesian"]
     assert after["uncompensated"] == before["uncompensated"]
@@ -101,8 +102,58 @@ def test_a_variant_that_cannot_run_is_refused_before_any_recording_is_replaced(c
     assert main(["run", "part.toml", "--no-pictures"]) == 0
     recording = (cell / "results" / "part" / "cartesian" / "signals.parquet").read_bytes()
     (cell / "part.toml").write_text((cell / "part.toml").read_text() + "[variants.bad]\nparameters.controller.mode = 9\n")
-    assert "maximum 2" in refused(capsys, "run", "part.toml", "--no-pictures")
+    assert "maximum 2" in refused(capsys, "run", "part.toml", "--no-pictures", "--overwrite")
     assert (cell / "results" / "part" / "cartesian" / "signals.parquet").read_bytes() == recording
+
+
+def test_what_is_there_is_replaced_only_when_asked_for(cell, capsys):
+    """Of several variants none is begun: the second is there, the first is not."""
+    edit(cell / "part.toml", "[variants.cartesian]", "[variants.uncompensated]\nparameters.controller.mode = 0\n[variants.cartesian]")
+    assert main(["run", "part.toml", "--no-pictures", "--variant", "cartesian"]) == 0
+    folder = cell / "results" / "part"
+    recording = (folder / "cartesian" / "signals.parquet").read_bytes()
+    text = refused(capsys, "run", "part.toml", "--no-pictures")
+    assert "part/cartesian already holds a run (run.toml, signals.parquet); choose another folder, or allow overwriting" in text
+    assert "--overwrite" in text
+    assert not (folder / "uncompensated").exists()
+    assert (folder / "cartesian" / "signals.parquet").read_bytes() == recording
+    assert main(["run", "part.toml", "--no-pictures", "--resume"]) == 0
+    assert (folder / "uncompensated").exists()
+    assert (folder / "cartesian" / "signals.parquet").read_bytes() == recording
+    with pytest.raises(SystemExit):
+        main(["run", "part.toml", "--resume", "--overwrite"])
+    (cell / "one.toml").write_text('name = "one"\nstep = "4 ms"\nstop = "0.1 s"\n[components.drive]\nsource = "robot_drive"\n')
+    assert main(["run", "one.toml"]) == 0
+    assert "results/one already holds a run" in refused(capsys, "run", "one.toml")
+    assert main(["run", "one.toml", "--overwrite"]) == 0
+
+
+def test_two_at_once_in_one_folder(cell, capsys):
+    folder = cell / "results" / "part"
+    folder.mkdir(parents=True)
+    with FolderLock(folder):
+        assert f"another run is being written there, by process {os.getpid()}" in refused(capsys, "run", "part.toml", "--overwrite")
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGINT"])
+def test_signals_end_a_command_with_their_status(cell, name):
+    (cell / "one.toml").write_text('name = "one"\nstep = "4 ms"\nstop = "1e6 s"\n[components.drive]\nsource = "robot_drive"\n')
+    process = subprocess.Popen(
+        [sys.executable, "-m", "robomill", "run", "one.toml"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    live = cell / "results" / "one" / "signals.arrow"
+    for _ in range(600):
+        if process.poll() is not None or (live.exists() and live.stat().st_size > 100_000):
+            break
+        time.sleep(0.1)
+    process.send_signal(getattr(signal, name))
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 128 + getattr(signal, name)
+    assert "interrupted" in said
+    r = Run.load(cell / "results" / "one")
+    assert r.outcome == "interrupted"
+    assert len(r) > 0
 
 
 class TestBadInput:

@@ -33,7 +33,7 @@ def short(scenario: Scenario, folder: Path) -> Scenario:
 @pytest.fixture(scope="module")
 def job(tmp_path_factory):
     folder = tmp_path_factory.mktemp("short")
-    return milling.prepare(short(load_scenario(SCENARIOS / "groove.toml"), folder), folder / "results")
+    return milling.prepare(short(load_scenario(SCENARIOS / "groove.toml"), folder), folder / "results", overwrite=True)
 
 
 def assert_equal(a: Run, b: Run) -> None:
