@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from diagnosis.catalogue import LOGGING, Address, Refinement, selects
+from diagnosis.catalogue import LOGGING, Address, Refinement, physical, selects
 from diagnosis.measured import Condition
 from diagnosis.store import Store
 from orchestration.assembly import Resolver, run
@@ -92,7 +92,7 @@ class Laboratory:
         """All samples of the channels, [n, channels]."""
         condition = self.conditions[index]
         system = self.configured(index)
-        for (component, parameter), value in changes:
+        for (component, parameter), value in physical(dict(changes)).items():
             if condition.system is None or any(c.name == component for c in system.components):
                 system = system.with_parameters(component, {parameter: value + self.nominal.get((component, parameter), 0.0)})
         try:
