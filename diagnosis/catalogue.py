@@ -13,7 +13,8 @@ A TOML file::
     sign = "positive"                   # or "both"
     prior = {kind = "log-normal", scale = 6e-5, spread = 0.8}    # or {kind = "normal", scale = ...}
     locations = [{name = "joint 1", parameters = ["backlash[1]"]}, ...]
-                                        # an amplitude whose phase is another on every machine: phase = "transmission_phase[1]" beside it
+                                        # an amplitude whose phase is another on every machine: phase = "transmission_phase[1]" beside it;
+                                        # and in every run: per = "run", too
 
     [[nuisance]]                        # calibrated numbers, believed to a standard deviation
     component = "drive"
@@ -65,7 +66,7 @@ Address = tuple[str, str]
 
 _EFFECT = {"name", "component", "description", "source", "locations", "minimum", "maximum", "prior", "unit", "sign"}
 _LOCATION = {"name", "parameters"}
-_PHASE = "phase"
+_PHASE, _PER = "phase", "per"
 COS, SIN = " cos ", " sin "
 """Between an amplitude and its phase, in the name of its part that is in phase, and of that a quarter of a turn ahead."""
 _NUISANCE = {"component", "parameters", "relative", "absolute", "unit", "source"}
@@ -137,6 +138,8 @@ class Candidate:
     """How many locations the effect has: its prior probability is shared among them."""
     place: str = field(default="", compare=False)
     """Where its unit stands: `catalogue.toml:12`."""
+    phase_per_run: bool = False
+    """Whether its phase is another one in every run."""
 
     @property
     def name(self) -> str:
@@ -386,7 +389,7 @@ class _Reader:
         if not locations:
             raise self.fail(where, "has no locations")
         for spot in locations:
-            self.keys(f"{where}, locations", spot, _LOCATION | {_PHASE}, _LOCATION)
+            self.keys(f"{where}, locations", spot, _LOCATION | {_PHASE, _PER}, _LOCATION)
             name = self.text(where, "name of a location", spot["name"])
             if name in seen:
                 raise self.fail(where, f"location {name!r} is there twice")
@@ -401,8 +404,10 @@ class _Reader:
                     )
                 parameters = (parameters[0] + COS + phase, parameters[0] + SIN + phase)
                 size, both = Prior("normal", prior.scale), True
-            place = self.content.place(*self.at, "unit")
-            made.append(Candidate(entry["name"], component, name, parameters, low, high, size, entry["unit"], both, len(locations), place))
+            if _PER in spot and (spot[_PER] != "run" or _PHASE not in spot):
+                raise self.fail(f"{where}, location {name!r}", f"per = {spot[_PER]!r}; expected 'run' beside a phase")
+            unit, places, written = entry["unit"], len(locations), self.content.place(*self.at, "unit")
+            made.append(Candidate(entry["name"], component, name, parameters, low, high, size, unit, both, places, written, _PER in spot))
         return made
 
     def prior(self, where: str, value: Any) -> Prior:

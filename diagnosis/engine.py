@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis import gate, run_set
+from diagnosis import gate, phases, run_set
 from diagnosis.answer import Diagnosis, Menu, curves_of, effort_of, result_of, titles_of
 from diagnosis.catalogue import LOGGING, Catalogue, Nuisance
 from diagnosis.conclusion import Conclusion
@@ -78,10 +78,12 @@ def diagnose(
     laboratory = Laboratory(
         system, conditions, channels, resolver, convert, catalogue.quiet or {}, nominal, decimation, seeds, catalogue.refinement, ports
     )
+    turned = phases.aligned(laboratory, catalogue.candidates, n)
+    conditions = list(laboratory.conditions)
     groups = [[decimate(c.matrix(r, channels), decimation) for r in c.runs] for c in conditions]
     with Simulator(laboratory, workers, report, store) as simulator:
         simulator.expected = likely_count(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
-        findings = _gate(laboratory, simulator, groups, n, channels, ranges)
+        findings = turned + _gate(laboratory, simulator, groups, n, channels, ranges)
         findings += _other_programs(laboratory, simulator, groups, catalogue)
         fatal = [f for f in findings if f.fatal]
         if all(f.kind in EXPLAINABLE for f in fatal):
@@ -91,7 +93,7 @@ def diagnose(
                 before, after = over_noise(search, fits[0]), over_noise(search, best)
                 little = after < UNKNOWN or unexplained(before, after) < LITTLE
                 if little and not any(c.component == LOGGING for c in best.model):
-                    findings = _gate(laboratory, simulator, groups, n, channels, ranges, setting(best.values))
+                    findings = turned + _gate(laboratory, simulator, groups, n, channels, ranges, setting(best.values))
                     fatal = [f for f in findings if f.fatal]
             elif (finding := _wrong_channel(catalogue, search, fits, groups[:n], nuisances)) is not None:
                 findings.append(finding)

@@ -88,6 +88,10 @@ class Laboratory:
                 _observe(full, self.conditions[index].grid, self.channels, parameter, value)
         return decimate(full, self.decimation)
 
+    def sampled(self, index: int, changes: Setting) -> FloatArray | None:
+        """All samples of the channels, [n, channels]; None where the system cannot run. Faults of the log are not in it."""
+        return self._simulate(index, tuple(sorted((*changes, *((a, 1.0) for a in self.seeds)))))
+
     def _simulate(self, index: int, changes: Setting) -> FloatArray | None:
         """All samples of the channels, [n, channels]."""
         condition = self.conditions[index]

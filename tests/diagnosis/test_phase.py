@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from diagnosis import adopt
 from diagnosis.catalogue import Catalogue, CatalogueError, physical
 from diagnosis.engine import diagnose
+from orchestration.results import Run
 from robomill.diagnose_command import lines, write
 from tests.diagnosis.axis import RIPPLE, catalogue, measure, resolve, system
 from tests.tolerances import ROUNDOFF
@@ -57,4 +59,44 @@ def test_a_phase_needs_its_amplitude(tmp_path: Path) -> None:
     file = tmp_path / "catalogue.toml"
     file.write_text(RIPPLE.replace('["ripple"]', '["ripple", "coulomb"]'))
     with pytest.raises(CatalogueError, match=r"phase = 'ripple_phase'; expected one parameter of a component beside it, its amplitude"):
+        Catalogue.load(file)
+
+
+def started(phases: list[float], amplitude: float, **more: Any) -> list[Run]:
+    """Repeats that each have a phase of their own, as after every start of a spindle."""
+    return [
+        measure({"ripple": amplitude, "ripple_phase": phase}, repeats=1, seed=10 * k + 100 * more.get("size", 0), **more)[0]
+        for k, phase in enumerate(phases)
+    ]
+
+
+PER_RUN = RIPPLE.replace('phase = "ripple_phase"', 'phase = "ripple_phase", per = "run"')
+
+
+def test_a_phase_that_differs_from_run_to_run_neither_cancels_nor_stops_the_log(tmp_path: Path) -> None:
+    runs = started([0.3, 2.1, -1.6, 3.0], 0.4)
+    held = started([1.0, -2.5], 0.4, size=2)
+    result = diagnose(system(), runs, catalogue(tmp_path, more=PER_RUN), held_out=held, resolver=resolve).result
+    assert result["verdict"] == "identified"
+    assert [(f["kind"], f["fatal"]) for f in result["gate"]["findings"]] == [("phase", False)]
+    assert "ripple, axis" in result["gate"]["findings"][0]["text"]
+    amplitude = result["which"][0]["parameters"]["ripple"]
+    assert amplitude["value"] == pytest.approx(0.4, rel=0.05)
+    assert amplitude["interval"][0] < 0.4 < amplitude["interval"][1]
+    assert result["transfer"]["stands"]
+    (torque,) = (h for h in result["how_far"] if h["channel"] == "drive.torque" and h["on"] == "held-out condition")
+    assert torque["closure"] > 0.95
+
+
+def test_runs_of_one_phase_are_left_alone(tmp_path: Path) -> None:
+    for amplitude in (0.0, 0.4):
+        result = diagnose(system(), started([2.0] * 4, amplitude), catalogue(tmp_path, more=PER_RUN), resolver=resolve).result
+        assert result["gate"]["findings"] == []
+        assert result["verdict"] == ("identified" if amplitude else "none")
+
+
+def test_only_a_phase_is_of_a_run(tmp_path: Path) -> None:
+    file = tmp_path / "catalogue.toml"
+    file.write_text(RIPPLE.replace('phase = "ripple_phase"', 'per = "run"'))
+    with pytest.raises(CatalogueError, match=r"per = 'run'; expected 'run' beside a phase"):
         Catalogue.load(file)
