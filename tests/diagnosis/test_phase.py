@@ -35,7 +35,8 @@ def test_an_effect_of_any_phase_is_found_with_its_amplitude(tmp_path: Path, phas
     assert first["parameters"]["ripple_phase"]["unit"] == "rad"
     assert found.result["transfer"]["stands"]
     write(found, system(), [*runs, *held], found_in, tmp_path / "answer")
-    assert adopt.read(tmp_path / "answer" / "adopt.ssv")["drive"] == pytest.approx(truth, abs=0.05)
+    written = {name: p["value"] for name, p in adopt.read(tmp_path / "answer" / "adopt.ssv")["drive"].items()}
+    assert written == pytest.approx(truth, abs=0.05)
     assert any("ripple_phase" in line for line in lines(found.result))
 
 
