@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from diagnosis.catalogue import physical
 from diagnosis.segments import array_of
 from diagnosis.simulation import Laboratory, Setting, decimate, refined
 from diagnosis.tape import Tape
@@ -73,7 +74,8 @@ class Bench:
 
     def _changed(self, changes: Setting, seed: int = 1) -> System:
         system, nominal = self.system, self.laboratory.nominal
-        for (component, parameter), value in (*changes, *((a, float(seed)) for a in self.laboratory.seeds)):
+        seeded = {**physical(dict(changes)), **dict.fromkeys(self.laboratory.seeds, float(seed))}
+        for (component, parameter), value in seeded.items():
             system = system.with_parameters(component, {parameter: value + nominal.get((component, parameter), 0.0)})
         return system
 

@@ -13,6 +13,8 @@ A TOML file::
     sign = "positive"                   # or "both"
     prior = {kind = "log-normal", scale = 6e-5, spread = 0.8}    # or {kind = "normal", scale = ...}
     locations = [{name = "joint 1", parameters = ["backlash[1]"]}, ...]
+                                        # an amplitude whose phase is another on every machine: phase = "transmission_phase[1]" beside it;
+                                        # and in every run: per = "run", too
 
     [[nuisance]]                        # calibrated numbers, believed to a standard deviation
     component = "drive"
@@ -41,6 +43,7 @@ Parameters of "logging" are `lag PATTERN` [s], `smooth PATTERN` (time constant o
 
 from __future__ import annotations
 
+import cmath
 import difflib
 import math
 import re
@@ -63,6 +66,9 @@ Address = tuple[str, str]
 
 _EFFECT = {"name", "component", "description", "source", "locations", "minimum", "maximum", "prior", "unit", "sign"}
 _LOCATION = {"name", "parameters"}
+_PHASE, _PER = "phase", "per"
+COS, SIN = " cos ", " sin "
+"""Between an amplitude and its phase, in the name of its part that is in phase, and of that a quarter of a turn ahead."""
 _NUISANCE = {"component", "parameters", "relative", "absolute", "unit", "source"}
 _QUIET = {"component", "parameters"}
 _SEED = {"component", "parameter"}
@@ -73,6 +79,23 @@ def selects(pattern: str, channel: str) -> bool:
     """Whether the pattern of a parameter of the log is about a channel, or about the array that it is an element of."""
     expression = re.compile(re.escape(pattern).replace(r"\*", ".*"))
     return bool(expression.fullmatch(channel) or expression.fullmatch(channel.partition("[")[0]))
+
+
+def physical(values: Mapping[Address, float]) -> dict[Address, float]:
+    """Amplitude [its unit] and phase [rad] of every pair of such parts; the rest as it is."""
+    found: dict[Address, float] = {}
+    turned: dict[tuple[str, str, str], complex] = {}
+    for (component, name), value in values.items():
+        for between, turn in ((COS, 1.0), (SIN, 1.0j)):
+            amplitude, is_part, phase = name.partition(between)
+            if is_part:
+                turned[component, amplitude, phase] = turned.get((component, amplitude, phase), 0.0) + turn * value
+                break
+        else:
+            found[component, name] = value
+    for (component, amplitude, phase), z in turned.items():
+        found[component, amplitude], found[component, phase] = abs(z), cmath.phase(z)
+    return found
 
 
 class CatalogueError(ValueError):
@@ -115,6 +138,8 @@ class Candidate:
     """How many locations the effect has: its prior probability is shared among them."""
     place: str = field(default="", compare=False)
     """Where its unit stands: `catalogue.toml:12`."""
+    phase_per_run: bool = False
+    """Whether its phase is another one in every run."""
 
     @property
     def name(self) -> str:
@@ -126,14 +151,31 @@ class Candidate:
         """Component and parameter of each number that is fitted."""
         return tuple((self.component, p) for p in self.parameters)
 
+    @property
+    def has_phase(self) -> bool:
+        """Whether its two numbers are the parts of an amplitude whose phase is free."""
+        return COS in self.parameters[0]
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Parameters of the component that switch it on."""
+        return (*self.parameters[0].split(COS),) if self.has_phase else self.parameters
+
+    def sizes(self, values: Mapping[Address, float]) -> dict[Address, float]:
+        """Size [unit] of what each of its numbers belongs to: itself, or the amplitude that it is a part of."""
+        if self.has_phase:
+            return dict.fromkeys(self.addresses, math.hypot(*(values[a] for a in self.addresses)))
+        return {a: abs(values[a]) for a in self.addresses}
+
     def large_enough(self, values: Mapping[Address, float]) -> bool:
         """Whether one of its numbers [unit] counts as a finding."""
-        return any(abs(values[a]) >= self.minimum for a in self.addresses)
+        return any(size >= self.minimum for size in self.sizes(values).values())
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Least and largest value of the parameters [unit]."""
-        return (-self.maximum if self.both_signs else 0.0), self.maximum
+        """Least and largest value of the parameters [unit]; both parts of an amplitude at their largest are the largest amplitude."""
+        largest = self.maximum / math.sqrt(2.0) if self.has_phase else self.maximum
+        return (-largest if self.both_signs else 0.0), largest
 
 
 @dataclass(frozen=True)
@@ -347,18 +389,25 @@ class _Reader:
         if not locations:
             raise self.fail(where, "has no locations")
         for spot in locations:
-            self.keys(f"{where}, locations", spot, _LOCATION, _LOCATION)
+            self.keys(f"{where}, locations", spot, _LOCATION | {_PHASE, _PER}, _LOCATION)
             name = self.text(where, "name of a location", spot["name"])
             if name in seen:
                 raise self.fail(where, f"location {name!r} is there twice")
             seen.add(name)
             parameters = self.names(f"{where}, location {name!r}", component, spot["parameters"])
-            place = self.content.place(*self.at, "unit")
-            made.append(
-                Candidate(
-                    entry["name"], component, name, parameters, low, high, prior, entry["unit"], sign == "both", len(locations), place
-                )
-            )
+            size, both = prior, sign == "both"
+            if _PHASE in spot:
+                phase = self.text(f"{where}, location {name!r}", _PHASE, spot[_PHASE])
+                if len(parameters) != 1 or component == LOGGING:
+                    raise self.fail(
+                        f"{where}, location {name!r}", f"phase = {phase!r}; expected one parameter of a component beside it, its amplitude"
+                    )
+                parameters = (parameters[0] + COS + phase, parameters[0] + SIN + phase)
+                size, both = Prior("normal", prior.scale), True
+            if _PER in spot and (spot[_PER] != "run" or _PHASE not in spot):
+                raise self.fail(f"{where}, location {name!r}", f"per = {spot[_PER]!r}; expected 'run' beside a phase")
+            unit, places, written = entry["unit"], len(locations), self.content.place(*self.at, "unit")
+            made.append(Candidate(entry["name"], component, name, parameters, low, high, size, unit, both, places, written, _PER in spot))
         return made
 
     def prior(self, where: str, value: Any) -> Prior:

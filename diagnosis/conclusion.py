@@ -12,7 +12,7 @@ import numpy as np
 
 from diagnosis import gate, isolability, next_run
 from diagnosis.answer import Diagnosis, Menu, curves_of, effort_of, result_of, titles_of
-from diagnosis.catalogue import LOGGING, Address, Candidate
+from diagnosis.catalogue import LOGGING, Address, Candidate, physical
 from diagnosis.changing import changing
 from diagnosis.estimation import Fit, probabilities
 from diagnosis.how_far import CLOSING, how_far, metrics
@@ -106,7 +106,7 @@ class Conclusion:
         }
         if moved is not None:
             result["transfer"] = {**asdict(moved), "stands": stands(moved)}
-        adopted = dict(self.best.values) if verdict in ("identified", "ambiguous", "unknown") else {}
+        adopted = physical(self.best.values) if verdict in ("identified", "ambiguous", "unknown") else {}
         if verdict == "none":
             result["smallest_visible"] = self.smallest()
             result["which"] = self.which(marginal)
@@ -133,7 +133,8 @@ class Conclusion:
     def transfer(self) -> Transfer | None:
         """What the best model is worth in conditions that were held out."""
         fit = self.best
-        doubt = max(math.hypot(BIAS, WIDER * fit.deviations[a] / (abs(v) + 1e-300)) for a, v in fit.values.items())
+        sizes = {a: size for c in fit.model for a, size in c.sizes(fit.values).items()}
+        doubt = max(math.hypot(BIAS, WIDER * fit.deviations[a] / (size + 1e-300)) for a, size in sizes.items())
         return transfer(self.search, self.groups, fit.values, min(doubt, 1.0))
 
     def which(self, marginal: Mapping[Candidate, float]) -> list[dict[str, Any]]:
@@ -148,21 +149,30 @@ class Conclusion:
             if p < LISTED:
                 continue
             fit = max((f for f in self.fits if c in f.model), key=lambda f: float(self.weights[self.fits.index(f)]))
-            parameters = {}
-            for a, name in zip(c.addresses, c.parameters, strict=True):
-                # a calibrated number's own tolerance, and what the models are not trusted to, come on top of noise
-                half = 1.645 * math.hypot(WIDER * fit.deviations[a], self.tolerance(a), BIAS * fit.values[a])
-                parameters[name] = {"value": fit.values[a], "interval": [fit.values[a] - half, fit.values[a] + half], "unit": c.unit}
             listed.append(
                 {
                     "effect": c.effect,
                     "component": c.component,
                     "location": c.location,
                     "probability": p,
-                    "parameters": parameters,
+                    "parameters": self.parameters(c, fit),
                     "confusable_with": sets.get(c.name, []),
                 }
             )
+        return listed
+
+    def parameters(self, c: Candidate, fit: Fit) -> dict[str, dict[str, Any]]:
+        """Values with their intervals, by the parameters of the component."""
+        sizes, values = c.sizes(fit.values), physical({a: fit.values[a] for a in c.addresses})
+        # a calibrated number's own tolerance, and what the models are not trusted to, come on top of noise
+        half = [1.645 * math.hypot(WIDER * fit.deviations[a], self.tolerance(a), BIAS * sizes[a]) for a in c.addresses]
+        units = [c.unit] * len(half)
+        if c.has_phase:  # an error across the amplitude turns it
+            half, units = [max(half), min(max(half) / (sizes[c.addresses[0]] + 1e-300), math.pi)], [c.unit, "rad"]
+        listed = {}
+        for name, h, unit in zip(c.named, half, units, strict=True):
+            value = values[c.component, name]
+            listed[name] = {"value": value, "interval": [value - h, value + h], "unit": unit}
         return listed
 
     def tolerance(self, address: Address) -> float:
@@ -234,16 +244,11 @@ class Conclusion:
         listed = []
         for f in self.search.screened:
             c = f.model[0]
-            for a, name in zip(c.addresses, c.parameters, strict=True):
-                listed.append(
-                    {
-                        "effect": c.effect,
-                        "location": c.location,
-                        "parameter": name,
-                        "value": 5.0 * f.deviations[a],
-                        "unit": c.unit,
-                    }
-                )
+            deviations = dict(zip(c.parameters, (f.deviations[a] for a in c.addresses), strict=True))
+            if c.has_phase:
+                deviations = {c.named[0]: max(deviations.values())}
+            for name, deviation in deviations.items():
+                listed.append({"effect": c.effect, "location": c.location, "parameter": name, "value": 5.0 * deviation, "unit": c.unit})
         return listed
 
     def next_run(self, verdict: str) -> dict[str, Any] | None:

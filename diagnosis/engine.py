@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis import gate, run_set
+from diagnosis import gate, phases, run_set
 from diagnosis.answer import Diagnosis, Menu, curves_of, effort_of, result_of, titles_of
 from diagnosis.catalogue import LOGGING, Catalogue, Nuisance
 from diagnosis.conclusion import Conclusion
@@ -17,7 +17,7 @@ from diagnosis.estimation import Fit, probabilities
 from diagnosis.how_far import CLOSING
 from diagnosis.measured import Condition, DataError, in_units, sort_by_condition
 from diagnosis.screening import NOMINAL
-from diagnosis.search import Search, likely_count
+from diagnosis.search import Search, likely_count, searched
 from diagnosis.simulation import Laboratory, Report, Setting, Simulator, decimate, setting
 from diagnosis.store import Store
 from diagnosis.verdict import UNEXPLAINED, UNKNOWN, over_noise, unexplained
@@ -78,21 +78,22 @@ def diagnose(
     laboratory = Laboratory(
         system, conditions, channels, resolver, convert, catalogue.quiet or {}, nominal, decimation, seeds, catalogue.refinement, ports
     )
+    turned = phases.aligned(laboratory, catalogue.candidates, n)
+    conditions = list(laboratory.conditions)
     groups = [[decimate(c.matrix(r, channels), decimation) for r in c.runs] for c in conditions]
     with Simulator(laboratory, workers, report, store) as simulator:
         simulator.expected = likely_count(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
-        findings = _gate(laboratory, simulator, groups, n, channels, ranges)
+        findings = turned + _gate(laboratory, simulator, groups, n, channels, ranges)
         findings += _other_programs(laboratory, simulator, groups, catalogue)
         fatal = [f for f in findings if f.fatal]
         if all(f.kind in EXPLAINABLE for f in fatal):
-            search = Search(catalogue, simulator, groups[:n], nuisances)
-            fits = search.run()
+            search, fits = searched(catalogue, simulator, groups[:n], nuisances)
             if fatal:  # is it the machine, after all?
                 best = _best(search, fits)
                 before, after = over_noise(search, fits[0]), over_noise(search, best)
                 little = after < UNKNOWN or unexplained(before, after) < LITTLE
                 if little and not any(c.component == LOGGING for c in best.model):
-                    findings = _gate(laboratory, simulator, groups, n, channels, ranges, setting(best.values))
+                    findings = turned + _gate(laboratory, simulator, groups, n, channels, ranges, setting(best.values))
                     fatal = [f for f in findings if f.fatal]
             elif (finding := _wrong_channel(catalogue, search, fits, groups[:n], nuisances)) is not None:
                 findings.append(finding)
@@ -148,8 +149,8 @@ def _wrong_channel(
     if unexplained(over_noise(search, fits[0]), over_noise(search, best)) >= UNEXPLAINED and (rest := _rest(search, best, groups, name)):
         return gate.Finding(name, "constant", rest, "s", f"stands still for {rest:.3g} s, which nothing explains")
     sign = np.where(np.array(search.simulator.laboratory.channels) == name, -1.0, 1.0)
-    turned = Search(catalogue, search.simulator, [[sign * x for x in group] for group in groups], nuisances)
-    other = _best(turned, turned.run())
+    turned, fits_of_it = searched(catalogue, search.simulator, [[sign * x for x in group] for group in groups], nuisances)
+    other = _best(turned, fits_of_it)
     if over_noise(turned, other) >= UNKNOWN and unexplained(over_noise(search, fits[0]), over_noise(turned, other)) >= LITTLE:
         return None
     return gate.Finding(name, "sign", -1.0, "1", f"has the wrong sign: with the other one, {other.name} explains the log")

@@ -316,6 +316,6 @@ def leave_one_out(fit: Fit, space: Space) -> dict[str, LeftOut]:
         gains[name] = LeftOut(
             float(0.5 * (plain.energy - there.dot(moved, moved))),
             float(0.5 * (plain.energy - there.dot(left, left))),
-            all(refit.deviations[a] < UNDETERMINED * abs(fit.values[a]) for a in addresses),
+            all(refit.deviations[a] < UNDETERMINED * size for c in fit.model for a, size in c.sizes(fit.values).items()),
         )
     return gains

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from diagnosis.catalogue import LOGGING, Address, Candidate, selects
 from diagnosis.estimation import Space
 from diagnosis.measured import DataError
-from diagnosis.noise import SPELL, Whitening, own_noise, whitening
+from diagnosis.noise import SPELL, Whitening, fast, own_noise, whitening
 from diagnosis.simulation import Laboratory
 from orchestration.slave import FloatArray
 
@@ -57,6 +57,8 @@ class Evidence:
     """Repeats that the mean residual is worth, the scatter of the simulated mean and DEPENDENCE included."""
     expected: FloatArray
     """Energy that noise alone leaves in each sample of y, [n]: by channel and condition, from repeats and from simulations."""
+    scatter: FloatArray
+    """Variance of a whitened run that is not repeated, by channel."""
     late: frozenset[Address]
     """Latenesses that are no nuisance here: they would have to be larger than what the catalogue calls a late clock."""
     halves: list[tuple[FloatArray, FloatArray]]
@@ -90,12 +92,14 @@ def gather(
     scales: Mapping[Address, float],
     tolerances: Mapping[Address, float],
     clocks: Sequence[Candidate] = (),
+    left: Sequence[Sequence[FloatArray]] = (),
     like: Evidence | None = None,
 ) -> Evidence:
     """Evidence from the repeats and nominal simulations of each of these conditions, [samples, channels].
 
     `changes` were simulated at `sizes` [unit of the parameter]; `scales` are the prior scales of the candidates' parameters,
-    `tolerances` the standard deviations of calibrated ones; `clocks` those among the candidates that are late clocks. `like`: channels,
+    `tolerances` the standard deviations of calibrated ones; `clocks` those among the candidates that are late clocks. `left`: what a model
+    leaves of each run, from which the noise is guessed where there are no repeats (else what the nominal one leaves). `like`: channels,
     whitening and what is no nuisance are those of this one, so that energies can be compared. DataError if no parameter changes anything.
     """
     active = _moved(changes) if like is None else like.active
@@ -103,8 +107,9 @@ def gather(
     nominals = [[b[:, active] for b in group] for group in nominals]
     changes = {a: [c[:, active] for c in change] for a, change in changes.items()}
     begin = min(math.ceil(BEGINNING / laboratory.decimation), int(SETTLING * min(len(x) for g in groups for x in g)))
-    w = _whitening(groups, nominals, changes, begin) if like is None else like.whitening
     means = [np.asarray(np.mean(group, axis=0)) for group in nominals]
+    over = [[x[:, active] for x in g] for g in left] or [[x - m for x in g] for g, m in zip(groups, means, strict=True)]
+    w = _whitening(groups, nominals, changes, begin, over) if like is None else like.whitening
     # the mean of so many simulations scatters too
     counts = [len(g) * len(m) / (len(g) + len(m)) if len(m) > 1 else float(len(g)) for g, m in zip(groups, nominals, strict=True)]
     # change of each channel in a communication step
@@ -133,11 +138,19 @@ def gather(
     for component in dict.fromkeys(name.partition(".")[0] for name in names):
         here = np.array([name.partition(".")[0] == component for name in names])
         nuisances[LOGGING, f"lag {component}.*"] = white([-LATENESS * rate * here for rate in rates])
+    # of a single run, the whitened fast part says how much of the noise is floor, which is not seen
+    alone = [
+        _variance([w.apply(fast(x), 1.0, s) for x in g], len(names)) if w.guessed else np.ones(len(names))
+        for g, s in zip(over, sudden, strict=True)
+    ]
     spell = max(1, round(SPELL / laboratory.decimation))
     own, expected = [], np.zeros(y.size)
     for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
         simulated = [w.apply(x - means[i], 1.0, sudden[i]) for x in nominals[i]]
-        level = counts[i] * (_scatter(group, len(names)) + (_scatter(simulated, len(names)) if len(simulated) > 1 else 0.0))
+        single = alone[i] if like is None else like.scatter
+        level = counts[i] * (
+            (_scatter(group, len(names)) if len(group) > 1 else single) + (_scatter(simulated, len(names)) if len(simulated) > 1 else 0.0)
+        )
         expected[block].reshape(-1, len(names))[:] = level
         column = own_noise([group, simulated], len(names), spell)
         own.append(np.zeros((y.size, column.shape[1])))
@@ -147,7 +160,7 @@ def gather(
     late = _late(space, clocks, names, LATENESS * laboratory.system.step) if like is None else like.late
     space = space.less(late)
     space.find_alike(columns, scales)
-    return Evidence(space, w, active, nominals, sudden, residuals, columns, counts, expected, late, halves)
+    return Evidence(space, w, active, nominals, sudden, residuals, columns, counts, expected, np.mean(alone, axis=0), late, halves)
 
 
 def _late(space: Space, clocks: Sequence[Candidate], channels: Sequence[str], size: float) -> frozenset[Address]:
@@ -184,17 +197,26 @@ def _moved(changes: Changes) -> npt.NDArray[np.bool_]:
     return np.asarray(moved.any(axis=0))
 
 
-def _whitening(groups: Sequence[Sequence[FloatArray]], nominals: Sequence[Sequence[FloatArray]], changes: Changes, begin: int) -> Whitening:
+def _whitening(
+    groups: Sequence[Sequence[FloatArray]],
+    nominals: Sequence[Sequence[FloatArray]],
+    changes: Changes,
+    begin: int,
+    left: Sequence[Sequence[FloatArray]],
+) -> Whitening:
     """From the repeats, above a floor of TRUST of what effects of typical size do to a channel."""
     rms = np.array([np.sqrt(np.mean(np.concatenate([c * c for c in change]), axis=0)) for change in changes.values()])
     floor = np.array([TRUST * np.median(r[r > 1e-3 * r.max()]) if r.max() > 0.0 else 0.0 for r in rms.T])
     least = np.where(floor > 0.0, 0.0, 1e-9 + 1e-6 * np.abs(np.concatenate([n[0] for n in nominals])).max(axis=0))
-    return whitening(groups, floor + least, begin)
+    return whitening(groups, floor + least, begin, left)
 
 
 def _scatter(group: Sequence[FloatArray], channels: int) -> FloatArray:
-    """Variance of the mean of these whitened repeats, by channel; that of a single one is taken as 1."""
+    """Variance of the mean of these whitened repeats, by channel."""
     runs = np.stack(group).reshape(len(group), -1, channels)
-    if len(runs) == 1:
-        return np.ones(channels)
     return np.asarray(runs.var(axis=0, ddof=1).mean(axis=0) / len(runs))
+
+
+def _variance(group: Sequence[FloatArray], channels: int) -> FloatArray:
+    """Mean square of whitened runs about zero, by channel."""
+    return np.asarray((np.stack(group).reshape(-1, channels) ** 2).mean(axis=0))

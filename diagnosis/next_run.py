@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from diagnosis.catalogue import physical
 from diagnosis.estimation import Fit
 from diagnosis.isolability import CONFUSABLE, distance
 from diagnosis.measured import Condition
@@ -198,14 +199,15 @@ def _name(fit: Fit) -> str:
 def _table(fit: Fit) -> dict[str, dict[str, float]]:
     """Component -> parameter -> value."""
     table: dict[str, dict[str, float]] = {}
-    for (component, name), value in fit.values.items():
+    for (component, name), value in physical(fit.values).items():
         table.setdefault(component, {})[name] = value
     return table
 
 
 def _uncertainty(fit: Fit) -> float:
     """Largest relative deviation of the values."""
-    return max((fit.deviations[a] / abs(v) for a, v in fit.values.items() if v), default=0.0)
+    sizes = [(a, size) for c in fit.model for a, size in c.sizes(fit.values).items()]
+    return max((fit.deviations[a] / size for a, size in sizes if size), default=0.0)
 
 
 def _ranked(tried: Sequence[_Tried], weights: Mapping[tuple[int, int], float]) -> list[_Tried]:

@@ -17,6 +17,8 @@ from scipy.ndimage import uniform_filter1d
 
 from orchestration.slave import FloatArray
 
+FAST = 5
+"""Samples over which a mean is what is slow, where there are no repeats to tell noise by: the rest is noise."""
 ORDER = 3
 """Order of the autoregressive models, in (decimated) samples."""
 SPELL = 125
@@ -40,7 +42,7 @@ class Whitening:
     deviation: FloatArray
     """Standard deviation of a single run about its mean, per channel [unit of the channel]."""
     guessed: bool
-    """Whether there were no repeats, so that only the fast part of the residual could be used."""
+    """Whether there were no repeats, so that only the fast part of what a model leaves could be used."""
     begin: int = ORDER
     """Samples at the beginning of each run that do not count."""
 
@@ -60,19 +62,23 @@ class Whitening:
         return white.ravel()
 
 
-def whitening(groups: Sequence[Sequence[FloatArray]], floor: FloatArray, begin: int = ORDER) -> Whitening:
+def whitening(
+    groups: Sequence[Sequence[FloatArray]],
+    floor: FloatArray,
+    begin: int = ORDER,
+    left: Sequence[Sequence[FloatArray]] = (),
+) -> Whitening:
     """From the repeats [samples, channels] of each condition; `floor` [unit] per channel is added as white noise.
 
-    The first `begin` samples of a run do not count, nor the first ORDER ones: what comes before these is not known.
+    The first `begin` samples of a run do not count, nor the first ORDER ones: what comes before these is not known. Without repeats the
+    noise is the fast part of what a model leaves of each run (`left`; `groups` are that, if it is not given).
     """
     deviations, freedom, total = [], 0.0, 0
     guessed = all(len(g) < 2 for g in groups)
-    for group in groups:
+    for group in left if guessed and left else groups:
         if guessed:
-            for x in group:
-                d = x - uniform_filter1d(x, 5, axis=0, mode="nearest")
-                deviations.append(d / np.sqrt(0.8))  # a mean over 5 takes a fifth of the variance of white noise
-                freedom += len(d)
+            deviations += [fast(x) for x in group]
+            freedom += sum(len(x) for x in group)
         elif len(group) > 1:
             mean = np.mean(group, axis=0)
             deviations += [x - mean for x in group]
@@ -82,6 +88,11 @@ def whitening(groups: Sequence[Sequence[FloatArray]], floor: FloatArray, begin: 
     channels = len(floor)
     covariance = np.array([sum((d[k:] * d[: len(d) - k]).sum(axis=0) for d in deviations) for k in range(ORDER + 1)]) / freedom
     deviation = np.sqrt(covariance[0])
+    if guessed:  # the fast part of white noise goes with itself: that is not the noise's own
+        alone = np.zeros(8 * FAST)
+        alone[4 * FAST] = 1.0
+        part = fast(alone[:, None])[:, 0]
+        covariance[1:] -= covariance[0] * np.array([[part[k:] @ part[:-k]] for k in range(1, ORDER + 1)])
     covariance[0] += floor**2 + 1e-30
     coefficients = np.zeros((channels, ORDER))
     for c in range(channels):
@@ -99,6 +110,11 @@ def whitening(groups: Sequence[Sequence[FloatArray]], floor: FloatArray, begin: 
     size = np.sqrt(np.diag(s))
     factor = np.linalg.cholesky(s / np.outer(size, size) + 1e-9 * np.eye(channels)) * size[:, None]
     return Whitening(coefficients, factor, deviation, guessed, max(begin, ORDER))
+
+
+def fast(left: FloatArray) -> FloatArray:
+    """What of [samples, channels] is no mean over FAST samples, as large as white noise is that has this fast part."""
+    return np.asarray((left - uniform_filter1d(left, FAST, axis=0, mode="nearest")) / np.sqrt(1.0 - 1.0 / FAST))
 
 
 def own_noise(groups: Sequence[Sequence[FloatArray]], channels: int, rows_of_a_spell: int) -> FloatArray:

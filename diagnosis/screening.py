@@ -50,9 +50,17 @@ class Screening:
     """
 
     def __init__(
-        self, catalogue: Catalogue, simulator: Simulator, groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
+        self,
+        catalogue: Catalogue,
+        simulator: Simulator,
+        groups: Sequence[Sequence[FloatArray]],
+        nuisances: Sequence[Nuisance],
+        left: Sequence[Sequence[FloatArray]] = (),
     ) -> None:
-        """`groups`: measured repeats [samples, channels] of each of the first conditions of the simulator's laboratory."""
+        """`groups`: measured repeats [samples, channels] of each of the first conditions of the simulator's laboratory.
+
+        `left`: what a model leaves of them, from which noise is guessed where nothing was repeated.
+        """
         self.simulator, self.conditions = simulator, range(len(groups))
         self.scales = {a: c.prior.scale for c in catalogue.candidates for a in c.addresses}
         nominals = [b for b in simulator.repeated(self.conditions, (), NOMINAL, "nominal") if b is not None]
@@ -66,7 +74,7 @@ class Screening:
         sizes |= {a: s for a, s in largest.items() if a in changes}
         names = [simulator.laboratory.conditions[i].name for i in self.conditions]
         clocks = [c for c in catalogue.candidates if c.component == LOGGING and c.parameters[0].startswith("lag ")]
-        self.evidence = gather(simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks)
+        self.evidence = gather(simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks, left)
         self.single = {a: c for a, c in single.items() if a in self.evidence.columns}
         self.starts: dict[Address, Start] = {}
         self._try_other_sizes()

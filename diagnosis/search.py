@@ -36,6 +36,8 @@ SINGLES, BASES, EXTENSIONS = 10, 3, 4
 """How many single candidates are refined, how many of them grow, and by how many partners each."""
 HIDDEN = 0.1
 """Part of a gap without the tolerances like it that a candidate leaves, which is looked at though with them it seems to be of no use."""
+GUESSES = 4
+"""How often noise is guessed anew from what the best model leaves: once more than a model has effects, at most."""
 LARGEST, GROWN = 3, 4
 """Effects of the largest models, and how often models are grown: once more where the best one loses an effect that is too small."""
 
@@ -44,11 +46,17 @@ class Search:
     """Fits on the first `len(groups)` conditions of the simulator's laboratory; `groups` are their measured repeats."""
 
     def __init__(
-        self, catalogue: Catalogue, simulator: Simulator, groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
+        self,
+        catalogue: Catalogue,
+        simulator: Simulator,
+        groups: Sequence[Sequence[FloatArray]],
+        nuisances: Sequence[Nuisance],
+        left: Sequence[Sequence[FloatArray]] = (),
     ) -> None:
+        """`left`: what a model leaves of each run, from which noise is guessed where nothing was repeated."""
         self.nuisances = nuisances
         self.catalogue, self.simulator, self.groups = catalogue, simulator, groups
-        screening = Screening(catalogue, simulator, groups, nuisances)
+        screening = Screening(catalogue, simulator, groups, nuisances, left)
         self.evidence, self.candidates, self.starts = screening.evidence, screening.candidates, screening.starts
 
     def nominal(self) -> Fit:
@@ -300,6 +308,29 @@ class Search:
             total += (products - same) / (n * (n - 1)) if n > 1 else same - size
             variance += 2.0 * size / (weight * DEPENDENCE) ** 2 if n > 1 else 2.0 * size
         return total, float(np.sqrt(variance)) * 1.5
+
+
+def searched(
+    catalogue: Catalogue, simulator: Simulator, groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
+) -> tuple[Search, list[Fit]]:
+    """A search and the models that it has looked at.
+
+    Where nothing was repeated, noise is what the best model leaves: guessed from what the nominal one leaves, and again from what is left
+    of the best one, until that is the same model. What is measured itself says nothing of noise: it moves.
+    """
+    search = Search(catalogue, simulator, groups, nuisances)
+    fits = search.run()
+    for _ in range(GUESSES if search.evidence.whitening.guessed else 0):
+        best = max(fits, key=_evidence)
+        simulated = simulator.repeated(range(len(groups)), setting(best.values), POLISH, "noise")
+        if any(s is None for s in simulated):
+            break
+        left = [[x - np.mean(s, axis=0) for x in g] for g, s in zip(groups, simulated, strict=True) if s is not None]
+        search = Search(catalogue, simulator, groups, nuisances, left)
+        fits = search.run()
+        if set(max(fits, key=_evidence).model) == set(best.model):
+            break
+    return search, fits
 
 
 def likely_count(catalogue: Catalogue, nuisances: Sequence[Nuisance], conditions: int) -> int:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from diagnosis.catalogue import LOGGING, Address, Refinement, selects
+from diagnosis.catalogue import LOGGING, Address, Refinement, physical, selects
 from diagnosis.measured import Condition
 from diagnosis.store import Store
 from orchestration.assembly import Resolver, run
@@ -88,11 +88,15 @@ class Laboratory:
                 _observe(full, self.conditions[index].grid, self.channels, parameter, value)
         return decimate(full, self.decimation)
 
+    def sampled(self, index: int, changes: Setting) -> FloatArray | None:
+        """All samples of the channels, [n, channels]; None where the system cannot run. Faults of the log are not in it."""
+        return self._simulate(index, tuple(sorted((*changes, *((a, 1.0) for a in self.seeds)))))
+
     def _simulate(self, index: int, changes: Setting) -> FloatArray | None:
         """All samples of the channels, [n, channels]."""
         condition = self.conditions[index]
         system = self.configured(index)
-        for (component, parameter), value in changes:
+        for (component, parameter), value in physical(dict(changes)).items():
             if condition.system is None or any(c.name == component for c in system.components):
                 system = system.with_parameters(component, {parameter: value + self.nominal.get((component, parameter), 0.0)})
         try:

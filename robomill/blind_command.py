@@ -82,7 +82,7 @@ def lacking(catalogue: Catalogue, parameter: str | None) -> Catalogue:
     """The catalogue without what switches on `component.parameter`, at any place."""
     from orchestration.slave import base_name
 
-    known = [c for c in catalogue.candidates if parameter not in {f"{a[0]}.{base_name(a[1])}" for a in c.addresses}]
+    known = [c for c in catalogue.candidates if parameter not in {f"{c.component}.{base_name(p)}" for p in c.named}]
     return replace(catalogue, candidates=tuple(known))
 
 

@@ -112,7 +112,8 @@ def sources() -> str:
 
 def lines(result: dict[str, Any]) -> list[str]:
     """The answer in sentences."""
-    out = [f"verdict: {result['verdict']}"]
+    guess = " (nothing was repeated: the noise is a guess)" if result.get("gap", {}).get("noise_is_a_guess") else ""
+    out = [f"verdict: {result['verdict']}{guess}"]
     out += [f"log: {f['channel']} {f['text']}" for f in result["gate"]["findings"]]
     for w in result["where"]:
         if w["component"] != LOGGING:

@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from models.dynamics import KR300_DYNAMICS
+from robomill import real_gap_conclusions as conclusions
 from robomill.real_gap import Problem, low_pass, simulate
 
 if TYPE_CHECKING:
     from robomill.real_gap_report import Closure, Result
 
 G = KR300_DYNAMICS.gear_ratio
+WEIGAND_STIFFNESS = (4.578e6, 7.519e6, 4.1e6)
+"""Of the gears of A1..A3 [N m/rad], as published (FACTS 1.4)."""
 
 
 def _unit(result: Result, parameter: str) -> str:
@@ -120,7 +123,7 @@ def as_json(r: Result) -> dict[str, Any]:
     ]
     return {
         "schema": "robomill-diagnosis/1",
-        "verdict": "identified",
+        "verdict": conclusions.verdict(r.closures["all"].interval, r.uses),
         "gate": {"usable": True, "findings": findings, "noise": "from the residual of the adopted model: there are no repeats"},
         "where": where,
         "which": sorted(which, key=lambda w: -float(w["log_evidence_gain"])),
@@ -128,10 +131,7 @@ def as_json(r: Result) -> dict[str, Any]:
         "how_far": how_far,
         "payload": {n: {"value": v[0], "interval": [v[1], v[2]], "unit": "kg"} for n, v in r.payload.items()},
         "adopted": r.adopted,
-        "next_run": {
-            "kind": "free motion in the same poses without payload, each axis alone and both ways at several speeds",
-            "separates": ["rotor inertia and payload inertia", "load-dependent and Coulomb friction"],
-        },
+        "next_run": None,
     }
 
 
@@ -329,8 +329,6 @@ def page(r: Result, pictures: Sequence[Path]) -> str:
             values.append((n, f"{1e6 * v:.0f} ({1e6 * low:.0f} to {1e6 * high:.0f}) µrad", f"{1e6 * other:.0f}", ""))
     back = r.link["offset + lag + twist + backlash"]["values"]
     gaps = ", ".join(f"A{i}: {1e6 * back[f'backlash[{i}]']:.0f}" for i in (1, 2, 3))
-    windup = ", ".join(f"{1e-3 * A['link'][i] * k:.1f}" for i, k in enumerate((4.578e6, 7.519e6, 4.1e6)))
-    viscous = ", ".join(f"{1e-3 * r.best.by_name.get(f'friction_viscous[{i}]', 0.0):.1f}" for i in (1, 2, 3))
     steps = _table(
         ("step", "effect", "gain in ln evidence", "BIC"),
         [(k, ("drop " if s.gain < 0.0 else "") + s.candidate.name, f"{s.gain:+.1f}", f"{s.bic:.0f}") for k, s in enumerate(r.steps, 1)],
@@ -368,28 +366,25 @@ out: another trajectory, on which nothing was chosen or fitted unless a column s
 off, that is the rigid body with Weigand's masses, counterbalance and rotors and the payload as stated (about 150 kg, taken 0.1 m in front of
 the flange), fed the *measured* motor angles. Data: 250 Hz, 10 s each, free motion of all axes (data/kuka_kr300_recordings, MIT).
 
-**In one sentence.** The torque gap is friction in every joint (viscous and Coulomb, on A3 dependent on load) with corrections of the reflected
-inertia; adding what was found on A closes **{_percent(c["all"].closure)}** ({_percent(c["all"].interval[0])} to {_percent(c["all"].interval[1])}) of the whitened torque gap of moving
-axes on B ({_percent(min(squares))} to {_percent(max(squares))} of its squares, axis by axis). The difference between motor and link encoders is first of all a **clock**: the link encoders are {1e3 * r.link_fit.by_name.get("encoder_lag", 0.0):.1f} ms late;
-then an encoder offset; only then elastic twist (A2, A3). It is not backlash.
+**In one sentence.** Adopted on A for the torque gap: {conclusions.adopted(r.chosen)}. It closes **{_percent(c["all"].closure)}** ({_percent(c["all"].interval[0])} to {_percent(c["all"].interval[1])}) of the whitened torque gap of moving
+axes on B ({_percent(min(squares))} to {_percent(max(squares))} of its squares, axis by axis). Of the difference between motor and link encoders: {conclusions.link(r.link)}.
 
 ## Gate: clocks and signs
 
-- Link encoders late against motor encoders, A1..A3: {_ms(A["link"])} ms on A, {_ms(B["link"])} ms on B, whatever the axis. Treated below as a candidate.
-- Logged motor speeds late against the differentiated motor angles by {_ms(A["speed"])} ms, logged link speeds by {_ms(A["link_speed"])} ms: filters of the
-  logger. Neither is used; speeds and accelerations here are zero-phase derivatives of the motor angles ({15} Hz).
-- Motors lead the reference (late by {_ms(A["reference"])} ms on A, {_ms(B["reference"])} ms on B; negative means ahead) and differ from it by up to
-  {", ".join(f"{math.degrees(x):.2f}" for x in A["tracking"])} deg. That differs between the recordings and stays at standstill, so it is no clock but a controller with strong
-  feed-forward and weak feedback. The reference is therefore not used as the motion.
+- Link encoders late against motor encoders, A1..A3: {_ms(A["link"])} ms on A, {_ms(B["link"])} ms on B. Treated below as a candidate.
+- Logged motor speeds late against the differentiated motor angles by {_ms(A["speed"])} ms, logged link speeds by {_ms(A["link_speed"])} ms.
+  Neither is used; speeds and accelerations here are zero-phase derivatives of the motor angles ({15} Hz).
+- Motors against the reference (late by {_ms(A["reference"])} ms on A, {_ms(B["reference"])} ms on B; negative means ahead) and differ from it by up to
+  {", ".join(f"{math.degrees(x):.2f}" for x in A["tracking"])} deg. The reference is not used as the motion.
 - Torques of A1..A3 late against the motor angles by {_ms([x for x, _ in A["torque"]])} ms on A and {_ms([x for x, _ in B["torque"]])} ms on B: read off the torque ripple (below), whose eight
   periods per motor turn make a vernier of about a radian per millisecond. {1e3 * r.adopted["torque_lag"]:.1f} ms (from A) is repaired before everything else. Left
-  to the physics, the torques below 8 Hz of A want {1e3 * lag_a[0]:.1f} ({1e3 * lag_a[1]:.1f} to {1e3 * lag_a[2]:.1f}) ms, those of B {1e3 * lag_b[0]:.1f} ({1e3 * lag_b[1]:.1f} to {1e3 * lag_b[2]:.1f}) ms: a lag of friction looks
-  like an error of inertia and takes its place, so a slow fit is no way to read this clock.
-- Torques, link encoders and logged speeds all come 3 to 4 ms after the motor angles. A difference of clocks does not say which is wrong; it may as well be
+  to the physics, the torques below 8 Hz of A want {1e3 * lag_a[0]:.1f} ({1e3 * lag_a[1]:.1f} to {1e3 * lag_a[2]:.1f}) ms, those of B {1e3 * lag_b[0]:.1f} ({1e3 * lag_b[1]:.1f} to {1e3 * lag_b[2]:.1f}) ms. That fit is not used: a lag of friction
+  looks like an error of inertia.
+- Torques, link encoders and logged speeds come {conclusions.clocks(A, B)} after the motor angles. A difference of clocks does not say which is wrong; it may as well be
   the motor angles that are ahead. "Late" here means: against the motor angles.
 - Signs: with free friction the residual of A is, with the sign as it is / flipped, {", ".join(f"{a:.2f}/{b:.2f}" for a, b in A["sign"])} N m. Counterbalance as FACTS 1.4 has it / flipped:
   {A["counterbalance"][0]:.2f}/{A["counterbalance"][1]:.2f} N m on A2.
-- Standing axes ({standing} of the samples of B, A1..A6): static friction may hold any torque up to breakaway, and the logs show it does. These
+- Standing axes ({standing} of the samples of B, A1..A6): static friction may hold any torque up to breakaway. These
   samples are left out of the fit and of the whitened figures; "all samples" includes them.
 - Noise: there are no repeats, so it is a guess from the residual of the adopted model on A (white + Ornstein-Uhlenbeck per axis, below 8 Hz).
   No noise floor is subtracted from any gap: closures are lower than they would be with one.
@@ -413,21 +408,19 @@ fitted anew on A; a negative figure means that the effect does *not* help on B, 
 What was offered and not adopted: everything else in data/kuka_kr300_recordings/catalogue.toml for torques, among it the payload's mass and
 centre of gravity, the counterbalance and the torque constants wherever they are missing above.
 
-On A3, A prefers friction that depends on load to plain Coulomb friction; the load there hardly changes, so the two are not separated by these data.
-
 **Payload.** With the adopted effects, mass and centre of gravity free: {r.payload["A"][0]:.0f} ({r.payload["A"][1]:.0f} to {r.payload["A"][2]:.0f}) kg on A and, as a check, {r.payload["B"][0]:.0f} ({r.payload["B"][1]:.0f} to {r.payload["B"][2]:.0f}) kg on B.
-The statement "about 150 kg" stands. Prior: 150 +- 40 kg.
+Stated with the data are about 150 kg: {conclusions.payload(150.0, r.payload)}. Prior: 150 +- 40 kg.
 
 **Inertia.** The relative errors of the rotor inertias amount, at the joint, to kg m2 of {inertia or "none"}. The rotor inertia of 0.01 kg m2 that the recordings
-state for A4..A6 would be an error of +4.8: far outside all intervals; FACTS' 0.00173 is much closer. On B these corrections come out smaller, by up to half (next table). What is left may as well be
-the payload's own inertia, which nobody stated, and gear parts; these recordings can hardly separate them (the run that can is named below).
+state for A4..A6 would be an error of +4.8: {conclusions.outside(r.best, "rotor_inertia_error", (4, 5, 6), 4.8)}. On B these corrections come out as {conclusions.ratios(r.best, r.on_b, "rotor_inertia_error")}.
+The payload's own inertia, which nobody stated, is not told from them here.
 
 The same effects fitted on B, to see what is a property of the robot and what of the recording:
 
 {stable}
 
-{agree} of {len(pairs)} pairs agree within their joint 90 % intervals (90 % would be {0.9 * len(pairs):.0f}): the intervals are too narrow for a statement about the robot, because
-they do not know what changes from one trajectory to the next. Viscous friction is the most stable finding, Stribeck terms the least.
+{agree} of {len(pairs)} pairs agree within their joint 90 % intervals (90 % would be {0.9 * len(pairs):.0f}). The intervals
+do not know what changes from one trajectory to the next. {conclusions.stability(r.best, r.on_b)}.
 
 ## How far: closure on the held-out recording B
 
@@ -435,9 +428,8 @@ they do not know what changes from one trajectory to the next. Viscous friction 
 
 Motor torques in N m, below 8 Hz, moving axes unless said. All axes together, whitened: {_percent(c["all"].closure)} on B, {_percent(c["A"].closure)} on A itself. The same effects
 *fitted on B* close {_percent(c["ceiling"].closure)}: that is the most this set of effects could do there, so the ratio is {c["all"].closure / c["ceiling"].closure:.3f}. (Had the payload been left out of the
-nominal model, the rms before would have been {", ".join(f"{x:.1f}" for x in c["no payload"]["before rms"])} N m and the closures larger; that is not what is reported.) The whitened
-closure is lower than that of the squares because the noise model, having no repeats to learn from, takes slow residuals of A for noise: it is strict
-where the gap is slow (A3). Both are given.
+nominal model, the rms before would have been {", ".join(f"{x:.1f}" for x in c["no payload"]["before rms"])} N m; that is not what is reported.) The noise model
+has no repeats to learn from and takes slow residuals of A for noise, so the whitened closure is strict where a gap is slow. Both are given.
 
 ![closure]({images["real_gap_closure"]})
 
@@ -445,16 +437,14 @@ What is left on B lies at standstill / around reversals / in motion: {"; ".join(
 
 ## Ripple: what goes with the motor angle
 
-Above 8 Hz, the residual has a line at exactly eight periods per motor turn (as motors with four pole pairs would have):
+Eight periods per motor turn (as motors with four pole pairs would have), fitted to the residual above 8 Hz:
 
 {waves}
 
-With the clock of the torques set right it explains about half of the fast residual of A1..A3 on both recordings. The amplitude carries over, the phase
-does not: the zero of the logged angles is presumably that of each recording's own start, and nine hundredths of a degree of an axis are half a period. So the
-amplitude is a property of the motors, the phase has to be found anew in each recording, and no ripple is among the adopted values. At 25 deg/s the
-eighth order is at 143 Hz, above the Nyquist frequency of 125 Hz: it appears aliased. On the wrist axes it is hardly there.
+{conclusions.ripple(r.ripple)}. No ripple is among the adopted values. At 25 deg/s the
+eighth order is at 143 Hz, above the Nyquist frequency of 125 Hz: it appears aliased.
 
-## Motor-to-link encoder difference (A1..A3): what it is and is not
+## Motor-to-link encoder difference (A1..A3): hypotheses
 
 {link}
 
@@ -462,18 +452,14 @@ Chosen on A by evidence: **{r.link_best}**. Closure on B against the offset alon
 
 {_table(("parameter", "A (90 % interval)", "fitted on B", ""), values)}
 
-- **It is a clock.** One lag for three axes of different stiffness and load, the same on A and B. If it were viscous friction winding up the gears it
-  would need {windup} kN m s/rad at Weigand's stiffnesses; the torques show {viscous} kN m s/rad. Through the stiffnesses, those explain at most 0.5 ms of it,
-  which is also how well the lag is known as long as nobody knows which side of the spring the friction acts on.
-- **It is elastic twist, on A2 and A3**, once the clock is right: stiffness above, Weigand has 7.5e6 and 4.1e6 N m/rad. Without the lag in the model, twist
-  alone explains next to nothing, and takes wrong values. On A1 nothing but inertia loads the gear: A and B do not agree on a compliance,
-  so it is not identified, although a stiffness of 4.6e6 N m/rad is published.
-- **It is an offset** of each encoder, which says nothing about the robot (angles are relative to a start pose).
-- **It is not backlash.** Fitted half gaps beside lag and twist, µrad: {gaps}; no gain in evidence. The published 30 µrad would be at the limit
-  of what could be seen on A2; on A3 the load never changes its sign, so that no gap could show, and on A1 it is small. Fitted *without* the lag, friction that reverses with speed is what backlash would have been taken for.
-- **Unknown, described:** what is left has its strongest line at {", ".join(f"{n:.2f} periods per motor turn, {1e6 * a:.0f} µrad on A{i + 1}" for i, (n, a) in enumerate(r.transmission[0]))} (A) and
+- **Terms.** Best hypothesis with a term against the best without it: {conclusions.link(r.link)}.
+- **Clock or wind-up.** Viscous friction that winds up the gears as late as this would have to be {conclusions.needed_friction(r, WEIGAND_STIFFNESS)}.
+- **Twist.** {conclusions.twist(r.link_fit, best["B values"])}. Weigand has {", ".join(f"{k:.2g}" for k in WEIGAND_STIFFNESS)} N m/rad.
+- **Backlash.** Fitted half gaps beside lag and twist, µrad: {gaps}; published: 30 µrad.
+- **Offset.** Angles are relative to a start pose: an offset says nothing about the robot.
+- **Described, not explained:** what is left has its strongest line at {", ".join(f"{n:.2f} periods per motor turn, {1e6 * a:.0f} µrad on A{i + 1}" for i, (n, a) in enumerate(r.transmission[0]))} (A) and
   {", ".join(f"{n:.2f}, {1e6 * a:.0f} µrad" for n, a in r.transmission[1])} (B).
-  The orders agree between the recordings: transmission errors, or eccentric encoder wheels, for which the catalogue has no entry.
+  {conclusions.orders(r.transmission)}; the catalogue of these data has no entry that is periodic in a motor turn at the link.
 
 ![encoders]({images["real_gap_link"]})
 
@@ -488,8 +474,7 @@ Chosen on A by evidence: **{r.link_best}**. Closure on B against the offset alon
 - Wrist couplings of the gears and gyroscopic moments of the rotors are not in the model.
 - The catalogue for these data was written knowing Weigand's publication; on a robot nobody has identified before, it would have been longer.
 
-**Next run.** Free motion in the same poses without payload, each axis alone and both ways at several speeds: separates rotor and payload inertia, and
-load-dependent from Coulomb friction. A repeat of A would give the noise.
+- There is no repeat, so the noise is a guess.
 
 ## Selection, step by step
 

@@ -13,7 +13,7 @@ import numpy as np
 from diagnosis.isolability import CONFUSABLE
 from orchestration.slave import base_name
 from robomill.report.figures import component_name, smallest
-from robomill.report.subject import HELD_OUT, KINDS, Subject, effect_name, listed, verdict_sentence
+from robomill.report.subject import GUESS, HELD_OUT, KINDS, Subject, effect_name, listed, verdict_sentence
 from robomill.report.units import join, number, percent, percent_interval, quantity, relative, scale, with_interval
 
 BADGES = {
@@ -496,9 +496,7 @@ def _about(s: Subject) -> str:
     lines = []
     if gap:
         if gap["noise_is_a_guess"]:
-            lines.append(
-                "There are no repeats: the noise is a guess, from the fast part of what the best model leaves. Probabilities and intervals rest on that guess."
-            )
+            lines.append(f"{GUESS}, from the fast part of what the best model leaves. Probabilities and intervals rest on that guess.")
         if gap["before"] > 0.0:
             lines.append(
                 f"{percent(gap['within_calibration'] / gap['before'])} of the gap lies within the tolerances of calibrated numbers."

@@ -136,8 +136,17 @@ def listed(parts: Sequence[str], last: str = "and") -> str:
     return f" {last} ".join(filter(None, [between.join(parts[:-1]), parts[-1]])) if parts else ""
 
 
+GUESS = "Nothing was repeated, so the noise is a guess"
+"""What goes before an answer that rests on that."""
+
+
 def verdict_sentence(s: Subject) -> str:
-    """The whole answer in one sentence."""
+    """The whole answer in one sentence; it begins with what it rests on, where that is a guess."""
+    answer = _answer(s)
+    return f"{GUESS}: {answer[0].lower()}{answer[1:]}" if s.result.get("gap", {}).get("noise_is_a_guess") else answer
+
+
+def _answer(s: Subject) -> str:
     result = s.result
     if s.verdict == "bad_log":
         fatal = [f for f in result["gate"]["findings"] if f["fatal"]]

@@ -32,6 +32,19 @@ locations = [{name = "axis", parameters = ["angle_offset"]}]
 """
 DEAD_TIME = OFFSET.replace("encoder_offset", "dead_time").replace("angle_offset", "dead_time").replace('"rad"', '"s"')
 """One that does to the encoder what a late clock does to its log."""
+RIPPLE = """
+[[effect]]
+name = "ripple"
+component = "drive"
+description = "torque that goes with the angle"
+source = "made up"
+unit = "N.m"
+minimum = 0.01
+maximum = 5.0
+sign = "positive"
+prior = {kind = "log-normal", scale = 0.3, spread = 0.8}
+locations = [{name = "axis", parameters = ["ripple"], phase = "ripple_phase"}]
+"""
 _EFFECT = """
 [[effect]]
 name = "{name}"
@@ -79,6 +92,8 @@ class Drive(Part):
             ("breakaway", "N.m"),
             ("angle_offset", "rad"),
             ("dead_time", "s"),
+            ("ripple", "N.m"),
+            ("ripple_phase", "rad"),
         )
         inputs = [real(n, "input", u) for n, u in (("q", "rad"), ("v", "rad/s"), ("a", "rad/s2"))]
         outputs = [
@@ -92,7 +107,12 @@ class Drive(Part):
         p, (q, v, a) = self.p, self.u
         self.seen = [*self.seen[-200:], (t, q)]
         rubbing = p["coulomb"] + p["breakaway"] * math.exp(-((v / 0.3) ** 2))
-        self.y[0] = (1.0 + p["inertia_error"]) * a + p["viscous"] * v + rubbing * math.tanh(v / 0.02)
+        self.y[0] = (
+            (1.0 + p["inertia_error"]) * a
+            + p["viscous"] * v
+            + rubbing * math.tanh(v / 0.02)
+            + p["ripple"] * math.sin(20.0 * q + p["ripple_phase"])
+        )
         shown = float(np.interp(t - p["dead_time"], *zip(*self.seen, strict=True))) if p["dead_time"] else q
         self.y[1] = shown + p["angle_offset"]
 

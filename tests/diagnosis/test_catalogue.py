@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from scipy.integrate import quad
 
-from diagnosis.catalogue import LOGGING, Catalogue, CatalogueError, Prior, Tolerance
+from diagnosis.catalogue import LOGGING, Catalogue, CatalogueError, Prior, Tolerance, physical
 from fmus.components import COMPONENTS
 from orchestration.system import System
 from robomill.binding import convert
@@ -36,14 +36,17 @@ class TestShipped:
         cell = System.load(SCENARIOS / "milling_cell.toml", convert)
         listed = {}
         for candidate in catalogue.candidates:
-            for component, parameter in candidate.addresses:
-                listed[component, parameter.partition("[")[0]] = candidate
+            listed[candidate.component, candidate.named[0].partition("[")[0]] = candidate
+            assert set(candidate.named) == {p for _, p in physical(dict.fromkeys(candidate.addresses, 1.0))}
         for part in cell.components:
             for variable in COMPONENTS[part.source].variables:
                 if variable.effect:
                     candidate = listed[part.name, variable.name]
                     assert candidate.unit == variable.unit
-                    assert variable.minimum <= candidate.bounds[0] < candidate.bounds[1] <= variable.maximum
+                    low = 0.0 if candidate.has_phase else candidate.bounds[0]
+                    assert variable.minimum <= low < candidate.bounds[1] <= variable.maximum
+                    if candidate.has_phase:
+                        assert COMPONENTS[part.source].variable(candidate.named[1].partition("[")[0]).unit == "rad"
 
     def test_tolerances_are_of_parameters_that_there_are(self) -> None:
         catalogue = Catalogue.load(SCENARIOS / "catalogue.toml")

@@ -1,0 +1,52 @@
+"""Noise of machines that were measured once: what the best model leaves, not what the measured signal does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diagnosis.engine import diagnose
+from diagnosis.noise import fast, whitening
+from robomill import report
+from robomill.diagnose_command import lines
+from tests.diagnosis.axis import NOISE, catalogue, measure, resolve, system
+
+THREE = {"coulomb": 5.0, "viscous": 0.1, "inertia_error": 0.01}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_three_terms_of_friction_and_inertia_are_found_in_one_run(tmp_path: Path, seed: int) -> None:
+    """Coulomb friction jumps. Taken for noise, the jumps hide the two small terms, and close more than there is."""
+    found = diagnose(system(), measure(THREE, seed=seed), catalogue(tmp_path), resolver=resolve)
+    result = found.result
+    assert result["verdict"] == "identified"
+    values = {name: p for w in result["which"] if w["probability"] > 0.9 for name, p in w["parameters"].items()}
+    assert values.keys() == THREE.keys()
+    for name, truth in THREE.items():
+        low, high = values[name]["interval"]
+        assert low < truth < high
+    (torque,) = (h for h in result["how_far"] if h["channel"] == "drive.torque")
+    # the standard deviation of the noise is known from a thousand samples: 1 part in 45, and jumps at reversals
+    assert torque["floor"] == pytest.approx(NOISE["drive.torque"], rel=0.1)
+    assert 0.99 < torque["closure"] <= 1.0
+
+
+def test_the_answer_says_that_the_noise_is_a_guess(tmp_path: Path) -> None:
+    for runs, guess in ((measure(THREE), True), (measure(THREE, repeats=2), False), (measure(), True)):
+        found_in = catalogue(tmp_path)
+        found = diagnose(system(), runs, found_in, resolver=resolve)
+        sentence = report.subject.verdict_sentence(report.Subject(found, system(), runs, found_in))
+        assert sentence.startswith("Nothing was repeated, so the noise is a guess: ") is guess
+        assert ("the noise is a guess" in lines(found.result)[0]) is guess
+
+
+def test_the_fast_part_of_white_noise_is_as_large_as_it_and_whitens_to_it() -> None:
+    noise = np.random.default_rng(1).normal(size=(20000, 2)) * [1.0, 3.0]
+    slow = 50.0 * np.sin(np.arange(20000) / 2000.0)[:, None]
+    assert np.std(fast(noise + slow), axis=0) == pytest.approx([1.0, 3.0], rel=0.02)
+    w = whitening([[slow]], np.zeros(2), left=[[noise + slow]])
+    assert w.guessed
+    assert np.abs(w.coefficients).max() < 0.03
+    assert np.var(w.apply(noise)[100:]) == pytest.approx(1.0, rel=0.03)

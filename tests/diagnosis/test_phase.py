@@ -1,0 +1,103 @@
+"""Periodic effects have a phase that no two machines share."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from diagnosis import adopt
+from diagnosis.catalogue import Catalogue, CatalogueError, physical
+from diagnosis.engine import diagnose
+from orchestration.results import Run
+from robomill.diagnose_command import lines, write
+from tests.diagnosis.axis import RIPPLE, catalogue, measure, resolve, system
+from tests.tolerances import ROUNDOFF
+
+
+@pytest.mark.parametrize("phase", [0.0, 2.0, -1.2])
+def test_an_effect_of_any_phase_is_found_with_its_amplitude(tmp_path: Path, phase: float) -> None:
+    truth = {"ripple": 0.4, "ripple_phase": phase}
+    runs = measure(truth, repeats=3)
+    held = measure(truth, repeats=2, size=0.6, seed=2)
+    found_in = catalogue(tmp_path, more=RIPPLE)
+    found = diagnose(system(), runs, found_in, held_out=held, resolver=resolve)
+    assert found.result["verdict"] == "identified"
+    (first, *_) = found.result["which"]
+    assert (first["effect"], list(first["parameters"])) == ("ripple", ["ripple", "ripple_phase"])
+    for name, value in truth.items():
+        low, high = first["parameters"][name]["interval"]
+        assert low < value < high
+    assert first["parameters"]["ripple"]["value"] == pytest.approx(0.4, rel=0.05)
+    assert first["parameters"]["ripple_phase"]["unit"] == "rad"
+    assert found.result["transfer"]["stands"]
+    write(found, system(), [*runs, *held], found_in, tmp_path / "answer")
+    written = {name: p["value"] for name, p in adopt.read(tmp_path / "answer" / "adopt.ssv")["drive"].items()}
+    assert written == pytest.approx(truth, abs=0.05)
+    assert any("ripple_phase" in line for line in lines(found.result))
+
+
+def test_parts_make_an_amplitude_and_a_phase() -> None:
+    parts = {("a", "x[2] cos p[2]"): 3.0, ("a", "x[2] sin p[2]"): -4.0, ("a", "y"): 1.0, ("b", "z sin w"): 2.0}
+    assert physical(parts) == pytest.approx(
+        {("a", "y"): 1.0, ("a", "x[2]"): 5.0, ("a", "p[2]"): math.atan2(-4.0, 3.0), ("b", "z"): 2.0, ("b", "w"): 0.5 * math.pi},
+        rel=ROUNDOFF,
+    )
+
+
+def test_parts_add_up_to_a_wave_of_their_phase() -> None:
+    """What the engine takes for a straight line is one: a cos p + b sin p of a wave."""
+    t = np.linspace(0.0, 6.0, 50)
+    values = physical({("a", "x cos p"): 0.7, ("a", "x sin p"): -0.2})
+    wave = values["a", "x"] * np.sin(t + values["a", "p"])
+    assert wave == pytest.approx(0.7 * np.sin(t) - 0.2 * np.cos(t), abs=ROUNDOFF)
+
+
+def test_a_phase_needs_its_amplitude(tmp_path: Path) -> None:
+    file = tmp_path / "catalogue.toml"
+    file.write_text(RIPPLE.replace('["ripple"]', '["ripple", "coulomb"]'))
+    with pytest.raises(CatalogueError, match=r"phase = 'ripple_phase'; expected one parameter of a component beside it, its amplitude"):
+        Catalogue.load(file)
+
+
+def started(phases: list[float], amplitude: float, **more: Any) -> list[Run]:
+    """Repeats that each have a phase of their own, as after every start of a spindle."""
+    return [
+        measure({"ripple": amplitude, "ripple_phase": phase}, repeats=1, seed=10 * k + 100 * more.get("size", 0), **more)[0]
+        for k, phase in enumerate(phases)
+    ]
+
+
+PER_RUN = RIPPLE.replace('phase = "ripple_phase"', 'phase = "ripple_phase", per = "run"')
+
+
+def test_a_phase_that_differs_from_run_to_run_neither_cancels_nor_stops_the_log(tmp_path: Path) -> None:
+    runs = started([0.3, 2.1, -1.6, 3.0], 0.4)
+    held = started([1.0, -2.5], 0.4, size=2)
+    result = diagnose(system(), runs, catalogue(tmp_path, more=PER_RUN), held_out=held, resolver=resolve).result
+    assert result["verdict"] == "identified"
+    assert [(f["kind"], f["fatal"]) for f in result["gate"]["findings"]] == [("phase", False)]
+    assert "ripple, axis" in result["gate"]["findings"][0]["text"]
+    amplitude = result["which"][0]["parameters"]["ripple"]
+    assert amplitude["value"] == pytest.approx(0.4, rel=0.05)
+    assert amplitude["interval"][0] < 0.4 < amplitude["interval"][1]
+    assert result["transfer"]["stands"]
+    (torque,) = (h for h in result["how_far"] if h["channel"] == "drive.torque" and h["on"] == "held-out condition")
+    assert torque["closure"] > 0.95
+
+
+def test_runs_of_one_phase_are_left_alone(tmp_path: Path) -> None:
+    for amplitude in (0.0, 0.4):
+        result = diagnose(system(), started([2.0] * 4, amplitude), catalogue(tmp_path, more=PER_RUN), resolver=resolve).result
+        assert result["gate"]["findings"] == []
+        assert result["verdict"] == ("identified" if amplitude else "none")
+
+
+def test_only_a_phase_is_of_a_run(tmp_path: Path) -> None:
+    file = tmp_path / "catalogue.toml"
+    file.write_text(RIPPLE.replace('phase = "ripple_phase"', 'per = "run"'))
+    with pytest.raises(CatalogueError, match=r"per = 'run'; expected 'run' beside a phase"):
+        Catalogue.load(file)
