@@ -29,6 +29,8 @@ from orchestration.slave import FloatArray, Slave
 from orchestration.system import Component, Connection, System
 
 TAPE = "tape:"
+HALF_A_TICK = 0.5e-9
+"""Times that lie closer together than this [s] are one: half a tick of the master's clock."""
 KNOWN = 1e-3
 """Relative deviation up to which the signal of a component without inputs (a program) is taken as it is simulated."""
 NULLS = 3
@@ -107,7 +109,7 @@ class Bench:
         return np.asarray(fine - self._matrix(self._open(fine, 1)) - bias)
 
     def _matrix(self, result: Run) -> FloatArray:
-        return np.stack([np.interp(self.grid, result.t, result.columns[c]) for c in self.channels], axis=1)
+        return np.stack([self._on_grid(result, c) for c in self.channels], axis=1)
 
     def _open(self, signals: FloatArray, seed: int) -> Run:
         """Every connection from a measured output carries `signals` [n, channels] instead."""
@@ -134,8 +136,16 @@ class Bench:
             if array_of(name) in wanted and not name.startswith("measured_"):
                 at = self.channels.index(name) if name in self.channels else -1
                 measured = at >= 0 and not self.known[at]
-                found[name] = self.mean[:, at] if measured else np.interp(self.grid, self.base.t, self.base.columns[name])
+                found[name] = self.mean[:, at] if measured else self._on_grid(self.base, name)
         return found
+
+    def _on_grid(self, result: Run, column: str) -> FloatArray:
+        """A column at the times of the grid: reals on the line between samples, whole numbers and booleans as they last were."""
+        values = result.columns[column]
+        if result.ports[column].type == "real":
+            return np.interp(self.grid, result.t, values)
+        last = np.searchsorted(result.t, self.grid + HALF_A_TICK, side="right") - 1
+        return np.asarray(values[np.maximum(last, 0)], dtype=np.float64)
 
     def alone(self, component: str, changes: Setting = (), shifts: Mapping[str, FloatArray] | None = None) -> dict[str, FloatArray]:
         """Outputs of a component alone, driven as in the replay plus `shifts` (column -> change, [n]); column -> [n]."""
@@ -149,7 +159,7 @@ class Bench:
         parts = (*(Component(t.name, TAPE) for t in tapes), system.component(component))
         result = self._run(replace(system, components=parts, connections=tuple(connections), stop_when=None), tapes)
         prefix = component + "."
-        return {k: np.interp(self.grid, result.t, v) for k, v in result.columns.items() if k.startswith(prefix)}
+        return {k: self._on_grid(result, k) for k in result.columns if k.startswith(prefix)}
 
     def swapped(self, components: frozenset[str]) -> FloatArray:
         """The closed loop with what is left of the replay added to the outputs of these components; all channels, [n, channels]."""

@@ -33,11 +33,10 @@ class Tape:
         self.name, self._m = name, m
         self._data = np.concatenate([head, np.zeros(2 * m), np.ascontiguousarray(table, dtype=np.float64).ravel()])
         self._u, self._y = self._data[_HEAD : _HEAD + m], self._data[_HEAD + m : _HEAD + 2 * m]
-        inputs = [PortData(passing(p.name), "input", unit=p.unit, start=0.0) for p in ports] if adds else []
+        inputs = [PortData(passing(p.name), "input", p.type, p.unit, 0.0) for p in ports] if adds else []
         through = [(passing(p.name),) if adds else () for p in ports]
         outputs = [
-            PortData(p.name, "output", unit=p.unit, start=float(v), dependencies=d)
-            for p, v, d in zip(ports, table[0], through, strict=True)
+            PortData(p.name, "output", p.type, p.unit, float(v), dependencies=d) for p, v, d in zip(ports, table[0], through, strict=True)
         ]
         self.ports: tuple[Port, ...] = (*inputs, *outputs)
 

@@ -388,8 +388,9 @@ class TestPlan:
         assert planned("G1 X20").where(0.3) == "part.ngc line 3 (G1 X20)"
 
     def test_nothing_to_move(self) -> None:
-        with pytest.raises(PlanError, match=r"part\.ngc: nothing to move"):
-            planned("G4 P1")
+        path = parse_points("[[point]]\nposition = [0, 0, 0]\n[[point]]\nposition = [0, 0, 0]\nfeed = 25\n")
+        with pytest.raises(PlanError, match="path: nothing to move"):
+            plan(path, FLAT)
 
     def test_there_is_no_limit_on_the_length_of_a_program(self) -> None:
         text = "G61\n" + "\n".join(f"G1 X{i % 2} Y{i}" for i in range(700))
