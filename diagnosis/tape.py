@@ -92,7 +92,7 @@ def _look_up(a: Any, t: float) -> None:
 class _Addresses:
     """What `orchestration.native` asks for."""
 
-    limit = 0
+    limit, final = 0, 1
 
     def __init__(self, data: FloatArray, m: int) -> None:
         self._data = data

@@ -33,7 +33,7 @@ class Block:
 class Addresses:
     """Where the record of an instance and its step function stand. Every status but 0 is an error."""
 
-    limit = 0
+    limit, final = 0, 1
 
     def __init__(self, instance: Instance) -> None:
         self._instance = instance

@@ -49,7 +49,7 @@ class Instance:
     """A record with its functions. Compiled by default; plain Python on request or without Numba (`compiled` tells)."""
 
     def __init__(self, interface: Interface, name: str | None = None, plain: bool = False, tables: Path | None = None) -> None:
-        """`tables`: a folder whose NAME.npy, where there is one, holds the built-in rows of the table NAME."""
+        """`tables`: a folder whose NAME.npy holds the built-in rows of the table NAME, those of an FMU; None: those of the model."""
         self.interface = interface
         self._folder = tables
         self.model: Model = interface.model
@@ -175,8 +175,9 @@ class Instance:
                 self.load_table(name, "")
 
     def _built_in(self, name: str, columns: int) -> Table:
-        file = self._folder / f"{name}.npy" if self._folder is not None else None
-        return replace(from_file(file, columns), path="") if file is not None and file.is_file() else self.model.built_in[name]
+        if self._folder is None:
+            return self.model.built_in[name]
+        return replace(from_file(self._folder / f"{name}.npy", columns), path="")
 
     # Running
 

@@ -76,10 +76,12 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
     WiringError, with file and line where they are known; nothing stays open then.
     """
     slaves: dict[str, Slave] = {}
+    warnings: list[str] = []
     try:
         for c in system.components:
             with _attributed(system, c):
                 slaves[c.name] = _open(system, c, resolver)
+            warnings += [f"component {c.name!r}: {text}" for text in getattr(slaves[c.name], "warnings", ())]
         for c in system.components:
             old = slaves[c.name]
             if isinstance(old, ReplaySlave):  # its inputs are whatever is connected to it
@@ -94,7 +96,8 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
             if (c.rate, c.every) != (1, 1):
                 slaves[c.name] = MultiRate(slaves[c.name], c.rate, c.every)
         ports = {name: _started(s.ports, starts.get(name, {})) for name, s in slaves.items()}
-        return Assembly(system, slaves, wire(system, ports), parameters, starts)
+        wiring = wire(system, ports)
+        return Assembly(system, slaves, replace(wiring, warnings=(*warnings, *wiring.warnings)), parameters, starts)
     except BaseException:
         _close(slaves.values())
         raise
@@ -212,11 +215,13 @@ def _open(system: System, c: Component, resolver: Resolver | None) -> Slave:
         folder, _, component = c.source[len(REPLAY) :].partition("#")
         return ReplaySlave(c.name, Run.load(system.folder / folder), component or None)
     if c.source.endswith(".fmu"):
+        # iterated coupling goes back to the beginning of a step of the system, at most
+        goes_back = system.algorithm == "iterated" and c.rate > 1
         if c.isolate:
-            return IsolatedSlave(system.folder / c.source, c.name, c.time_limit)
+            return IsolatedSlave(system.folder / c.source, c.name, c.time_limit, goes_back)
         from orchestration.fmu import FmuSlave  # only systems with FMUs need FMPy
 
-        return FmuSlave(system.folder / c.source, c.name)
+        return FmuSlave(system.folder / c.source, c.name, goes_back)
     if resolver is None:
         raise SlaveError(f"source {c.source!r} is neither an .fmu file nor {REPLAY}FOLDER, and no in-process components were given")
     try:

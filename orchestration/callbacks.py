@@ -56,7 +56,7 @@ class _Calls:
 class Called(_Calls):
     """Any slave with the face of a native one (see `native.Native`)."""
 
-    instance, limit = 0, 0
+    instance, limit, final = 0, 0, 1
 
     def __init__(self, slave: Slave) -> None:
         super().__init__()

@@ -177,7 +177,7 @@ class CompiledLoop:
             row = self._operations[o]
             row[[compiled.INSTANCE, compiled.LIMIT, compiled.COMPONENT]] = native.instance, native.limit, call.component
             if call.block is None:
-                row[[compiled.OPERATION, compiled.FUNCTION]] = compiled.STEP, native.step
+                row[[compiled.OPERATION, compiled.FUNCTION, compiled.N]] = compiled.STEP, native.step, native.final
                 continue
             block, name, first = call.block, names[call.component], int(row[compiled.FIRST])
             own = np.array(call.places, dtype=np.int64)

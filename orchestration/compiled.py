@@ -33,7 +33,7 @@ UNFIT = -(1 << 40)
 INT32, EXACT = (1 << 31) - 1, (1 << 53) - 1  # largest of the type; of those that float64 tells from all others (`slave.EXACT`)
 KINDS = ("float64", "int32", "int64")
 """Types of the buffers."""
-# Columns of the table of operations, in the order in which a step makes them
+# Columns of the table of operations, in the order in which a step makes them; N of a step is its last argument (`native.Native.final`)
 OPERATION, FUNCTION, INSTANCE, REFERENCES, N, BUFFER, FIRST, LIMIT, COMPONENT = range(9)
 # Columns of the table of clocks, one row per component; times in ticks
 RATE, EVERY, EACH, COUNT, BEGAN = range(5)
@@ -59,15 +59,15 @@ def _call_values(context: Any, function: Any, instance: Any, references: Any, co
 
 
 @intrinsic
-def _call_step(context: Any, function: Any, instance: Any, t: Any, h: Any) -> Any:
-    """`function(instance, t, h, 0)`, like fmi2DoStep; returns its status."""
+def _call_step(context: Any, function: Any, instance: Any, t: Any, h: Any, final: Any) -> Any:
+    """`function(instance, t, h, final)`, like fmi2DoStep; returns its status."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         byte, whole, double = ir.IntType(8), ir.IntType(32), ir.DoubleType()
         f = pointer(builder, args[0], ir.FunctionType(whole, [ir.PointerType(byte), double, double, whole]))
-        return builder.call(f, [pointer(builder, args[1], byte), args[2], args[3], ir.Constant(whole, 0)])
+        return builder.call(f, [pointer(builder, args[1], byte), args[2], args[3], builder.trunc(args[4], whole)])
 
-    return types.int32(types.int64, types.int64, types.float64, types.float64), generate
+    return types.int32(types.int64, types.int64, types.float64, types.float64, types.int64), generate
 
 
 def _memory(kind: Any, number: Any) -> tuple[Any, Any]:
@@ -144,7 +144,7 @@ def _small_steps(ops: Any, o: int, clocks: Any) -> int:
     c = ops[o, COMPONENT]
     each, status = clocks[c, EACH], 0
     for i in range(clocks[c, RATE]):
-        status = _call_step(ops[o, FUNCTION], ops[o, INSTANCE], (clocks[c, BEGAN] + i * each) / TICK, each / TICK)
+        status = _call_step(ops[o, FUNCTION], ops[o, INSTANCE], (clocks[c, BEGAN] + i * each) / TICK, each / TICK, ops[o, N])
         if status < 0 or status > ops[o, LIMIT]:
             break
     return status
@@ -179,7 +179,7 @@ def operate(
     elif rates:
         status = _small_steps(ops, o, clocks)
     else:
-        status = _call_step(ops[o, FUNCTION], ops[o, INSTANCE], t, h)
+        status = _call_step(ops[o, FUNCTION], ops[o, INSTANCE], t, h, ops[o, N])
     return int(status)
 
 

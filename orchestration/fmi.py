@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import fmpy
 import numpy as np
 import numpy.typing as npt
 
@@ -84,9 +85,12 @@ class Fmi(ABC):
     """Of the functions."""
     state: StateFunctions
 
-    def __init__(self, description: FmuDescription, name: str, messages: deque[tuple[int, str]]) -> None:
-        """Load the library; what the instance logs goes to `messages` (status, text). SlaveError if it cannot be loaded."""
-        self.description, self.name, self.messages = description, name, messages
+    def __init__(self, description: FmuDescription, name: str, messages: deque[tuple[int, str]], final: bool) -> None:
+        """Load the library; what the instance logs goes to `messages` (status, text). SlaveError if it cannot be loaded.
+
+        `final`: no state of before the beginning of a step will be set any more (noSetFMUStatePriorToCurrentPoint).
+        """
+        self.description, self.name, self.messages, self.final = description, name, messages, int(final)
         self.instance = ctypes.c_void_p()
         self.load()
 
@@ -95,7 +99,7 @@ class Fmi(ABC):
         here, library = Path.cwd(), self.description.library
         try:
             os.chdir(library.parent)  # some libraries find others that they need by the working directory
-            return ctypes.CDLL(str(library))
+            return _with_neighbours(library)
         except OSError as error:
             raise SlaveError(f"{self.description.file}: its binary cannot be loaded: {error}") from None
         finally:
@@ -149,9 +153,20 @@ class Fmi(ABC):
     def unload(self) -> None:
         """Unload the library."""
 
-    def explain(self, status: int) -> str:
-        """What a call did that returned this status."""
+    def explain(self, function: str, status: int) -> str:
+        """What the call of a function, named with the prefix, did that returned this status."""
         return f"returned {status} ({STATUS[status] if 0 <= status < len(STATUS) else 'not a status of FMI'})"
+
+    def ends(self, how: str) -> str:
+        """What a step did that asks for the end of the simulation."""
+        return (
+            f"asks for the end of the simulation ({how}); if that is meant, give the run an end before it: "
+            "stop, or an output that says so as stop_when"
+        )
+
+    def in_parts(self) -> str:
+        """What helps a component for which a step is too long."""
+        return f"a smaller step may help, or rate = 2 in [components.{self.name}]"
 
 
 class Addresses(NamedTuple):
@@ -163,6 +178,29 @@ class Addresses(NamedTuple):
     outputs: list[BlockData]
     keep: Any = None
     """What must live as long as the addresses are used."""
+
+
+def _with_neighbours(library: Path) -> ctypes.CDLL:
+    """A library, and before it those beside it that it needs: the system does not look there unless the library says so (RPATH)."""
+    kept: list[ctypes.CDLL] = []
+    wanted = [library]
+    while True:
+        try:
+            kept.append(ctypes.CDLL(str(wanted[-1])))
+        except OSError as error:
+            beside = library.parent / str(error).partition(":")[0]  # as the loader of Linux words it
+            if any(k._name == str(beside) for k in kept):
+                raise OSError(f"{error}; it stands beside it, but does not say its own name (SONAME), so it is not taken for it") from None
+            if beside in wanted or not beside.is_file():
+                raise
+            wanted.append(beside)
+            continue
+        if wanted.pop() == library:
+            break
+    *others, found = kept
+    for other in others:  # it keeps them from now on: they go with it
+        fmpy.freeLibrary(other._handle)
+    return found
 
 
 def address(function: Any) -> int:

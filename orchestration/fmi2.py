@@ -19,12 +19,14 @@ import numpy as np
 from fmpy import fmi2
 
 from orchestration.errors import SlaveError
-from orchestration.fmi import Addresses, Call, Fmi, Group, StateFunctions, address, by_kind
+from orchestration.fmi import WARNING, Addresses, Call, Fmi, Group, StateFunctions, address, by_kind
 from orchestration.fmu_description import Variable
 from orchestration.native import BlockData
 from orchestration.slave import Scalar
 
 _DTYPES = {"Real": np.float64, "Integer": np.int32, "Boolean": np.int32}
+_DISCARD, _PENDING = 2, 5  # of fmi2Status
+_LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3  # of fmi2StatusKind
 _flag, _number, _count, _pointer = ctypes.c_int, ctypes.c_double, ctypes.c_size_t, ctypes.c_void_p
 _INSTANTIATE = (ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p, _pointer, _flag, _flag)
 _ACCESS = (_pointer, _count, _pointer)
@@ -153,8 +155,28 @@ class Fmi2(Fmi):
 
     def step(self, t: float, h: float) -> int:
         """From `t` to `t + h` [s]."""
-        status: int = self._do_step(self.instance, t, h, 0)
+        status: int = self._do_step(self.instance, t, h, self.final)
         return status
+
+    def explain(self, function: str, status: int) -> str:
+        """What a call did that returned this status; of a step that was discarded the FMU knows more."""
+        if not function.startswith("fmi2DoStep") or status not in (_DISCARD, _PENDING):
+            return super().explain(function, status)
+        if status == _PENDING:
+            return "goes on in the background (fmi2Pending), which is not supported: export the FMU without canRunAsynchronuously"
+        reached = self._told("RealStatus", _LAST_SUCCESSFUL_TIME, ctypes.c_double())
+        where = "" if reached is None else f" at t = {reached:.9g} s (fmi2LastSuccessfulTime)"
+        if self._told("BooleanStatus", _TERMINATED, ctypes.c_int()):
+            return self.ends(f"fmi2Terminated{where}")
+        return f"did not make the whole step (fmi2Discard) and stopped{where or ', it does not say when'}: {self.in_parts()}"
+
+    def _told(self, what: str, kind: int, place: Any) -> Any:
+        """What the FMU says of its last step (`fmi2StatusKind`); None if it does not."""
+        try:
+            function = self._function(f"Get{what}", ctypes.c_int, _pointer, ctypes.c_int, _pointer)
+        except AttributeError:
+            return None
+        return place.value if function(self.instance, kind, ctypes.byref(place)) <= WARNING else None
 
     def groups(self, way: str, causality: str) -> list[Group]:
         """Inputs or outputs by type."""

@@ -33,6 +33,7 @@ DTYPES: dict[str, Any] = {
     "UInt64": np.uint64,
     "Boolean": np.bool_,
 }
+_DISCARD = 2  # of fmi3Status
 ENDS, EARLY = 100, 101
 """Instead of a status that is no error: the FMU asks for the end of the simulation; it did not make the whole step."""
 _flag, _number, _count, _pointer = ctypes.c_bool, ctypes.c_double, ctypes.c_size_t, ctypes.c_void_p
@@ -78,7 +79,7 @@ class Fmi3(Fmi):
         self.flags = np.zeros(3, dtype=np.uint8)
         self.reached = np.zeros(1)
         at = self.flags.ctypes.data
-        self._told = (False, at, at + 1, at + 2, self.reached.ctypes.data)
+        self._told = (bool(self.final), at, at + 1, at + 2, self.reached.ctypes.data)
 
     def _function(self, name: str, result: Any = ctypes.c_int, *arguments: Any) -> Any:
         """A function of the library; AttributeError if it is not there."""
@@ -138,13 +139,16 @@ class Fmi3(Fmi):
             return ENDS if self.flags[1] else EARLY
         return status
 
-    def explain(self, status: int) -> str:
+    def explain(self, function: str, status: int) -> str:
         """What a call did that returned this status."""
         if status == ENDS:
-            return "asks for the end of the simulation (terminateSimulation)"
+            return self.ends(f"terminateSimulation at t = {self.reached[0]:.9g} s")
         if status == EARLY:
-            return f"returned early, at t = {self.reached[0]:.9g}, though it was told not to (earlyReturnAllowed = false)"
-        return super().explain(status)
+            return f"returned early, at t = {self.reached[0]:.9g} s, though it was told not to (earlyReturnAllowed = false)"
+        if status == _DISCARD and function.startswith("fmi3DoStep"):
+            at = f"at t = {self.reached[0]:.9g} s (lastSuccessfulTime)"
+            return f"did not make the whole step (fmi3Discard) and stopped {at}: {self.in_parts()}"
+        return super().explain(function, status)
 
     def groups(self, way: str, causality: str) -> list[Group]:
         """Inputs or outputs by type."""

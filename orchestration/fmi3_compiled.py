@@ -92,10 +92,10 @@ _access_type = types.int32(types.int64, types.int64, types.int64, types.int64)
 
 
 @cfunc(types.int32(types.int64, types.float64, types.float64, types.int32), cache=True)
-def _step(record: int, t: float, h: float, _: int) -> Any:
+def _step(record: int, t: float, h: float, final: int) -> Any:
     words = carray(_words(record), 4)
     at = words[_FLAGS]
-    status = _call_step(words[_FUNCTION], words[_INSTANCE], t, h, 0, at, at + 1, at + 2, words[_REACHED])
+    status = _call_step(words[_FUNCTION], words[_INSTANCE], t, h, final, at, at + 1, at + 2, words[_REACHED])
     flags = carray(_bytes(at), 3)
     if 0 <= status < 2 and (flags[1] or flags[2]):
         return _ENDS if flags[1] else _EARLY

@@ -28,10 +28,11 @@ class FmuSlave:
     """An FMI 2.0 or 3.0 co-simulation FMU. Its temporary folder lives until `close`.
 
     Opening raises SlaveError with one clear sentence (see `fmu_description.open_fmu`); an FMI call
-    that fails raises SlaveError with the call, its status and the FMU's own log messages.
+    that fails raises SlaveError with the call, its status and the FMU's own log messages. `goes_back`: it may be set back to
+    before the beginning of its last step, which is made in parts; some FMUs stand still if they are told so.
     """
 
-    def __init__(self, file: str | Path, name: str | None = None) -> None:
+    def __init__(self, file: str | Path, name: str | None = None, goes_back: bool = False) -> None:
         self._dead = True  # no FMI call is allowed (before instantiation, after a fatal, after closing)
         self._folder = tempfile.TemporaryDirectory(prefix="robomill_fmu_", ignore_cleanup_errors=True)
         self.messages: deque[tuple[int, str]] = deque(maxlen=_MESSAGES)
@@ -40,7 +41,7 @@ class FmuSlave:
             self._name = name or self.description.identifier
             if self.description.only_once:
                 self._claim()
-            self._fmi: Fmi = {2: Fmi2, 3: Fmi3}[self.description.fmi](self.description, self._name, self.messages)
+            self._fmi: Fmi = {2: Fmi2, 3: Fmi3}[self.description.fmi](self.description, self._name, self.messages, not goes_back)
             self._inputs, self._outputs = self._fmi.groups("Set", "input"), self._fmi.groups("Get", "output")
         except BaseException:
             self._folder.cleanup()
@@ -68,6 +69,11 @@ class FmuSlave:
     def ports(self) -> tuple[Port, ...]:
         """Inputs, outputs and parameters in the order of the model description."""
         return self.description.ports
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What one should know before it runs."""
+        return self.description.warnings
 
     def configure(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Take parameters (elements or whole arrays) for the next `initialise`."""
@@ -235,7 +241,7 @@ class FmuSlave:
     def _failed(self, function: str, status: int) -> None:
         # After a fatal error FMI allows no further call, not even to free the instance: the FMU may crash the process.
         self._dead = status == FATAL
-        raise SlaveError(f"component {self._name!r}: {function} {self._fmi.explain(status)}" + self._log_text())
+        raise SlaveError(f"component {self._name!r}: {function} {self._fmi.explain(function, status)}" + self._log_text())
 
     def _log_text(self) -> str:
         """The FMU's messages for an error text: those that are warnings or worse if there are any, else the last few."""
@@ -252,7 +258,7 @@ class NativeFmu:
     limit = WARNING
 
     def __init__(self, slave: FmuSlave, found: Addresses) -> None:
-        self._slave, self._found = slave, found
+        self._slave, self._found, self.final = slave, found, slave._fmi.final
         self.instance, self.step, self.inputs, self.outputs = found.instance, found.step, found.inputs, found.outputs
 
     def failed(self, what: str, block: int, status: int, t: float, h: float) -> SlaveError:

@@ -89,6 +89,8 @@ class FmuDescription:
     carries_tables: bool
     """It is one of this project: built-in rows of its tables stand in its resources (`ssp_tables`)."""
     log_categories: tuple[str, ...]
+    warnings: tuple[str, ...]
+    """What one should know before it runs."""
     units: dict[str, Any] = field(repr=False)
     """FMPy's unit definitions by name."""
 
@@ -142,8 +144,33 @@ def describe(file: Path, folder: Path, names: Sequence[str]) -> FmuDescription:
         tolerance=_bound(md.defaultExperiment.tolerance) if md.defaultExperiment is not None else None,
         carries_tables=(md.generationTool or "").startswith("robomill "),
         log_categories=tuple(c.name for c in md.logCategories),
+        warnings=tuple(_warnings(md)),
         units={u.name: u for u in md.unitDefinitions},
     )
+
+
+def _warnings(md: Any) -> Iterator[str]:
+    """What an FMU may have, and a run with it goes on without."""
+    if md.coSimulation.needsExecutionTool:
+        tool = md.generationTool or "the tool that it was made with, which it does not name"
+        yield f"the FMU does not run by itself (needsExecutionTool): it needs {tool} on this machine"
+    for v in md.modelVariables:
+        if v.type == "Clock" and v.causality == "input":
+            yield f"input clock {v.name[:200]!r} never ticks, as event mode is not supported: what it would start stays as it is"
+        elif v.type == "Clock" and v.causality == "output":
+            yield f"output clock {v.name[:200]!r} is not listened to, as event mode is not supported"
+        low, high = _bounds(v)
+        if low is not None and high is not None and low > high:
+            yield f"minimum {low:.9g} of variable {v.name[:200]!r} is above its maximum {high:.9g}: neither is checked"
+
+
+def _bounds(v: Any) -> tuple[float | None, float | None]:
+    """Minimum and maximum of a variable, its own or those of its declared type."""
+    declared = v.declaredType
+    low, high = (
+        own if own is not None else other for own, other in ((v.min, declared and declared.min), (v.max, declared and declared.max))
+    )
+    return _bound(low), _bound(high)
 
 
 _FMI3 = re.compile(r"3\.0(\.0|\.[1-9]\d*(-.+)?)?")
@@ -253,9 +280,9 @@ def _ports(
 ) -> Iterator[Port]:
     declared = v.declaredType
     unit = v.unit or (declared.unit if declared else None)
-    low, high = (
-        _bound(own if own is not None else other) for own, other in ((v.min, declared and declared.min), (v.max, declared and declared.max))
-    )
+    low, high = _bounds(v)
+    if low is not None and high is not None and low > high:  # see `_warnings`
+        low = high = None
     items = tuple((item.name, int(item.value)) for item in declared.items or ()) if v.type == "Enumeration" and declared else ()
     for name, start in zip(names, starts, strict=True):
         yield PortData(name, _CAUSALITIES[v.causality], kind, unit, start, low, high, v.description or "", dependencies, limits, items)

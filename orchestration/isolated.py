@@ -42,13 +42,13 @@ class Server:
             raise SlaveError("no FMU is open in this process")
         return self.slave
 
-    def open(self, file: str, name: str, folder: str) -> list[PortData]:
-        """Load the FMU; its temporary files go into `folder`, which the other side removes."""
+    def open(self, file: str, name: str, folder: str, goes_back: bool) -> tuple[list[PortData], tuple[str, ...]]:
+        """Load the FMU; its ports and warnings. Its temporary files go into `folder`, which the other side removes."""
         tempfile.tempdir = folder
         from orchestration.fmu import FmuSlave
 
-        self.slave = FmuSlave(file, name)
-        return [plain(p) for p in self.slave.ports]
+        self.slave = slave = FmuSlave(file, name, goes_back)
+        return [plain(p) for p in slave.ports], slave.warnings
 
     def share(self, file: str, n_in: int, n_out: int) -> None:
         """Map the signals."""

@@ -23,7 +23,7 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +47,10 @@ class IsolatedSlave:
 
     `time_limit` [s of wall clock] is what one call may take before the process is ended; loading and
     initialising may take at least `START_LIMIT`. SlaveError for whatever the FMU itself reports, and for a crash
-    (signal), an exit or the time limit; after one of those three every call repeats it.
+    (signal), an exit or the time limit; after one of those three every call repeats it. `goes_back` as in `fmu.FmuSlave`.
     """
 
-    def __init__(self, file: str | Path, name: str | None = None, time_limit: float = 60.0) -> None:
+    def __init__(self, file: str | Path, name: str | None = None, time_limit: float = 60.0, goes_back: bool = False) -> None:
         self._name = name or Path(file).stem
         self._limit = time_limit
         self._lost = ""  # why the process is gone
@@ -60,8 +60,10 @@ class IsolatedSlave:
         self._folder = tempfile.TemporaryDirectory(prefix="robomill_isolated_", ignore_cleanup_errors=True)
         try:
             self._start()
-            ports: Sequence[Port] = self._call("open", str(Path(file).absolute()), self._name, self._folder.name)
-            self._ports = tuple(ports)
+            ports, warnings = self._call("open", str(Path(file).absolute()), self._name, self._folder.name, goes_back)
+            self._ports: tuple[Port, ...] = tuple(ports)
+            self.warnings: tuple[str, ...] = tuple(warnings)
+            """Those of the FMU."""
             self._share()
         except BaseException:
             self.close()

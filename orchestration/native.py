@@ -50,7 +50,12 @@ class Native(Protocol):
 
     @property
     def step(self) -> int:
-        """Address of `int f(void *instance, double t, double h, int)`, t and h in s."""
+        """Address of `int f(void *instance, double t, double h, int final)`, t and h in s."""
+        ...
+
+    @property
+    def final(self) -> int:
+        """Last argument of a step: 1 if no state of before its beginning will be set any more, else 0."""
         ...
 
     @property

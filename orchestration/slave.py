@@ -11,7 +11,8 @@ a recording (`orchestration.replay`). The master calls it in this order::
     close()                                            # always, also after an error; may be repeated
 
 `leave_initialisation()` is there where it does something; a slave that was not told to leave does so in its first step.
-A slave may also have `native()`: addresses for the compiled loop (`orchestration.native`).
+A slave may also have `native()`: addresses for the compiled loop (`orchestration.native`), and `warnings`: texts, what one should
+know before it runs.
 
 `Slave` and `Port` are protocols: who implements them need not import this file. Ports are scalars.
 An element of an array is a port called `base[1]`, `base[2]` or `base[1,2]` (counted from one); the

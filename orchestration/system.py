@@ -237,7 +237,8 @@ def ticks(seconds: float, what: str) -> int:
         raise SystemFileError(f"{what} = {seconds!r} s is not a number of seconds below 1e9")
     count = round(seconds * TICK)
     if count <= 0 or abs(seconds * TICK - count) > 1e-6 * max(1.0, count * 1e-6):
-        raise SystemFileError(f"{what} = {seconds!r} s is not a positive whole number of nanoseconds")
+        near = f"; the nearest is {f'{count / TICK:.9f}'.rstrip('0')} s" if count > 0 else ""
+        raise SystemFileError(f"{what} = {seconds!r} s is not a positive whole number of nanoseconds, in which time is counted{near}")
     return count
 
 

@@ -267,7 +267,7 @@ def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
         system = replace(system, recording=replace(system.recording, checkpoint_every=options.checkpoint_every))
     folder = options.out or RESULTS / system.name
     with assemble(system, resolve, convert) as assembly:
-        for text in unusual_values(assembly):
+        for text in (*assembly.wiring.warnings, *unusual_values(assembly)):
             print(f"warning: {text}", file=sys.stderr)
     with _progress(options.json) as report:
         result = run_once(

@@ -118,12 +118,23 @@ def _documented(md: Any, apart: Sequence[str]) -> Result:
 
 
 def _dynamic_checks(path: Path, folder: Path, timeout: float, only_once: bool) -> list[Result]:
-    """All checks that run the FMU: in one process, or, if a process can have one instance only, each in one of its own."""
-    if not only_once:
-        return _process(path, folder, timeout, ())
+    """All checks that run the FMU: in one process, or, if a process can have one instance only, each in one of its own.
+
+    Those behind one that ended the process are made in another.
+    """
     deadline = time.monotonic() + timeout
-    found = [r for check in CHECKS for r in _process(path, folder, max(deadline - time.monotonic(), 0.0), (check,))]
-    return list(dict.fromkeys(found))  # what keeps every process from its check is said once
+    found: list[Result] = []
+    rest = list(CHECKS)
+    while rest:
+        made = _process(path, folder, max(deadline - time.monotonic(), 0.0), rest[:1] if only_once else rest)
+        found += made
+        last = max((rest.index(r.check) for r in made if r.check in rest), default=-1)
+        if last < 0:  # what keeps it from the first of them keeps it from the others
+            break
+        rest = rest[last + 1 :]
+        if time.monotonic() > deadline:
+            return [*found, *(Result(check, "skipped", f"no time left: {timeout:.0f} s are for all checks") for check in rest)]
+    return found
 
 
 def _process(path: Path, folder: Path, timeout: float, checks: Sequence[str]) -> list[Result]:

@@ -235,8 +235,8 @@ def _arrays(fmu: Fmu) -> str:
             raise AssertionError(f"{e.name} is {x!r} in a new instance, its start value is {e.start!r}")
     one.enter()
     _set_singly(one, fmu.rows[0])
-    found = [_read_singly(one)]
     one.leave()
+    found = [_read_singly(one)]
     for k, row in enumerate(fmu.rows):
         _set_singly(one, row)
         one.advance(k)
@@ -448,5 +448,5 @@ def run(path: Path, report: Path, names: Sequence[str] = ()) -> None:
                 finish(name, "failed", str(error))
             except Exception:
                 finish(name, "failed", traceback.format_exc())
-        if fmu.trajectory is not None:
-            kept.write_text(json.dumps(fmu.trajectory), encoding="utf-8")
+            if fmu.trajectory is not None and not kept.is_file():
+                kept.write_text(json.dumps(fmu.trajectory), encoding="utf-8")

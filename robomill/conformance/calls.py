@@ -75,7 +75,7 @@ class Calls(ABC):
         here = Path.cwd()
         try:
             os.chdir(place)  # some libraries find others that they need by the working directory
-            self._library = ctypes.CDLL(str(found[0]))
+            self._library = _with_neighbours(found[0])
         except OSError as error:
             raise CallFailed(f"the library cannot be loaded: {error}") from None
         finally:
@@ -117,8 +117,8 @@ class Calls(ABC):
         """Enter initialisation; `start` in s."""
 
     @abstractmethod
-    def step(self, call: Call, t: float, h: float) -> None:
-        """From `t` to `t + h` [s]."""
+    def step(self, call: Call, t: float, h: float, final: bool) -> None:
+        """From `t` to `t + h` [s]; `final`: no state of before `t` will be set any more."""
 
     @abstractmethod
     def room(self, values: int) -> tuple[int, ...]:
@@ -127,3 +127,19 @@ class Calls(ABC):
     def free(self, instance: int) -> None:
         """Free an instance; the library stays loaded for the others."""
         self.function(f"{self.prefix}FreeInstance", None)(instance)
+
+
+def _with_neighbours(library: Path) -> ctypes.CDLL:
+    """A library, and before it those beside it that it needs, as a run loads it (`orchestration.fmi`, which is not at hand here)."""
+    kept: dict[Path, ctypes.CDLL] = {}
+    wanted = [library]
+    while wanted:
+        try:
+            kept[wanted[-1]] = ctypes.CDLL(str(wanted[-1]))
+            wanted.pop()
+        except OSError as error:
+            beside = library.parent / str(error).partition(":")[0]  # as the loader of Linux words it
+            if beside in (*kept, *wanted) or not beside.is_file():
+                raise
+            wanted.append(beside)
+    return kept[library]

@@ -93,9 +93,9 @@ class Fmi2(Calls):
         call("fmi2SetupExperiment", *self.tolerance, start, False, 0.0)
         call("fmi2EnterInitializationMode")
 
-    def step(self, call: Call, t: float, h: float) -> None:
+    def step(self, call: Call, t: float, h: float, final: bool) -> None:
         """From `t` to `t + h` [s]."""
-        call("fmi2DoStep", t, h, True)
+        call("fmi2DoStep", t, h, final)
 
     def room(self, values: int) -> tuple[int, ...]:
         """Nothing: there are as many values as references."""

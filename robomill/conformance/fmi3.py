@@ -79,11 +79,11 @@ class Fmi3(Calls):
         """Enter initialisation."""
         call("fmi3EnterInitializationMode", *self.tolerance, start, False, 0.0)
 
-    def step(self, call: Call, t: float, h: float) -> None:
+    def step(self, call: Call, t: float, h: float, final: bool) -> None:
         """From `t` to `t + h` [s]. `CallFailed`, too, if the FMU returns early, wants to end here or wants event mode."""
         events, ends, early = (_FLAG * 1)(), (_FLAG * 1)(), (_FLAG * 1)()
         reached = (NUMBER * 1)()
-        call("fmi3DoStep", t, h, True, events, ends, early, reached)
+        call("fmi3DoStep", t, h, final, events, ends, early, reached)
         if ends[0]:
             raise CallFailed(f"fmi3DoStep asks for the end of the simulation at t = {t:.9g} s (terminateSimulation)")
         if early[0]:

@@ -156,6 +156,7 @@ class Instance:
         self.fmu, self.log, self._calls = fmu, fmu.log, fmu.calls
         self._set: dict[str, Any] = {}
         """What was set, by element: in FMI 3.0 an array is set as a whole, the elements that are not meant included."""
+        self._states = 0  # that are kept to go back to
         if fmu.instances and fmu.flags.canBeInstantiatedOnlyOncePerProcess:
             raise OnlyOnce("canBeInstantiatedOnlyOncePerProcess is true, and this check needs a second instance")
         fmu.instances += 1
@@ -218,16 +219,15 @@ class Instance:
         self.call(f"{self._calls.prefix}ExitInitializationMode")
 
     def initialise(self, row: Sequence[float] | None = None) -> list[float]:
-        """From instantiated to stepping; outputs at the start."""
+        """From instantiated to stepping; outputs at the start, which many FMUs compute no earlier than when they leave initialisation."""
         self.enter()
         self.set(self.fmu.inputs, self.fmu.rows[0] if row is None else row)
-        outputs = self.get()
         self.leave()
-        return outputs
+        return self.get()
 
     def advance(self, k: int, h: float | None = None) -> None:
         """Make step number k with the inputs as they are; of another length `h` [s] if given."""
-        self._calls.step(self.call, self.fmu.start + k * self.fmu.h, self.fmu.h if h is None else h)
+        self._calls.step(self.call, self.fmu.start + k * self.fmu.h, self.fmu.h if h is None else h, not self._states)
 
     def step(self, k: int, row: Sequence[float] | None = None) -> list[float]:
         """Step number k; outputs after it."""
@@ -252,6 +252,7 @@ class Instance:
         """A copy of its state."""
         pointer = ctypes.c_void_p()
         self.call(self._calls.states.get, ctypes.byref(pointer))
+        self._states += 1
         return pointer
 
     def restore(self, pointer: Any) -> None:
@@ -261,6 +262,7 @@ class Instance:
     def forget(self, pointer: Any) -> None:
         """Free a state."""
         self.call(self._calls.states.free, ctypes.byref(pointer))
+        self._states -= 1
 
     def serialise(self, pointer: Any) -> bytes:
         """A state as bytes."""
@@ -273,6 +275,7 @@ class Instance:
     def deserialise(self, data: bytes) -> Any:
         """Bytes as a state."""
         pointer = ctypes.c_void_p()
+        self._states += 1
         self.call(self._calls.states.deserialise, ctypes.create_string_buffer(data, len(data)), len(data), ctypes.byref(pointer))
         return pointer
 

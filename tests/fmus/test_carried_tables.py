@@ -106,6 +106,15 @@ def test_a_table_that_is_not_there_or_does_not_fit_is_no_built_in_one(fmi: int, 
         curve_value(carried(built_native("demo", fmi), tmp_path, [[0.0, 1.0, 2.0]]), {})
 
 
+def test_a_python_fmu_whose_table_is_lost_does_not_run_another(built: Callable[[str], Path], tmp_path: Path) -> None:
+    slave = FmuSlave(carried(built("demo"), tmp_path, [[0.0, 1.0]]), "spring 1")
+    table = slave.description.folder / "resources/tables/curve.npy"
+    table.unlink()
+    with pytest.raises(SlaveError, match=re.escape(f"spring 1: table curve: [Errno 2] No such file or directory: '{table}'")):
+        slave.initialise(0.0, 1.0, 0.004)
+    slave.close()
+
+
 def test_a_python_fmu_refuses_a_table_that_does_not_fit(built: Callable[[str], Path], tmp_path: Path) -> None:
     with pytest.raises(SlaveError, match="spring 1: table curve: "):
         curve_value(carried(built("demo"), tmp_path, [[0.0, 1.0, 2.0]]), {})
