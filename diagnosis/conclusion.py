@@ -209,7 +209,7 @@ class Conclusion:
                     "component": part,
                     "share": as_share(value),
                     "interval": [as_share(value - half), as_share(value + half)],
-                    "location": ", ".join(c.location for c in here),
+                    "location": ", ".join(dict.fromkeys(c.location for c in here)),
                     **self.local(here),
                 }
             )

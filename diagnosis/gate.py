@@ -123,7 +123,7 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
         if name in suspects or not _visible(float(x[:, i] @ x[:, i]), noise[i], len(x)):  # measured over measured: whatever its unit is
             continue
         off = ((x[:, i] - s[:, i]) ** 2).sum()
-        if off < FAR_OFF * size[i]:
+        if off < FAR_OFF * size[i] or not size[i]:  # zero has no sign and no unit
             continue
         slope = float(x[:, i] @ s[:, i] / size[i])
         left = ((x[:, i] - slope * s[:, i]) ** 2).sum()

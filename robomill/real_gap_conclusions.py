@@ -111,8 +111,8 @@ def ripple(waves: Sequence[Mapping[str, float]]) -> str:
     kept, turned = [w["B with the amplitude of A"] for w in waves], [w["B with A"] for w in waves]
     helps = [sum(x > 0.0 for x in part) for part in (kept, turned)]
     n = len(waves)
-    own = f"{100 * min(kept):.0f} % to {100 * max(kept):.0f} % on B (more than nothing on {helps[0]} of {n} axes)"
-    same = f"{100 * min(turned):.0f} % to {100 * max(turned):.0f} % (on {helps[1]} of {n})"
+    own = f"{round(100 * min(kept))} % to {round(100 * max(kept))} % on B (more than nothing on {helps[0]} of {n} axes)"
+    same = f"{round(100 * min(turned))} % to {round(100 * max(turned))} % (on {helps[1]} of {n})"
     return f"With the amplitude of A and a phase of its own it closes {own}; with the phase of A {same}"
 
 

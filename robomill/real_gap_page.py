@@ -374,7 +374,7 @@ axes on B ({_percent(min(squares))} to {_percent(max(squares))} of its squares, 
 - Link encoders late against motor encoders, A1..A3: {_ms(A["link"])} ms on A, {_ms(B["link"])} ms on B. Treated below as a candidate.
 - Logged motor speeds late against the differentiated motor angles by {_ms(A["speed"])} ms, logged link speeds by {_ms(A["link_speed"])} ms.
   Neither is used; speeds and accelerations here are zero-phase derivatives of the motor angles ({15} Hz).
-- Motors against the reference (late by {_ms(A["reference"])} ms on A, {_ms(B["reference"])} ms on B; negative means ahead) and differ from it by up to
+- Motor angles late against the reference by {_ms(A["reference"])} ms on A, {_ms(B["reference"])} ms on B (negative: ahead of it); on A they differ from it by up to
   {", ".join(f"{math.degrees(x):.2f}" for x in A["tracking"])} deg. The reference is not used as the motion.
 - Torques of A1..A3 late against the motor angles by {_ms([x for x, _ in A["torque"]])} ms on A and {_ms([x for x, _ in B["torque"]])} ms on B: read off the torque ripple (below), whose eight
   periods per motor turn make a vernier of about a radian per millisecond. {1e3 * r.adopted["torque_lag"]:.1f} ms (from A) is repaired before everything else. Left
@@ -469,12 +469,10 @@ Chosen on A by evidence: **{r.link_best}**. Closure on B against the offset alon
   condition is one. The bootstrap over blocks of 0.5 s does not know of other trajectories, temperatures or days.
 - B was held out from every fit and choice that the program makes, but not from its author: that the lag of the torques is read from the ripple and not
   fitted, and that the payload's inertia is in the catalogue, was decided after looking at fits of both recordings.
-- Friction at standstill is not modelled (no presliding, no memory): with all samples the rms closes less, see the table.
+- Friction at standstill is not modelled (no presliding, no memory); the columns "all samples" of the table hold standing axes, too.
 - The Stribeck speed (0.02 rad/s) and the smoothing speed (1 mrad/s) are fixed, not fitted.
 - Wrist couplings of the gears and gyroscopic moments of the rotors are not in the model.
 - The catalogue for these data was written knowing Weigand's publication; on a robot nobody has identified before, it would have been longer.
-
-- There is no repeat, so the noise is a guess.
 
 ## Selection, step by step
 

@@ -173,7 +173,8 @@ def _answer(s: Subject) -> str:
         rest = f" or one of {len(open_) - 4} others" if len(open_) > 4 else ""
         return f"{first} several causes that these runs cannot tell apart: {listed(names, 'or')}{rest}."
     causes = listed([sized(w) for w in s.sure])
-    return f"The gap is caused by {causes}, which explains {percent(1.0 - max(left, 0.0))} of what is beyond noise and calibration{_shrinks(s)}."
+    explain = "explains" if len(s.sure) == 1 else "together explain"
+    return f"The gap is caused by {causes}, which {explain} {percent(1.0 - max(left, 0.0))} of what is beyond noise and calibration{_shrinks(s)}."
 
 
 def reason(finding: Mapping[str, Any]) -> str:

@@ -15,9 +15,10 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     "rad/s": ((math.inf, 30.0 / math.pi, "rpm"),),
     "N": ((1e4, 1.0, "N"), (math.inf, 1e-3, "kN")),
     "1": ((math.inf, 1.0, ""),),
-    "%": ((math.inf, 100.0, "%"),),
+    "%": ((1.0, 100.0, "%"), (math.inf, 1.0, "")),
 }
-"""unit -> sizes below which a factor and a symbol are used; "%" is a relative number that is shown as a percentage."""
+"""unit -> sizes below which a factor and a symbol are used; "%" is a relative number that is shown as a percentage. Above all of it, it may
+as well be a quantity whose unit nobody stated, as many FMUs do: then it is shown as a number."""
 
 
 def scale(unit: str, size: float) -> tuple[float, str]:

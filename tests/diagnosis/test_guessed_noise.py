@@ -24,6 +24,7 @@ def test_three_terms_of_friction_and_inertia_are_found_in_one_run(tmp_path: Path
     assert result["verdict"] == "identified"
     values = {name: p for w in result["which"] if w["probability"] > 0.9 for name, p in w["parameters"].items()}
     assert values.keys() == THREE.keys()
+    assert [w["location"] for w in result["where"]] == ["axis"]  # once, whatever the number of effects there
     for name, truth in THREE.items():
         low, high = values[name]["interval"]
         assert low < truth < high

@@ -277,6 +277,12 @@ class TestUnits:
         assert units.relative("size_effect_exponent", "1") == "1"
         assert units.relative("stiffness_error[2]", "1") == "%"
 
+    def test_what_is_more_than_all_is_no_percentage(self) -> None:
+        """FMUs often state no unit: a viscous friction of 287 is not one of 28 700 %."""
+        assert units.quantity(0.2, "%") == "20.0\u00a0%"
+        assert units.quantity(287.0, "%") == "287"
+        assert units.with_interval(2.68, (1.96, 3.4), "%") == ("2.68", "1.96 to 3.40")
+
     def test_numbers_that_are_none(self) -> None:
         assert [units.number(x) for x in (float("nan"), float("inf"), -0.0)] == ["–", "∞", "0"]
 
@@ -365,7 +371,7 @@ def test_two_causes_are_both_in_the_sentence() -> None:
     s.result["which"].append(other)
     sentence = verdict_sentence(s).replace("\u00a0", " ")
     causes = "The gap is caused by backlash, joint 3 (80.0 µrad) and tool wear, cutter (20.0 %)"
-    assert sentence == f"{causes}, which explains 98 % of what is beyond noise and calibration."
+    assert sentence == f"{causes}, which together explain 98 % of what is beyond noise and calibration."
 
 
 @pytest.mark.slow

@@ -1,0 +1,155 @@
+"""Constants of the gate, the noise and the phases: what lies just beyond one is found, and would not be if it were twice as large."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from diagnosis import gate, phases, search
+from diagnosis.catalogue import COS, SIN, Candidate, Prior
+from diagnosis.gate import Finding
+from diagnosis.measured import Condition
+from diagnosis.noise import fast, own_noise
+from diagnosis.simulation import Setting
+from orchestration.results import Run
+from orchestration.slave import FloatArray
+from tests.diagnosis.demo import measure
+
+STEP = 0.01
+CHANNEL = "sensors.y[1]"
+T = STEP * np.arange(1000)
+QUIET = np.array([1e-6])
+
+
+def recorded(x: FloatArray, t: FloatArray = T) -> Run:
+    one = measure(repeats=1, seconds=STEP)[0]
+    return replace(one, t=t, columns={CHANNEL: x}, ports={CHANNEL: one.ports[CHANNEL]})
+
+
+def without(rows: int, of: int) -> list[tuple[str, bool]]:
+    """What the gate says of a gap of so many steps in the middle of a run."""
+    t = STEP * np.arange(of)
+    t = np.delete(t, np.arange(of // 2, of // 2 + rows - 1))
+    return [(f.kind, f.fatal) for f in gate.raw(recorded(np.sin(t), t), [CHANNEL], {}, STEP)]
+
+
+class TestGate:
+    def test_a_gap_is_noted_and_a_long_one_or_a_large_part_of_a_run_stops_the_log(self) -> None:
+        assert without(11, of=10000) == []
+        assert without(20, of=10000) == [("time", False)]  # BREAK
+        assert without(100, of=10000) == [("time", True)]  # LONG_BREAK
+        assert without(40, of=1000) == [("time", False)]
+        assert without(58, of=1000) == [("time", True)]  # PART
+
+    @pytest.mark.parametrize(("part", "kinds"), [(0.07, []), (0.15, ["constant"])])
+    def test_a_channel_that_stands_still_for_a_part_of_a_run(self, part: float, kinds: list[str]) -> None:
+        s = np.sin(T)
+        n = int(part * len(T))
+        x = s.copy()
+        x[250 : 250 + n] = x[250]
+        found = gate.against_simulation(recorded(x), x[:, None], s[:, None], [CHANNEL], STEP, QUIET)
+        assert [f.kind for f in found] == kinds  # REST
+
+    def repeats(self, *runs: FloatArray) -> list[Finding]:
+        condition = Condition("", {}, tuple(recorded(x, STEP * np.arange(len(x))) for x in runs), T)
+        return gate.repeats(condition, [x[:, None] for x in runs], [CHANNEL])
+
+    def test_a_repeat_is_far_from_others_without_noise(self) -> None:
+        """Ten times as far as a part EXACT of the range: 7 of them are not, 15 are."""
+        x = np.linspace(0.0, 1.0, 100_000)  # so slow that TIMING says nothing
+        for off, count in ((7e-5, 0), (15e-5, 1)):
+            assert len(self.repeats(x, x, x + off)) == count
+
+    def test_a_repeat_is_late(self) -> None:
+        """Ten times as late as TIMING samples: 0.35 samples are not, 0.7 are."""
+        for late, count in ((0.35, 0), (0.7, 1)):
+            assert len(self.repeats(np.sin(T), np.sin(T), np.sin(T - late * STEP))) == count
+
+    def test_a_simulation_that_stands_at_zero_has_no_sign_and_no_unit(self) -> None:
+        x = np.sin(T)[:, None]
+        assert gate.against_simulation(recorded(x[:, 0]), x, np.zeros_like(x), [CHANNEL], STEP, QUIET) == []
+
+
+class TestNoise:
+    def test_the_motion_of_40_samples_is_slow_and_that_of_5_is_not(self) -> None:
+        """FAST: a mean over twice as many samples would take a tenth of the slow one for noise."""
+        n = np.arange(4000)
+        share = [float(np.std(fast(np.sin(2.0 * np.pi * n / period)[:, None]))) * np.sqrt(2.0) for period in (40, 5)]
+        assert share[0] < 0.05
+        assert share[1] > 1.0
+
+    def test_noise_is_guessed_five_times_at_most(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """GUESSES: where the best model is another one each time."""
+        made: list[int] = []
+
+        class Restless:
+            def __init__(self, *_: Any) -> None:
+                made.append(len(made))
+                self.evidence = SimpleNamespace(whitening=SimpleNamespace(guessed=True))
+
+            def run(self) -> list[Any]:
+                return [SimpleNamespace(model=(len(made),), values={}, log_evidence=0.0)]
+
+        monkeypatch.setattr(search, "Search", Restless)
+        simulator: Any = SimpleNamespace(repeated=lambda *_: [[np.zeros((3, 1))]])
+        search.searched(SimpleNamespace(), simulator, [[np.zeros((3, 1))]], [])  # type: ignore[arg-type]  # a Search that asks for nothing
+        assert len(made) == 5
+
+    def test_a_spell_that_scatters_more_than_chance_lets_it_is_noise_of_its_own(self) -> None:
+        """RARE: three times the variance of white noise is, twice is not."""
+        for size, more in ((1.3, False), (2.0, True)):
+            rng = np.random.default_rng(3)
+            runs = [rng.normal(size=1000) for _ in range(40)]
+            for k, x in enumerate(runs):
+                x[500:625] += (-1) ** k * size / np.sqrt(125)  # variance of the spell: 1 + size^2
+            boxes = own_noise([runs], 1, 125)
+            assert bool(np.any(np.count_nonzero(boxes, axis=0) == 125)) is more
+
+
+class TestPhases:
+    """An effect whose phase differs, in a laboratory that only adds waves."""
+
+    WAVES = (np.sin(7.0 * T), np.cos(7.0 * T))
+    RIPPLE = Candidate(
+        "ripple",
+        "drive",
+        "axis",
+        (f"ripple{COS}phase", f"ripple{SIN}phase"),
+        minimum=0.01,
+        maximum=5.0,
+        prior=Prior("normal", 1.0),
+        unit="N.m",
+        both_signs=True,
+        locations=1,
+        phase_per_run=True,
+    )
+
+    def looked_at(self, amplitude: float) -> tuple[list[Finding], int]:
+        """What is said of four runs, and how many simulations that took."""
+        rng = np.random.default_rng(1)
+        runs = [amplitude * np.sin(7.0 * T + phase) + 0.1 * rng.normal(size=len(T)) for phase in (0.3, 2.1, -1.6, 3.0)]
+        asked = []
+
+        def sampled(_: int, changes: Setting) -> FloatArray:
+            asked.append(changes)
+            waves = dict(zip(self.RIPPLE.addresses, self.WAVES, strict=True))
+            return np.asarray(sum((v * waves[a] for a, v in changes), np.zeros(len(T))))[:, None]
+
+        laboratory: Any = SimpleNamespace(
+            conditions=[Condition("", {}, tuple(map(recorded, runs)), T)], channels=[CHANNEL], sampled=sampled
+        )
+        return phases.aligned(laboratory, [self.RIPPLE], 1), len(asked)
+
+    def test_phases_differ_by_clear_evidence(self) -> None:
+        """CLEAR: evidence of 8 nats is too little, evidence of 18 is not."""
+        assert self.looked_at(0.06)[0] == []
+        ((found,), _) = self.looked_at(0.065)
+        assert 12.0 < found.value < 24.0
+
+    def test_the_amplitude_takes_three_simulations_of_each_part(self) -> None:
+        """ROUNDS, and the nominal one."""
+        assert self.looked_at(1.0)[1] == 1 + 3 * 2
