@@ -169,7 +169,7 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     console.print(_table(scenario, results))
     for result in results:
         console.print(f"{result.title}: {_largest(result.figures)}", highlight=False)
-    for text in (*job.notes, *job.plan.reduced):
+    for text in job.notes:
         console.print(f"note: {text}", highlight=False, markup=False)
     pictures_note = f" and {len(files)} pictures (start with {files[0].name})" if files else ""
     console.print(f"In {folder}/: a recording per variant, summary.json{pictures_note}", highlight=False)

@@ -38,6 +38,9 @@ PARTS = ("path", "drive", "compliance", "milling", "sensor", "controller")
 PILOT_WINDOW = 5
 """Steps over which the offline force is averaged, centred: the pilot force is quasi-static, without the ripple of the teeth."""
 
+_WARM = 3
+"""Looks at the clock until all is compiled: after initialisation, the first step, and the first chunk of steps."""
+
 Progress = Callable[[str, int, int], object]
 """Called with (what is being done, steps done, steps in all)."""
 
@@ -56,7 +59,7 @@ class Job:
     overwrite: bool = False
     """Whether they are replaced; with neither, a variant that is there already is refused."""
     notes: tuple[str, ...] = ()
-    """What the reader of the program skipped or decided."""
+    """What the reader of the program skipped or decided, and where the planner did not hold the feed."""
     warnings: tuple[str, ...] = ()
     """What the plan shows to be wrong (`robomill/plan_checks.py`)."""
 
@@ -115,7 +118,7 @@ def prepare(
         system = with_fmus(system, fmus)
     if checkpoint_every is not None:
         system = replace(system, recording=replace(system.recording, checkpoint_every=checkpoint_every))
-    job = Job(scenario, workpiece, planned, system, folder, resume, overwrite, notes_of(program), findings.texts)
+    job = Job(scenario, workpiece, planned, system, folder, resume, overwrite, (*notes_of(program), *planned.notes), findings.texts)
     np.save(pilot, _pilot(job, progress))
     return job if _is_recording(system, "path") else replace(job, system=system.with_parameters("path", {"pilot": str(pilot)}))
 
@@ -235,10 +238,14 @@ def _check_place(job: Job, assembly: Assembly) -> None:
 
 
 class _Stopwatch:
-    """Observer that compares the clock on the wall with that of the run, from the first step on (compiling is over by then)."""
+    """Observer that compares the clock on the wall with that of the run, once all is compiled.
+
+    The components are after the first step, which Python makes, the loop after the first chunk of steps that it hands over.
+    """
 
     def __init__(self) -> None:
-        self._ticks: list[tuple[float, float]] = []
+        self._looks = 0
+        self._first = (math.nan, math.nan)
         self._last = math.nan
         self.factor = math.nan
 
@@ -246,15 +253,22 @@ class _Stopwatch:
         """Nothing to do."""
 
     def observe(self, t: float, outputs: FloatArray) -> None:
-        """Note the times after initialisation and after the first step."""
-        if len(self._ticks) < 2:
-            self._ticks.append((t, time.perf_counter()))
+        """Look at the clock: after initialisation, and after each step or chunk of steps."""
+        self._looks += 1
+        if self._looks == _WARM:
+            self._first = (t, time.perf_counter())
         self._last = t
+
+    def observe_columns(self, columns: FloatArray, count: int) -> None:
+        """The same after a chunk."""
+        if count > 0:
+            self.observe(float(columns[0, count - 1]), columns[1:, count - 1])
 
     def end(self, outcome: str, message: str) -> None:
         """Work out the factor."""
-        if len(self._ticks) == 2 and self._last > self._ticks[1][0]:
-            self.factor = (self._last - self._ticks[1][0]) / (time.perf_counter() - self._ticks[1][1])
+        t, clock = self._first
+        if self._last > t:
+            self.factor = (self._last - t) / (time.perf_counter() - clock)
 
 
 def _pilot(job: Job, progress: Progress | None) -> FloatArray:

@@ -48,7 +48,7 @@ def plan(options: Namespace) -> int:
     findings = check_plan(task.program, task.size, task.tools) if task.size is not None else Findings()
     if options.out is not None:
         np.save(options.out, planned.table)
-    _show(planned, [*notes_of(task.program), *planned.reduced], findings.texts, options.json)
+    _show(planned, [*notes_of(task.program), *planned.notes], findings.texts, options.json)
     return 1 if findings.texts else 0
 
 
