@@ -115,6 +115,8 @@ def _number(where: str, key: str, value: object, unit: str, minimum: float = -ma
 
 
 def _vector(where: str, key: str, value: object, factor: float) -> Vector:
-    if not isinstance(value, list) or len(value) != 3 or not all(isinstance(v, int | float) and math.isfinite(v) for v in value):
+    numbers = value if isinstance(value, list) else []
+    if len(numbers) != 3 or any(isinstance(v, bool) or not isinstance(v, int | float) or not math.isfinite(v) for v in numbers):
         raise PathError(f"{where}: {key} = {value!r}; expected three numbers in {'mm' if key == 'position' else 'deg'}")
-    return (factor * value[0], factor * value[1], factor * value[2])
+    x, y, z = (factor * v for v in numbers)
+    return x, y, z

@@ -195,6 +195,20 @@ class _Stretch:
 
 
 @dataclass(frozen=True)
+class Reduction:
+    """A block whose feed [m/s] is not held: the lowest speed [m/s] there. Its text is what messages say."""
+
+    line: int
+    block: int
+    feed: float
+    speed: float
+
+    def __str__(self) -> str:
+        """Where, from what to what."""
+        return f"line {self.line} (block {self.block}): {self.feed * 1e3:.4g} mm/s reduced to {self.speed * 1e3:.4g} mm/s"
+
+
+@dataclass(frozen=True)
 class Plan:
     """A planned program: the segment table and its evaluation with numpy (for pictures, checks and tests)."""
 
@@ -203,11 +217,20 @@ class Plan:
     """(rows, 50), read-only; the last row is the rest at the end."""
     length: float
     """Path length in m."""
-    reduced: tuple[str, ...]
-    """Where the feed could not be held (rapids excepted), one text each."""
+    reduced: tuple[Reduction, ...]
+    """Where the feed could not be held (rapids excepted), one for each block."""
     source: tuple[str, ...]
     """Lines of the program."""
     placement: Placement
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the planner decided, in one text however many blocks it concerns."""
+        if not self.reduced:
+            return ()
+        slowest = min(self.reduced, key=lambda r: r.speed / r.feed)
+        others = f"; {len(self.reduced)} blocks are slowed, this one most" if len(self.reduced) > 1 else ""
+        return (f"{slowest} where the path curves or turns too tightly{others}",)
 
     @property
     def duration(self) -> float:
@@ -289,19 +312,19 @@ def plan(program: Program | PointPath, placement: Placement, limits: PathLimits 
         items, final = _moves(program, placement, limits), program.final_spindle_speed
     else:
         items, final = _points(program, placement), program.points[-1].spindle_speed
-    reduced: list[str] = []
+    reduced: list[Reduction] = []
     rows: list[FloatArray] = []
     tau, length = 0.0, 0.0
     last: FloatArray | None = None
     for run in _runs(items, limits):
         if isinstance(run, Dwell):
             if last is not None:
-                last[:, [TAU, BLOCK, LINE, SPINDLE]] = tau, run.block, run.line, run.spindle_speed
+                last[:, [TAU, BLOCK, LINE, SPINDLE, TOOL]] = tau, run.block, run.line, run.spindle_speed, run.tool
                 rows.append(last.copy())
             tau += run.duration
             continue
-        speeds, texts = _speeds(run, limits)
-        reduced += texts
+        speeds, slowed = _speeds(run, limits)
+        reduced += slowed
         profile = _profile(run, speeds, limits)
         elements = _element_rows(run)
         rows.append(_rows(run, elements, profile, tau))
@@ -482,8 +505,8 @@ def _blend_turn(before: _Turn, after: _Turn, reach: float, distance: float, leng
     return _Turn(meeting, before.axis_1, f_1, after.axis_1, f_2)
 
 
-def _speeds(run: list[_Stretch], limits: PathLimits) -> tuple[list[float], list[str]]:
-    """The speed that each element of a run allows, and a text for each block whose feed is not held."""
+def _speeds(run: list[_Stretch], limits: PathLimits) -> tuple[list[float], list[Reduction]]:
+    """The speed that each element of a run allows, and each block whose feed is not held."""
     speeds: list[float] = []
     lowest: dict[tuple[int, int], tuple[float, float]] = {}
     for element in run:
@@ -506,11 +529,7 @@ def _speeds(run: list[_Stretch], limits: PathLimits) -> tuple[list[float], list[
             if speed < run[i].feed and not run[i].rapid:
                 key = (run[i].line, run[i].block)
                 lowest[key] = min(lowest.get(key, (speed, run[i].feed)), (speed, run[i].feed))
-    texts = [
-        f"line {number} (block {block}): {feed * 1e3:.4g} mm/s reduced to {speed * 1e3:.4g} mm/s where the path curves or turns too tightly"
-        for (number, block), (speed, feed) in lowest.items()
-    ]
-    return speeds, texts
+    return speeds, [Reduction(number, block, feed, speed) for (number, block), (speed, feed) in lowest.items()]
 
 
 def _profile(elements: list[_Stretch], speeds: list[float], limits: PathLimits) -> FloatArray:

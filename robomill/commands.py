@@ -137,18 +137,21 @@ def _run_experiment(options: Namespace) -> int:
 
 def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     assert scenario.workpiece is not None  # load_scenario checks it for this kind
-    chosen = _chosen(scenario, options.variant).variants
+    wanted = _chosen(scenario, options.variant)
+    chosen = wanted.variants
     if not (options.overwrite or options.resume):
         check_vacant(folder / v.name for v in chosen)
     results: list[Result] = []
     try:
         with _progress(options.json) as report:
             again = {"resume": options.resume, "overwrite": options.overwrite}
-            job = milling.prepare(scenario, folder, options.fmus, report, **again, checkpoint_every=options.checkpoint_every)
-            job = replace(job, system=_adopted(_looped(job.system, options), options))  # the plan and its offline force stay nominal
-            job = replace(job, warnings=(*job.warnings, *milling.check_variants(job, chosen)))
+            job = milling.lay_out(wanted, folder, options.fmus, **again, checkpoint_every=options.checkpoint_every)
+            unusual = milling.check_variants(replace(job, system=_adopted(_looped(job.system, options), options)), chosen)
+            job = replace(job, warnings=(*job.warnings, *unusual))
             for text in job.warnings:
                 print(f"warning: {text}", file=sys.stderr)
+            job = milling.with_pilot(job, report)
+            job = replace(job, system=_adopted(_looped(job.system, options), options))  # the plan and its offline force stay nominal
             for variant in chosen:
                 recorded, factor = milling.mill(job, variant, report, csv=options.csv)
                 results.append(evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor))
@@ -169,7 +172,7 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     console.print(_table(scenario, results))
     for result in results:
         console.print(f"{result.title}: {_largest(result.figures)}", highlight=False)
-    for text in (*job.notes, *job.plan.reduced):
+    for text in job.notes:
         console.print(f"note: {text}", highlight=False, markup=False)
     pictures_note = f" and {len(files)} pictures (start with {files[0].name})" if files else ""
     console.print(f"In {folder}/: a recording per variant, summary.json{pictures_note}", highlight=False)

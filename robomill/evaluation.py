@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from fmus.components import component
@@ -116,9 +117,8 @@ def _deviations(surface: SurfaceDeviation, cuts: tuple[Cut, ...], run: Run, nomi
 
 
 def engagements(run: Run) -> tuple[Cut, ...]:
-    """The times in which material stood before the cutter."""
-    cutting = run["milling.depth"] > 0.0
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], cutting, [False]]).astype(int)))
+    """The times in which material was cut, before the edges or under the end face."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], cutting(run), [False]]).astype(int)))
     cuts: list[Cut] = []
     for start, end in zip(run.t[edges[::2]], run.t[edges[1::2] - 1], strict=True):
         if cuts and start - cuts[-1].end < PAUSE:
@@ -128,9 +128,15 @@ def engagements(run: Run) -> tuple[Cut, ...]:
     return tuple(cuts)
 
 
+def cutting(run: Run) -> npt.NDArray[np.bool_]:
+    """Whether material is cut, per sample (n,): a plunge straight down removes some though no edge stands in it sideways (depth 0)."""
+    result: npt.NDArray[np.bool_] = (run["milling.depth"] > 0.0) | (run["milling.removal_rate"] > 0.0)
+    return result
+
+
 def place(time: float, cuts: tuple[Cut, ...], run: Run, diameter: float) -> str:
     """Which part of a cut the tool was in at `time` [s]: entry and exit reach until the cutter is in, or out, by its `diameter` [m]."""
-    speed = float(np.median(np.linalg.norm(run["path.v_BT_B"], axis=1)[run["milling.depth"] > 0.0])) if cuts else 0.0
+    speed = float(np.median(np.linalg.norm(run["path.v_BT_B"], axis=1)[cutting(run)])) if cuts else 0.0
     span = diameter / speed if speed > 0.0 else 0.0
     for cut in cuts:
         if cut.start - span <= time <= cut.end + span:

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from models import gcode, point_path, tool_table
 from models.cutting import EndMill
 from models.declaration import FloatArray
+from models.segment_table import TOOL
 from models.trajectory import Placement, Plan, pilot_table, plan
 from orchestration.assembly import Assembly, assemble, run
 from orchestration.errors import SlaveError
@@ -37,6 +38,9 @@ PARTS = ("path", "drive", "compliance", "milling", "sensor", "controller")
 
 PILOT_WINDOW = 5
 """Steps over which the offline force is averaged, centred: the pilot force is quasi-static, without the ripple of the teeth."""
+
+_WARM = 3
+"""Looks at the clock until all is compiled: after initialisation, the first step, and the first chunk of steps."""
 
 Progress = Callable[[str, int, int], object]
 """Called with (what is being done, steps done, steps in all)."""
@@ -56,7 +60,7 @@ class Job:
     overwrite: bool = False
     """Whether they are replaced; with neither, a variant that is there already is refused."""
     notes: tuple[str, ...] = ()
-    """What the reader of the program skipped or decided."""
+    """What the reader of the program skipped or decided, and where the planner did not hold the feed."""
     warnings: tuple[str, ...] = ()
     """What the plan shows to be wrong (`robomill/plan_checks.py`)."""
 
@@ -76,7 +80,21 @@ def prepare(
     overwrite: bool = False,
     checkpoint_every: int | None = None,
 ) -> Job:
-    """Plan the program and estimate the cutting force along it.
+    """Plan the program and estimate the cutting force along it: `lay_out` and `with_pilot`; their arguments, what they raise."""
+    job = lay_out(scenario, folder, fmus, resume=resume, overwrite=overwrite, checkpoint_every=checkpoint_every)
+    return with_pilot(job, progress)
+
+
+def lay_out(
+    scenario: Scenario,
+    folder: str | Path,
+    fmus: Path | None = None,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    checkpoint_every: int | None = None,
+) -> Job:
+    """Plan the program, check the plan and configure the system: all that can be said before anything is run.
 
     `fmus`: folder of FMUs to run instead of the in-process components; `resume` keeps finished runs in the folder and goes on with
     interrupted ones, `overwrite` replaces them (the tables and the offline run are made anew in any case); `checkpoint_every` [steps]
@@ -90,11 +108,13 @@ def prepare(
     program = read_program(scenario.program, scenario.reading)
     system = System.load(scenario.system, convert)
     _require(system)
-    findings = _check(scenario, program, with_parameters(system, scenario.parameters))
+    findings = check(scenario, program, system)
+    if not findings.cuts:
+        raise ScenarioError(f"{scenario.file}: {scenario.program.name}: {findings.texts[0]}")
     planned = plan(program, placement)
     folder = Path(folder)
     (folder / "plan").mkdir(parents=True, exist_ok=True)
-    segments, pilot = ((folder / "plan" / f"{name}.npy").resolve() for name in ("segments", "pilot"))  # also found from elsewhere
+    segments = (folder / "plan" / "segments.npy").resolve()  # also found from elsewhere
     np.save(segments, planned.table)
 
     if not _is_recording(system, "path"):
@@ -115,9 +135,15 @@ def prepare(
         system = with_fmus(system, fmus)
     if checkpoint_every is not None:
         system = replace(system, recording=replace(system.recording, checkpoint_every=checkpoint_every))
-    job = Job(scenario, workpiece, planned, system, folder, resume, overwrite, notes_of(program), findings.texts)
+    notes = (*notes_of(program), *planned.notes)
+    return Job(scenario, workpiece, planned, system, folder, resume, overwrite, notes, findings.texts)
+
+
+def with_pilot(job: Job, progress: Progress | None = None) -> Job:
+    """Estimate the cutting force by a run of path and milling alone, and give its table to the path. Raises what the master raises."""
+    pilot = (job.folder / "plan" / "pilot.npy").resolve()
     np.save(pilot, _pilot(job, progress))
-    return job if _is_recording(system, "path") else replace(job, system=system.with_parameters("path", {"pilot": str(pilot)}))
+    return job if _is_recording(job.system, "path") else replace(job, system=job.system.with_parameters("path", {"pilot": str(pilot)}))
 
 
 def read_program(file: Path, reading: gcode.Setup) -> gcode.Program | point_path.PointPath:
@@ -130,10 +156,12 @@ def notes_of(program: gcode.Program | point_path.PointPath) -> tuple[str, ...]:
     return program.notes if isinstance(program, gcode.Program) else ()
 
 
-def _check(scenario: Scenario, program: gcode.Program | point_path.PointPath, system: System) -> Findings:
-    """What the plan shows; ScenarioError where a run could not have figures: nothing cut, tools that are not described."""
+def check(scenario: Scenario, program: gcode.Program | point_path.PointPath, system: System) -> Findings:
+    """What the plan shows, for every variant with its own tool; ScenarioError where a tool is not described.
+
+    `system`: that of the scenario, without its parameters. `cuts` is False if a variant cuts nothing; its text is then the first.
+    """
     assert scenario.workpiece is not None
-    assert scenario.program is not None
     if isinstance(program, gcode.Program):
         named = [t for t in program.tools if t]
         missing = [t for t in named if t not in scenario.tools]
@@ -143,13 +171,27 @@ def _check(scenario: Scenario, program: gcode.Program | point_path.PointPath, sy
                 f"{scenario.file}: {program.name} mills with {', '.join(f'T{t}' for t in named)}; described are: {there}; "
                 f"add [tools.{missing[0]}] with diameter, teeth, helix and cutting_length"
             )
-    own = own_tool(system)
-    if own is None and not scenario.tools:  # another's component, which does not say what its tool is
-        return Findings()
-    findings = check_plan(program, scenario.workpiece.size, {**({0: own} if own else {}), **scenario.tools})
-    if not findings.cuts:
-        raise ScenarioError(f"{scenario.file}: {scenario.program.name}: {findings.texts[0]}")
-    return findings
+    found: dict[EndMill | None, Findings] = {}
+    texts: dict[str, list[str]] = {}
+    common = with_parameters(system, scenario.parameters)
+    shared = own_tool(common)
+    for variant in scenario.variants:
+        own = own_tool(with_parameters(common, variant.parameters)) if "milling" in variant.parameters else shared
+        if own is None and not scenario.tools:  # another's component, which does not say what its tool is
+            continue
+        if own not in found:
+            found[own] = check_plan(program, scenario.workpiece.size, {**({0: own} if own else {}), **scenario.tools})
+        of_variant = found[own]
+        for text in of_variant.texts:
+            texts.setdefault(text, []).append(variant.name)
+        if not of_variant.cuts:
+            return Findings((_whose(of_variant.texts[0], [variant.name], len(found)),), cuts=False)
+    return Findings(tuple(_whose(text, names, len(found)) for text, names in texts.items()))
+
+
+def _whose(text: str, variants: Sequence[str], tools: int) -> str:
+    """A finding, with the variants that it concerns where they have several tools."""
+    return text if tools == 1 else f"{text} ({'variant' if len(variants) == 1 else 'variants'} {', '.join(variants)})"
 
 
 def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool = False) -> tuple[Run, float]:
@@ -196,11 +238,17 @@ def own_tool(system: System) -> EndMill | None:
 
 
 def _label(job: Job, system: System) -> str:
-    """The cutters of a run; empty where nothing says what they are."""
+    """The cutters that a run uses; empty where nothing says what they are."""
     if job.scenario.tools:
-        return ", ".join(f"T{number} {_end_mill(mill)}" for number, mill in sorted(job.scenario.tools.items()))
+        used = sorted({int(number) for number in job.plan.table[:, TOOL]} & set(job.scenario.tools))
+        return ", ".join(f"T{number} {_titled(job.scenario, number)}" for number in used)
     own = own_tool(system)
     return _end_mill(own) if own else ""
+
+
+def _titled(scenario: Scenario, number: int) -> str:
+    title, mill = scenario.tool_titles.get(number), _end_mill(scenario.tools[number])
+    return mill if title is None else f"{title} ({mill})"
 
 
 def _end_mill(mill: EndMill) -> str:
@@ -235,10 +283,14 @@ def _check_place(job: Job, assembly: Assembly) -> None:
 
 
 class _Stopwatch:
-    """Observer that compares the clock on the wall with that of the run, from the first step on (compiling is over by then)."""
+    """Observer that compares the clock on the wall with that of the run, once all is compiled.
+
+    The components are after the first step, which Python makes, the loop after the first chunk of steps that it hands over.
+    """
 
     def __init__(self) -> None:
-        self._ticks: list[tuple[float, float]] = []
+        self._looks = 0
+        self._first = (math.nan, math.nan)
         self._last = math.nan
         self.factor = math.nan
 
@@ -246,15 +298,22 @@ class _Stopwatch:
         """Nothing to do."""
 
     def observe(self, t: float, outputs: FloatArray) -> None:
-        """Note the times after initialisation and after the first step."""
-        if len(self._ticks) < 2:
-            self._ticks.append((t, time.perf_counter()))
+        """Look at the clock: after initialisation, and after each step or chunk of steps."""
+        self._looks += 1
+        if self._looks == _WARM:
+            self._first = (t, time.perf_counter())
         self._last = t
+
+    def observe_columns(self, columns: FloatArray, count: int) -> None:
+        """The same after a chunk."""
+        if count > 0:
+            self.observe(float(columns[0, count - 1]), columns[1:, count - 1])
 
     def end(self, outcome: str, message: str) -> None:
         """Work out the factor."""
-        if len(self._ticks) == 2 and self._last > self._ticks[1][0]:
-            self.factor = (self._last - self._ticks[1][0]) / (time.perf_counter() - self._ticks[1][1])
+        t, clock = self._first
+        if self._last > t:
+            self.factor = (self._last - t) / (time.perf_counter() - clock)
 
 
 def _pilot(job: Job, progress: Progress | None) -> FloatArray:

@@ -17,7 +17,7 @@ from models.declaration import FloatArray
 from models.height_map import cut_height_map
 from models.surface import SurfaceDeviation
 from orchestration.results import Run
-from robomill.evaluation import Cut, Result
+from robomill.evaluation import Cut, Result, cutting
 from robomill.scenario import Scenario, Workpiece
 
 MAP = "RdBu_r"
@@ -138,9 +138,7 @@ def deviations(results: Sequence[Result], workpiece: Workpiece) -> Figure:
     sideways, upwards = figure.subplots(2, 1, sharex=True)
     first = results[0]
     span = (
-        2.0 * float(first.nominal.radius.max()) / max(1e-9, float(np.median(_speed(first.run)[first.run["milling.depth"] > 0.0])))
-        if first.cuts
-        else 0.0
+        2.0 * float(first.nominal.radius.max()) / max(1e-9, float(np.median(_speed(first.run)[cutting(first.run)]))) if first.cuts else 0.0
     )
     for ax in (sideways, upwards):
         _shade(ax, first.cuts, 0.5 * span)
@@ -220,9 +218,9 @@ def projection(result: Result) -> Figure:
     grid["z"].set_xlabel("time in s")
     ax = grid["top"]
     p, v = run["path.p_BT_B"], run["path.v_BT_B"]
-    cutting = np.flatnonzero((run["milling.depth"] > 0.0) & (_speed(run) > 1e-3))
-    chosen = cutting[:: max(1, len(cutting) // 60)]
-    ax.plot(1e3 * p[cutting, 0], 1e3 * p[cutting, 1], ".", color="0.8", ms=1)
+    feeding = np.flatnonzero(cutting(run) & (_speed(run) > 1e-3))
+    chosen = feeding[:: max(1, len(feeding) // 60)]
+    ax.plot(1e3 * p[feeding, 0], 1e3 * p[feeding, 1], ".", color="0.8", ms=1)
     for vectors, colour, label, scale in (
         (v, "tab:blue", "feed", 0.25),
         (r, "tab:green", "correction x 10", 10),

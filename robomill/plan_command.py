@@ -21,7 +21,7 @@ from models.trajectory import Placement, Plan
 from models.trajectory import plan as plan_path
 from orchestration.system import System
 from robomill.binding import convert
-from robomill.milling import notes_of, own_tool, read_program, with_parameters
+from robomill.milling import check, notes_of, read_program
 from robomill.option_types import in_unit
 from robomill.plan_checks import Findings, check_plan
 from robomill.scenario import OFFSETS, load_scenario, place_in_block
@@ -32,12 +32,11 @@ _PLACES = {"at", "turn", "start", "home", "offset", "zero", "block", "tool", "di
 
 @dataclass(frozen=True)
 class _Task:
-    """What is planned: program, where it stands, and what it is checked against."""
+    """What is planned: program, where it stands, and what is wrong with it."""
 
     program: Program | PointPath
     placement: Placement
-    size: Vector | None
-    tools: dict[int, EndMill]
+    findings: Findings
 
 
 def plan(options: Namespace) -> int:
@@ -45,11 +44,10 @@ def plan(options: Namespace) -> int:
     task = _from_scenario(options) if _is_scenario(options.program) else _from_options(options)
     planned = plan_path(task.program, task.placement)
     check_reachable(planned)
-    findings = check_plan(task.program, task.size, task.tools) if task.size is not None else Findings()
     if options.out is not None:
         np.save(options.out, planned.table)
-    _show(planned, [*notes_of(task.program), *planned.reduced], findings.texts, options.json)
-    return 1 if findings.texts else 0
+    _show(planned, [*notes_of(task.program), *planned.notes], task.findings.texts, options.json)
+    return 1 if task.findings.texts else 0
 
 
 def _is_scenario(file: Path) -> bool:
@@ -68,11 +66,9 @@ def _from_scenario(options: Namespace) -> _Task:
     scenario = load_scenario(options.program)
     if scenario.program is None or scenario.workpiece is None:
         raise ValueError(f"{options.program}: a scenario of kind {scenario.kind!r} has no program to plan")
-    own = own_tool(with_parameters(System.load(scenario.system, convert), scenario.parameters))
-    workpiece = scenario.workpiece
     program = read_program(scenario.program, scenario.reading)
-    tools = {**({0: own} if own else {}), **scenario.tools}
-    return _Task(program, Placement(workpiece.position, workpiece.abc), workpiece.size if tools else None, tools)
+    findings = check(scenario, program, System.load(scenario.system, convert))
+    return _Task(program, Placement(scenario.workpiece.position, scenario.workpiece.abc), findings)
 
 
 def _from_options(options: Namespace) -> _Task:
@@ -91,7 +87,8 @@ def _from_options(options: Namespace) -> _Task:
             raise ValueError(f"--tool {options.tool:g}: expected a diameter in mm, more than 0")
         mill = EndMill(1e-3 * options.tool, mill.teeth, mill.helix, math.inf)
     program = read_program(options.program, _setup(options, size))
-    return _Task(program, Placement((x, y, z), (math.radians(options.turn or 0.0), 0.0, 0.0)), size, {0: mill})
+    findings = check_plan(program, size, {0: mill}) if size is not None else Findings()
+    return _Task(program, Placement((x, y, z), (math.radians(options.turn or 0.0), 0.0, 0.0)), findings)
 
 
 def _setup(options: Namespace, size: Vector | None) -> Setup:

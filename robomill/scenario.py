@@ -27,6 +27,7 @@ A scenario is TOML. Physical values carry their unit (``"0.2 mm"``); only 0 need
     teeth = 3
     helix = "30 deg"
     cutting_length = "32 mm"
+    title = "roughing"                  # beside the dimensions in run.toml
 
     [parameters]                        # for every variant: component, parameter, value
     controller.mode = 0
@@ -117,6 +118,8 @@ class Scenario:
     """How the program is read."""
     tools: Mapping[int, EndMill] = field(default_factory=dict)
     """The tools by T number; empty: the milling component's own does all."""
+    tool_titles: Mapping[int, str] = field(default_factory=dict)
+    """What those that have a title are called."""
 
 
 def load_scenario(path: str | Path) -> Scenario:
@@ -153,6 +156,7 @@ def load_scenario(path: str | Path) -> Scenario:
         paper={name: _figures(entry) for name, entry in top.get("paper", {}).items()},
         reading=_reading(head, workpiece.work_offsets if workpiece else PLAIN_OFFSETS),
         tools=tools,
+        tool_titles={int(name): entry["title"].text() for name, entry in top.get("tools", {}).items() if "title" in entry},
     )
 
 

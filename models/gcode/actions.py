@@ -54,6 +54,8 @@ class Dwell:
     block: int
     duration: float
     spindle_speed: float
+    tool: int = 0
+    """T number of the tool in the spindle, 0 where none is named."""
 
 
 @dataclass(frozen=True)

@@ -145,7 +145,7 @@ class State:
     def rest(self, block: Block, duration: float = 0.0) -> None:
         """A standstill, once the path has begun."""
         if self.actions or all(c is not None for c in self.position):
-            self.actions.append(Dwell(block.line, block.number, duration, self.spindle_speed))
+            self.actions.append(Dwell(block.line, block.number, duration, self.spindle_speed, self.tool))
 
     def begin_motion(self, code: int) -> None:
         """G0..G3 or a cycle is in force from here on."""

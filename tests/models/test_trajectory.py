@@ -19,7 +19,7 @@ from models.double_s import Phase, profile, ramp_length, reachable_speed
 from models.gcode import Setup, parse, read
 from models.path_geometry import Polynomial, helix, line
 from models.point_path import Interpolation, PathError, parse_points, read_points
-from models.segment_table import ACCELERATION, JERK, LINE, SPEED, TAU
+from models.segment_table import ACCELERATION, JERK, LINE, SPEED, TAU, TOOL
 from models.trajectory import LIMITS, PathLimits, Placement, Plan, PlanError, pilot_table, plan
 from tests.tolerances import ROUNDOFF, discretisation, physics
 
@@ -376,7 +376,22 @@ class TestPlan:
         """R 1 mm at 100 mm/s: v = sqrt(a R)."""
         p = planned("G61 F6000 G1 X30\nN7 G3 X30 Y2 J1\nG1 X0")
         assert speed(p, in_block(p, 7)) == pytest.approx(math.sqrt(LIMITS.lateral_acceleration * 1e-3), rel=10 * ROUNDOFF)
-        assert p.reduced == ("line 4 (block 7): 100 mm/s reduced to 47.96 mm/s where the path curves or turns too tightly",)
+        assert p.notes == ("line 4 (block 7): 100 mm/s reduced to 47.96 mm/s where the path curves or turns too tightly",)
+
+    def test_a_thousand_slow_blocks_are_one_note_that_names_the_slowest(self) -> None:
+        zigzag = "".join(f"G1 X{k} Y{5 if k == 500 else 0.5 * (k % 2)}\n" for k in range(1, 1000))
+        p = planned(f"G64 P0.05 F6000\n{zigzag}")
+        assert len(p.reduced) > 500
+        (note,) = p.notes
+        assert note.startswith("line 50")
+        assert note.endswith(f"; {len(p.reduced)} blocks are slowed, this one most")
+
+    def test_the_tool_is_changed_before_the_dwell_that_follows(self) -> None:
+        p = planned("T1 M6\nG1 X20\nT2 M6\nG4 P1\nG1 X40")
+        rows, *_ = p.rows(np.linspace(0.0, p.duration, 4001))
+        still = rows[:, LINE] == 6
+        assert np.count_nonzero(still) > 0
+        assert set(rows[still, TOOL]) == {2.0}
 
     def test_spindle_speed_follows_the_program(self) -> None:
         p = planned("N1 G1 X20\nS6500\nN2 X40\nM30")
@@ -388,9 +403,11 @@ class TestPlan:
         assert planned("G1 X20").where(0.3) == "part.ngc line 3 (G1 X20)"
 
     def test_nothing_to_move(self) -> None:
-        path = parse_points("[[point]]\nposition = [0, 0, 0]\n[[point]]\nposition = [0, 0, 0]\nfeed = 25\n")
-        with pytest.raises(PlanError, match="path: nothing to move"):
-            plan(path, FLAT)
+        with pytest.raises(ValueError, match=r"part\.ngc line 3: no move in 'G4 P1'"):
+            planned("G4 P1")
+        path = parse_points("[[point]]\nposition = [0, 0, 0]\n[[point]]\nposition = [0, 0, 0]\nfeed = 1\n", "still")
+        with pytest.raises(PlanError, match="still: nothing to move"):
+            plan(path, Placement((1.3, 0.0, 1.2)))
 
     def test_there_is_no_limit_on_the_length_of_a_program(self) -> None:
         text = "G61\n" + "\n".join(f"G1 X{i % 2} Y{i}" for i in range(700))

@@ -14,12 +14,12 @@ from rich.console import Console
 from models import tool_table
 from models.cutting import EndMill
 from orchestration.results import Run
-from robomill import pictures
+from robomill import milling, pictures
 from robomill.commands import _largest, _table
 from robomill.evaluation import Result, evaluate
 from robomill.reaction import reaction_time
 from robomill.scenario import Scenario, Workpiece
-from tests.tolerances import EXACT, ROUNDOFF
+from tests.tolerances import EXACT, ROUNDOFF, discretisation
 
 BLOCK = Workpiece((1.3, 0.0, 1.2), (0.10, 0.06, 0.03))
 UPRIGHT = (2**-0.5, 0.0, 2**-0.5, 0.0)
@@ -45,6 +45,7 @@ class Recorded(dict[str, Any]):
                 "compliance.quat_BT": q,
                 "compliance.d_T_B": zero + np.multiply(off, np.linspace(1.0, 0.0, n)[:, None]),
                 "milling.depth": np.full(n, depth),
+                "milling.removal_rate": np.full(n, 1e-6 * (depth > 0.0)),
                 "milling.f_T_B": zero + 1.0,
                 "milling.f_peak": np.ones(n),
                 "sensor.f_T_T": zero + 1.0,
@@ -97,6 +98,17 @@ def test_no_figures_where_nothing_is_cut(z: float, depth: float, why: str, tmp_p
     figure = pictures.surfaces([nothing], BLOCK)
     assert "nothing is cut" in [text.get_text() for text in figure.axes[0].texts]
     assert "no figures" in figure.axes[0].get_title()
+
+
+def test_drilling_is_cutting() -> None:
+    """A plunge straight down has no edge that stands sideways in material: depth 0, and yet a hole to measure."""
+    down = np.column_stack([np.zeros((400, 2)), np.concatenate([np.linspace(0.005, -0.008, 200), np.linspace(-0.008, 0.005, 200)])])
+    drilled = result(Recorded(down, (2e-4, 0.0, 0.0), 0.0, **{"milling.removal_rate": 1e-7 * (np.gradient(down[:, 2]) < 0.0)}))
+    assert drilled.figures["note"] is None
+    assert drilled.figures["max_deviation_m"] == pytest.approx(
+        2e-4, abs=discretisation(1e-4, 5e-4 / 8e-3, 2)
+    )  # points lie 0.5 mm apart around it
+    assert len(drilled.cuts) == 1
 
 
 def test_a_limit_of_the_measure_is_said_in_table_json_and_picture() -> None:
@@ -156,3 +168,19 @@ def test_a_reaction_time_is_read_where_the_cutter_leaves_and_stays_out() -> None
     assert reaction_time(cast(Run, released(np.where(t < 1.53, 0.01, 0.0), 0.1))) == pytest.approx(0.1, rel=1e3 * ROUNDOFF)
     assert np.isnan(reaction_time(cast(Run, released(np.where((t < 1.53) | (t > 1.6), 0.01, 0.0), 0.1))))
     assert np.isnan(reaction_time(cast(Run, released(np.full(1000, 0.01), 0.1))))
+
+
+def test_compiling_is_no_part_of_the_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Components are compiled until the first step is over, the loop until the first chunk is."""
+    now = 0.0
+    monkeypatch.setattr(milling.time, "perf_counter", lambda: now)
+    watch = milling._Stopwatch()
+    watch.observe(0.0, np.zeros(1))
+    now = 10.0
+    watch.observe(0.004, np.zeros(1))
+    now = 12.0
+    for end in (0.036, 10.036):
+        watch.observe_columns(np.array([[0.0, end, 99.0], [0.0, 0.0, 0.0]]), 2)
+        now = 13.0
+    watch.end("finished", "")
+    assert watch.factor == pytest.approx(10.0, rel=ROUNDOFF)

@@ -25,6 +25,7 @@ class _Run(dict[str, Any]):
                 "path.v_BT_B": np.column_stack([-0.025 * column, 0 * x, 0 * x]),
                 "path.f_pilot_B": np.zeros((n, 3)),
                 "milling.depth": 0.01 * column,
+                "milling.removal_rate": 1e-6 * column,
                 "milling.f_T_B": np.column_stack([300 * column, -450 * column, 0 * x]),
                 "sensor.f_T_T": np.zeros((n, 3)),
                 "controller.f_used_B": np.zeros((n, 3)),

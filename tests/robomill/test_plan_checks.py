@@ -12,7 +12,7 @@ from models import gcode
 from models.cutting import EndMill
 from orchestration.results import Run
 from robomill.cli import main
-from robomill.milling import prepare
+from robomill.milling import _label, lay_out, prepare
 from robomill.plan_checks import Findings, check_plan
 from robomill.scenario import ScenarioError, load_scenario, place_in_block
 from tests.robomill.conftest import SCENARIOS
@@ -215,6 +215,27 @@ class TestScenario:
         (cell / "part.nc").write_text(HEAD + "T1 M6\nG1 Z-1\nX70\nT2 M6\nX-70\n")
         with pytest.raises(ScenarioError, match=said):
             prepare(load_scenario(scenario(cell, tools=tools)), cell / "out")
+
+    def test_a_variant_is_checked_with_its_own_tool(self, cell: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        """Warned of by `plan` and, before anything has run, by `run`."""
+        (cell / "part.nc").write_text(HEAD + "(T1 D=16. - flat end mill)\nT1 M6\nG1 Z-1\nX70\n")
+        file = scenario(cell)
+        file.write_text(file.read_text() + '[variants.thin]\nparameters.milling.diameter = "6 mm"\n')
+        assert main(["plan", str(file)]) == 1
+        said = "tool T1 is 6 mm wide here, 16 mm in a comment"
+        out = capsys.readouterr().out
+        assert said in out
+        assert "(variant thin)" in out
+        loaded = load_scenario(file)
+        job = lay_out(loaded, cell / "out")
+        assert not (cell / "out" / "offline").exists()
+        (warning,) = job.warnings
+        assert said in warning
+
+    def test_labels_name_the_tools_that_are_used(self, cell: Path) -> None:
+        (cell / "part.nc").write_text(HEAD + "T2 M6\nG1 Z-1\nX70\n")
+        job = lay_out(load_scenario(scenario(cell, tools=tool(1) + tool(2, "8 mm") + 'title = "finisher"\n')), cell / "out")
+        assert _label(job, job.system) == "T2 finisher (end mill D8 z3)"
 
     @pytest.mark.slow
     def test_two_tools_in_one_run(self, cell: Path) -> None:
