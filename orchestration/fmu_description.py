@@ -18,7 +18,7 @@ from fmpy.model_description import ValidationError, read_model_description
 from orchestration.archive import check_xml, unpack
 from orchestration.errors import SlaveError
 from orchestration.library import problem
-from orchestration.slave import Port, PortData, Scalar
+from orchestration.slave import Port, PortData, Scalar, base_name
 
 _INTEGERS = tuple(f"{sign}Int{bits}" for bits in (8, 16, 32, 64) for sign in ("", "U"))
 # Type of a variable -> type of its port, and the name of the type in the functions that get and set it
@@ -242,7 +242,20 @@ def _variables(file: Path, md: Any, fmi: int) -> tuple[Variable, ...]:
             starts = _starts(file, v, kind, len(names))
             depends = dependencies.get(v.name) if v.causality == "output" else None
             found.append(Variable(access, int(v.valueReference), tuple(_ports(v, kind, names, starts, depends, _WHOLE.get(access)))))
-    return tuple(found)
+    return _together(found)
+
+
+def _together(variables: Sequence[Variable]) -> tuple[Variable, ...]:
+    """The elements of an array, variables of their own in FMI 2.0, next to each other in C order: tools list them in any order."""
+    first: dict[str, int] = {}
+
+    def place(v: Variable) -> tuple[int, tuple[int, ...]]:
+        name = v.ports[0].name
+        base = base_name(name)
+        indices = name[len(base) + 1 : -1].split(",")
+        return first.setdefault(base, len(first)), tuple(int(i) for i in indices) if all(i.isdecimal() for i in indices) else ()
+
+    return tuple(sorted(variables, key=place))
 
 
 def _elements(file: Path, v: Any, room: int) -> list[str]:

@@ -197,7 +197,11 @@ def _expand(
         ends.append((name, port, members))
     (source, from_port, froms), (target, to_port, tos) = ends
     if [p.name[len(from_port) :] for p in froms] != [p.name[len(to_port) :] for p in tos] and not len(froms) == len(tos) == 1:
-        return [], [f"connection {c}: {c.source} has {_size(froms, from_port)}, {c.target} has {_size(tos, to_port)}"]
+        sizes = _size(froms, from_port), _size(tos, to_port)
+        if sizes[0] == sizes[1]:
+            names = " and ".join(f"{members[0].name} to {members[-1].name}" for members in (froms, tos))
+            return [], [f"connection {c}: the elements have other indices, {names}: connect them one by one"]
+        return [], [f"connection {c}: {c.source} has {sizes[0]}, {c.target} has {sizes[1]}"]
     for a, b in zip(froms, tos, strict=True):
         if a.type != b.type and (a.type, b.type) != ("integer", "real"):
             return [], [f"connection {c}: type mismatch: {source}.{a.name} is {a.type}, {target}.{b.name} is {b.type}"]

@@ -123,7 +123,8 @@ class TestEndsTheProcess:
 
 
 SLOW = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run under nohup
 from pathlib import Path
 from orchestration.assembly import run
 from orchestration.system import Component, Connection, System

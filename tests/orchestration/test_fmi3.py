@@ -154,8 +154,8 @@ STEP = "fmi3DoStep(t = 0.012, h = 0.004) "
     [
         (101.0, {}, STEP + "returned 3 (error); it says:\n  overload at t = 0.012"),
         (1001.0, {}, STEP + "returned 4 (fatal); it says:\n  100 % melted"),
-        (1.0, {"limit": 0.0}, STEP + "asks for the end of the simulation (terminateSimulation); it logged nothing"),
-        (-1.0, {"limit": 0.0}, STEP + "returned early, at t = 0.012, though it was told not to (earlyReturnAllowed = false)"),
+        (1.0, {"limit": 0.0}, STEP + "asks for the end of the simulation (terminateSimulation at t = 0.016 s); if that is meant, give"),
+        (-1.0, {"limit": 0.0}, STEP + "returned early, at t = 0.012 s, though it was told not to (earlyReturnAllowed = false)"),
     ],
 )  # fmt: skip
 def test_what_a_step_can_say(plain, tmp_path, loop, value, parameters, text):

@@ -140,12 +140,32 @@ def test_a_step_size_that_is_declared_but_fails(tmp_path: Path) -> None:
 
 
 @needs_compiler
-def test_a_crash_costs_the_checks_after_it_and_no_more(tmp_path: Path) -> None:
+def test_a_crash_costs_its_check_and_no_more(tmp_path: Path) -> None:
     results = outcomes(tmp_path, ("if (!*s) *s = malloc(sizeof(Values));", "abort();"))
-    assert results["reset"].outcome == "passed"
-    assert results["state"].outcome == "failed"
-    assert "the process was killed by signal 6" in results["state"].detail
-    assert "reference results" not in results
+    assert list(results)[4:] == list(CHECKS)
+    crashed = ["state", "serialised state", "dependencies"]
+    for name in crashed:
+        assert results[name].outcome == "failed"
+        assert "the process was killed by signal 6" in results[name].detail
+    assert [r.check for r in results.values() if r.outcome == "failed"] == crashed
+    assert results["other step size"].outcome == "passed"
+
+
+@needs_compiler
+def test_outputs_that_are_computed_when_initialisation_is_left(tmp_path: Path) -> None:
+    """Before that they may be anything, as in a run: here what was there before the reset."""
+    late = "fmi2ExitInitializationMode(fmi2Component c) {"
+    stale = RESET.replace("memset", "fmi2Real y = m->v.y; memset").replace("return", "m->v.y = y; return")
+    results = outcomes(tmp_path, (late, f"{late} ((Model *)c)->v.y = 29.75;"), (RESET, stale))
+    assert results["reset"].detail == "bitwise as fresh"
+
+
+@needs_compiler
+def test_an_fmu_is_told_that_it_may_be_set_back_only_then(tmp_path: Path) -> None:
+    """One that cannot go on when it is told so fails only where states are kept."""
+    results = outcomes(tmp_path, ("if (m->mode != 2) {", "if (!nsp) return fmi2Error; if (m->mode != 2) {"))
+    failed = [r.check for r in results.values() if r.outcome == "failed"]
+    assert failed == ["state", "serialised state", "dependencies"]
 
 
 @needs_compiler
