@@ -158,6 +158,15 @@ def test_signals_end_a_command_with_their_status(cell, name):
     assert len(r) > 0
 
 
+def test_what_a_system_goes_on_without_is_said_before_it_runs(cell, capsys):
+    (cell / "one.toml").write_text('name = "one"\nstep = "4 ms"\nstop = "8 ms"\n[components.drive]\nsource = "robot_drive"\n')
+    assert main(["run", "one.toml"]) == 0
+    told = capsys.readouterr().err
+    for text in Run.load(cell / "results/one").info["warnings"]:
+        assert f"warning: {text}\n" in told
+    assert "warning: input drive.q_ref is not connected" in told
+
+
 class TestBadInput:
     def test_options_that_do_not_apply_are_refused(self, cell, capsys):
         assert "--step goes with system files" in refused(capsys, "run", "part.toml", "--step", "0.001")
