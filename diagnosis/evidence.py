@@ -98,9 +98,10 @@ def gather(
     """Evidence from the repeats and nominal simulations of each of these conditions, [samples, channels].
 
     `changes` were simulated at `sizes` [unit of the parameter]; `scales` are the prior scales of the candidates' parameters,
-    `tolerances` the standard deviations of calibrated ones; `clocks` those among the candidates that are late clocks, or times of a component. `left`: what a model
-    leaves of each run, from which the noise is guessed where there are no repeats (else what the nominal one leaves). `like`: channels,
-    whitening and what is no nuisance are those of this one, so that energies can be compared. DataError if no parameter changes anything.
+    `tolerances` the standard deviations of calibrated ones; `clocks` those among the candidates that are late clocks, or times of a
+    component. `left`: what a model leaves of each run, from which the noise is guessed where there are no repeats (else what the nominal
+    one leaves). `like`: channels, whitening and what is no nuisance are those of this one, so that energies can be compared. DataError if
+    no parameter changes anything.
     """
     active = _moved(changes) if like is None else like.active
     groups = [[x[:, active] for x in g] for g in groups]

@@ -126,7 +126,8 @@ def test_a_delay_of_what_swings_is_found_though_it_must_be_right_to_a_part_of_th
 
 def test_an_effect_that_a_tolerance_hides_is_looked_at_by_what_it_leaves_without_that(tmp_path: Path) -> None:
     """Sensors that are late by 6 ms, which is no finding yet: to be 2 ms late at random is a tolerance, which leaves less than a column
-    that is not quite right."""
+    that is not quite right.
+    """
     late = changed(measure(), "sensors.y[1]", lambda t, y: np.interp(t - 0.006, t, y))
     late = changed(late, "sensors.y[2]", lambda t, y: np.interp(t - 0.006, t, y))
     with search(tmp_path, late, clock=0.01) as s:
