@@ -98,9 +98,10 @@ def gather(
     """Evidence from the repeats and nominal simulations of each of these conditions, [samples, channels].
 
     `changes` were simulated at `sizes` [unit of the parameter]; `scales` are the prior scales of the candidates' parameters,
-    `tolerances` the standard deviations of calibrated ones; `clocks` those among the candidates that are late clocks. `left`: what a model
-    leaves of each run, from which the noise is guessed where there are no repeats (else what the nominal one leaves). `like`: channels,
-    whitening and what is no nuisance are those of this one, so that energies can be compared. DataError if no parameter changes anything.
+    `tolerances` the standard deviations of calibrated ones; `clocks` those among the candidates that are late clocks, or times of a
+    component. `left`: what a model leaves of each run, from which the noise is guessed where there are no repeats (else what the nominal
+    one leaves). `like`: channels, whitening and what is no nuisance are those of this one, so that energies can be compared. DataError if
+    no parameter changes anything.
     """
     active = _moved(changes) if like is None else like.active
     groups = [[x[:, active] for x in g] for g in groups]
@@ -167,13 +168,18 @@ def _late(space: Space, clocks: Sequence[Candidate], channels: Sequence[str], si
     """Components that the nominal system would have to take for late by more than a late clock of the catalogue is: that is no nuisance.
 
     `size`: one deviation of lateness [s]. Without this a clock that is most of a step late would be explained for nothing, and something
-    else be named for the rest.
+    else be named for the rest. Where there is no clock for a component, the delays that it has itself take its place.
     """
+    shown = {name.partition(".")[0] for name in channels}
     smallest: dict[str, float] = {}
+    delays: dict[str, float] = {}
     for c in clocks:
-        for pattern in (p.partition(" ")[2] for p in c.parameters):
+        if c.component in shown:
+            delays[c.component] = min(delays.get(c.component, np.inf), c.minimum)
+        for pattern in (p.partition(" ")[2] for p in c.parameters if c.component == LOGGING):
             for component in {name.partition(".")[0] for name in channels if selects(pattern, name)}:
                 smallest[component] = min(smallest.get(component, np.inf), c.minimum)
+    smallest = delays | smallest
     moved = dict(zip(space.names, size * np.abs(space.moved(space.y)), strict=True))
     return frozenset(a for component, least in smallest.items() if moved[a := (LOGGING, f"lag {component}.*")] > least)
 

@@ -73,7 +73,7 @@ class Screening:
         changes |= changed(simulator, self.conditions, largest, nominals)
         sizes |= {a: s for a, s in largest.items() if a in changes}
         names = [simulator.laboratory.conditions[i].name for i in self.conditions]
-        clocks = [c for c in catalogue.candidates if c.component == LOGGING and c.parameters[0].startswith("lag ")]
+        clocks = [c for c in catalogue.candidates if c.unit == "s" and (c.component != LOGGING or c.parameters[0].startswith("lag "))]
         self.evidence = gather(simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks, left)
         self.single = {a: c for a, c in single.items() if a in self.evidence.columns}
         self.starts: dict[Address, Start] = {}

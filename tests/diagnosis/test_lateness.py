@@ -54,6 +54,19 @@ def test_a_pattern_selects_channels_and_the_arrays_that_they_are_in() -> None:
     ]
 
 
+def test_a_dead_time_of_a_part_of_a_step_is_found_where_no_clock_is_in_the_catalogue(tmp_path: Path) -> None:
+    """To be late by 0.2 steps at random would have it for nothing, and something else be named for the rest."""
+    found = catalogue(tmp_path, more=DEAD_TIME)
+    own = replace(found, candidates=tuple(c for c in found.candidates if c.effect != "clock"))
+    result = diagnose(system(), measure({"dead_time": 0.00305, "coulomb": 1.0}), own, resolver=resolve).result
+    assert result["verdict"] == "identified"
+    values = {name: p for w in result["which"] if w["probability"] > 0.8 for name, p in w["parameters"].items()}
+    assert values.keys() == {"dead_time", "coulomb"}
+    low, high = values["dead_time"]["interval"]
+    assert low < 0.00305 < high
+    assert high - low < 0.3 * 0.00305
+
+
 def test_a_dead_time_is_no_bad_log(tmp_path: Path) -> None:
     """It does what a late clock does. That the clock is the likelier one by its prior does not make the log a bad one."""
     runs = measure({"dead_time": 0.012}, repeats=3)

@@ -43,4 +43,6 @@ def test_only_the_true_effect_is_named(tmp_path: Path, true: str) -> None:
     assert new[true] == pytest.approx(1.0, abs=0.1)
     wrong = set(verdicts) - {true}
     assert {verdicts[name] for name in wrong} == {"unknown"}
-    assert all(same[name] < 0.7 for name in wrong)
+    # friction under one mass for that under the other: jumps, which count for little at steps of 10 ms, tell them apart (it was 0.65 when
+    # what is sudden was a matter of 1 ms); what is left is as large as UNEXPLAINED, so that the new condition decides
+    assert all(same[name] < 0.72 for name in wrong)
