@@ -73,6 +73,10 @@ def _check_entry(file: Path, entry: zipfile.ZipInfo) -> None:
     # orig_filename: zipfile itself cuts at a NUL byte and, on Windows, turns separators around
     name = entry.orig_filename
     path = PurePosixPath(name)
+    if "\\" in name and ".." not in name and ":" not in name:
+        raise SlaveError(
+            f"{file}: refused: entry {_short(name)} has a backslash, which parts folders on Windows only: pack it with / instead"
+        )
     if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name or "\0" in name:
         raise SlaveError(f"{file}: refused: entry {_short(name)} would be written outside the folder it is unpacked to")
     if len(name) > MAX_NAME or len(path.parts) > MAX_DEPTH:

@@ -61,12 +61,11 @@ class Group:
         found = values[self.place]
         if self._limits is not None:
             low, high = self._limits
-            bad = ~((found >= low) & (found <= high))  # true for NaN
-            if bad.any():
-                port, value = self.ports[int(bad.argmax())], found[bad.argmax()]
-                raise SlaveError(
-                    f"input {port.name} = {value:.17g} does not fit {self.buffer.dtype.name}: expected {low:.17g} to {high:.17g}"
-                )
+            for port, value in zip(self.ports, found.tolist(), strict=True):  # few: quicker than arrays of truth
+                if not low <= value <= high:  # NaN, too
+                    raise SlaveError(
+                        f"input {port.name} = {value:.17g} does not fit {self.buffer.dtype.name}: expected {low:.17g} to {high:.17g}"
+                    )
         self.buffer[:] = found
 
 

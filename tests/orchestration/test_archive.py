@@ -137,3 +137,14 @@ class TestXml:
     def test_nested_too_deep(self, tmp_path):
         with pytest.raises(SlaveError, match=r"a.fmu: refused: m.xml is nested more than 100 deep \(line 1\)"):
             self.check(tmp_path, "<a>" * 200_000 + "</a>" * 200_000)
+
+
+def test_folders_that_are_parted_as_on_windows_are_said_to_be_so(tmp_path):
+    with zipfile.ZipFile(tmp_path / "x.fmu", "w") as z:
+        info = zipfile.ZipInfo("x")
+        info.filename = info.orig_filename = "binaries\\win64/"
+        z.writestr(info, b"")
+    with pytest.raises(
+        SlaveError, match=r"refused: entry 'binaries\\\\win64/' has a backslash, which parts folders on Windows only: pack it"
+    ):
+        unpack(tmp_path / "x.fmu", tmp_path / "target")
