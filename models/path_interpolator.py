@@ -62,6 +62,15 @@ def pilot(s: Record, row: int, column: int) -> float:
 
 
 @kernel
+def _unordered(address: int, rows: int, columns: int) -> int:
+    """The first row of a table whose number in column 0 is not above that of the row before; 0 if all increase."""
+    for row in range(1, rows):
+        if not cell(address, rows, columns, row, 0) > cell(address, rows, columns, row - 1, 0):
+            return row
+    return 0
+
+
+@kernel
 def advance(s: Record, h: float) -> None:
     """Let the path time run by speed_ratio * h [s], not beyond the end.
 
@@ -250,6 +259,14 @@ def init(s: Record) -> int:
         return 1
     if not 0.0 <= s.speed_ratio <= 1.5:
         return 4
+    s.row = _unordered(s.segments_at, int(s.segments_rows), COLUMNS)
+    if s.row > 0:
+        s.path_time = segment(s, int(s.row), TAU)
+        return 5
+    s.pilot_row = _unordered(s.pilot_at, int(s.pilot_rows), PILOT_COLUMNS)
+    if s.pilot_row > 0:
+        s.path_time = pilot(s, int(s.pilot_row), 0)
+        return 6
     return evaluate(s, True)
 
 
@@ -369,6 +386,10 @@ MODEL = Model(
         "for the tool tip at ({p_BT_B[0]:.4f}, {p_BT_B[1]:.4f}, {p_BT_B[2]:.4f}) m in B; "
         "move the workpiece, turn the tool about its axis, or start in another posture (q_start)",
         "speed_ratio is {speed_ratio}, expected 0 .. 1.5",
+        "table 'segments', row {row} (counted from 0): its path time, {path_time:.9g} s, is not after that of the row before; expected "
+        "times that increase, as `robomill plan` writes them",
+        "table 'pilot', row {pilot_row} (counted from 0): its path time, {path_time:.9g} s, is not after that of the row before; expected "
+        "times that increase: sort the record and drop repeated times",
     ),
     default_tables={"segments": default_segments()},
 )

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,11 +26,12 @@ from models.gcode import Vector
 from models.units import to_si
 
 Interpolation = Literal["corner", "path"]
+_HEADER = re.compile(r"\s*\[\[\s*[\"']?point[\"']?\s*\]\]")
 _POINT_KEYS = ("position", "orientation", "blend", "feed", "speed")
 
 
 class PathError(ValueError):
-    """A point file that cannot be read: names file, point, what was found and what is expected."""
+    """A point file that cannot be read: names file, line at which the point begins, what was found and what is expected."""
 
 
 @dataclass(frozen=True)
@@ -73,12 +75,14 @@ def parse_points(text: str, name: str = "path") -> PointPath:
             f"{name}: orientation = {interpolation!r}; expected 'corner' (change at the corners) or 'path' (over the whole way)"
         )
     entries = table.get("point", [])
-    if not isinstance(entries, list) or len(entries) < 2:
-        raise PathError(f"{name}: a path needs at least two [[point]] tables; found {len(entries)}")
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries) or len(entries) < 2:
+        found = len(entries) if isinstance(entries, list) else repr(entries)
+        raise PathError(f"{name}: a path needs at least two [[point]] tables; found {found}")
+    lines = [number for number, line in enumerate(text.splitlines(), start=1) if _HEADER.match(line)]
     points: list[PathPoint] = []
     current: dict[str, Any] = {"orientation": [0, 0, 0], "blend": 0}
     for i, entry in enumerate(entries, start=1):
-        where = f"{name}: point {i}"
+        where = f"{name}:{lines[i - 1]}: point {i}" if len(lines) == len(entries) else f"{name}: point {i}"
         unknown = sorted(set(entry) - set(_POINT_KEYS))
         if unknown:
             raise PathError(f"{where}: unknown keys {unknown}; known: {', '.join(_POINT_KEYS)}")

@@ -38,7 +38,7 @@ from orchestration.acceleration import DEFAULT, Iteration
 from orchestration.errors import SystemFileError, unknown
 from orchestration.parameters import Convert, quantity, same_unit_only
 from orchestration.toml_file import TomlFile
-from orchestration.written import merged
+from orchestration.written import merged, place_of
 
 ALGORITHMS = ("jacobi", "gauss-seidel", "iterated")
 LOOPS = ("auto", "compiled", "python")
@@ -218,7 +218,11 @@ class System:
 
     def with_parameters(self, component: str, parameters: Mapping[str, Any]) -> System:
         """The same system with some parameters of one component set anew: numbers in the unit of the port, or as a file has them."""
-        old = self.component(component)
+        try:
+            old = self.component(component)
+        except SystemFileError as error:
+            place = next(filter(None, (place_of(parameters, name) for name in parameters)), None)
+            raise SystemFileError(f"{place}: {error}" if place else str(error)) from None
         both = merged(old.parameters, parameters)
         return replace(self, components=tuple(replace(c, parameters=both) if c is old else c for c in self.components))
 

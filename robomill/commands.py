@@ -114,11 +114,15 @@ def _chosen(scenario: Scenario, names: Sequence[str] | None) -> Scenario:
 def _run_experiment(options: Namespace) -> int:
     experiment = experiments.load_experiment(options.file)
     folder = options.out or RESULTS / experiment.name
+    notes, warnings = experiments.remarks(experiment, options.variant)
+    for text in warnings:
+        print(f"warning: {text}", file=sys.stderr)
     with _progress(options.json) as report:
         folder.mkdir(parents=True, exist_ok=True)
         with FolderLock(folder):
             again = options.overwrite
             summary = experiments.run_experiment(experiment, folder, options.variant, options.fmus, options.csv, report, overwrite=again)
+    summary |= {"notes": notes, "warnings": warnings}
     _write(folder / "summary.json", summary)
     if options.json:
         print(json.dumps(summary, indent=1))
@@ -131,6 +135,8 @@ def _run_experiment(options: Namespace) -> int:
         table.add_row(r["condition"], str(r["repeat"]), *figures)
     console = _console()
     console.print(table)
+    for text in notes:
+        console.print(f"note: {text}", highlight=False, markup=False)
     console.print(f"{len(summary['runs'])} runs are in {folder}/", highlight=False)
     return 0
 
@@ -223,6 +229,10 @@ def _largest(figures: Mapping[str, Any]) -> str:
 
 
 def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
+    if (folder / "summary.json").exists() and not options.overwrite:
+        raise ScenarioError(
+            f"{folder} already holds results (summary.json); choose another folder (--out), or allow overwriting (--overwrite)"
+        )
     summary, magnitudes = static_loads.run_static_loads(scenario, options.fmus)
     _write(folder / "summary.json", summary)
     published = {name: figures["mean_displacement_m"] for name, figures in scenario.paper.items() if "mean_displacement_m" in figures}

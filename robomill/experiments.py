@@ -43,7 +43,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from models import gcode, point_path
+from models import gcode
 from models.declaration import FloatArray
 from models.trajectory import Placement, Plan, plan
 from orchestration.assembly import run
@@ -53,7 +53,8 @@ from orchestration.toml_text import dump, parse
 from orchestration.written import merged
 from robomill.binding import convert, resolve, with_fmus
 from robomill.entries import ComponentParameters, Entry, ScenarioError
-from robomill.milling import Progress, with_parameters
+from robomill.milling import Progress, notes_of, own_tool, read_program, with_parameters
+from robomill.plan_checks import check_plan
 
 PATH, LOAD = "segments.npy", "profile.npy"
 """Tables in the folder of a run: the planned program, the applied load."""
@@ -190,10 +191,7 @@ def prepare(experiment: Experiment, c: ExperimentCondition, system: System, fold
     Returns the plan and all that the experimenter sets, files by their names in the folder. Raises what reader and planner raise.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    source = point_path.read_points(c.program) if c.program.suffix == ".toml" else gcode.read(c.program)
-    x, y, z = c.position
-    a, b, g = c.abc
-    planned = plan(source, Placement((x, y, z), (a, b, g)))
+    planned = plan(read_program(c.program, gcode.Setup()), _placement(c))
     np.save(folder / PATH, planned.table)
     known = known_parameters(experiment, c, system)
     known["path"] = merged(known["path"], {"segments": PATH})
@@ -201,6 +199,33 @@ def prepare(experiment: Experiment, c: ExperimentCondition, system: System, fold
         np.save(folder / LOAD, c.load)
         known["load"] = merged(known.get("load", {}), {"profile": LOAD})
     return planned, known
+
+
+def remarks(experiment: Experiment, names: Sequence[str] | None = None) -> tuple[list[str], list[str]]:
+    """Notes and warnings about the programs of all conditions (or of those in `names`); each once, with its conditions.
+
+    Raises what reader and planner raise, so that what cannot be planned is refused before anything is run.
+    """
+    system = System.load(experiment.system, convert)
+    mills = any(component.name == "milling" for component in system.components)
+    said: tuple[dict[str, list[str]], dict[str, list[str]]] = {}, {}
+    for c in _chosen(experiment, names):
+        program = read_program(c.program, gcode.Setup())
+        texts = (*notes_of(program), *plan(program, _placement(c)).notes)
+        own = own_tool(with_parameters(system, known_parameters(experiment, c, system))) if mills and c.size is not None else None
+        x, y, z = c.size or (0.0, 0.0, 0.0)
+        findings = check_plan(program, (x, y, z), {0: own}).texts if own is not None else ()
+        for found, kind in zip((texts, findings), said, strict=True):
+            for text in found:
+                kind.setdefault(f"{c.program.name}: {text}", []).append(c.name)
+    notes, warnings = ([f"{text} (condition {', '.join(where)})" for text, where in kind.items()] for kind in said)
+    return notes, warnings
+
+
+def _placement(c: ExperimentCondition) -> Placement:
+    x, y, z = c.position
+    a, b, g = c.abc
+    return Placement((x, y, z), (a, b, g))
 
 
 def in_folder(known: ComponentParameters, folder: Path) -> dict[str, Mapping[str, Any]]:
@@ -252,6 +277,16 @@ def _place(folder: Path, c: ExperimentCondition, repeat: int) -> Path:
     return folder / f"{folder_of(c.name)}-{repeat}"
 
 
+def _chosen(experiment: Experiment, names: Sequence[str] | None) -> list[ExperimentCondition]:
+    """All conditions, or those in `names`; ScenarioError if one is not there."""
+    unknown = sorted(set(names or ()) - {c.name for c in experiment.conditions})
+    if unknown:
+        raise ScenarioError(
+            f"{experiment.file}: no condition {', '.join(unknown)}; conditions: {', '.join(c.name for c in experiment.conditions)}"
+        )
+    return [c for c in experiment.conditions if not names or c.name in names]
+
+
 def run_experiment(
     experiment: Experiment,
     folder: Path,
@@ -265,12 +300,7 @@ def run_experiment(
 
     Runs that are there are replaced with `overwrite`; else nothing is begun.
     """
-    chosen = [c for c in experiment.conditions if not names or c.name in names]
-    unknown = sorted(set(names or ()) - {c.name for c in experiment.conditions})
-    if unknown:
-        raise ScenarioError(
-            f"{experiment.file}: no condition {', '.join(unknown)}; conditions: {', '.join(c.name for c in experiment.conditions)}"
-        )
+    chosen = _chosen(experiment, names)
     repeats = range(1, experiment.repeats + 1)
     if not overwrite:
         check_vacant(_place(folder, c, repeat) for c in chosen for repeat in repeats)

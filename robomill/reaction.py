@@ -21,7 +21,9 @@ def steepest_release(run: Run, span: float = 0.1) -> int | None:
     """Index of the sample in the middle of the `span` [s] in which the deflection falls most where the cutter leaves the material.
 
     It leaves where it is engaged WINDOW before and not engaged any more from WINDOW after to twice that: a tool that is soon in
-    the material again shows no step that a delay could be read from. None if it never leaves.
+    the material again shows no step that a delay could be read from. Nor does one that takes a rim in passing, where the deflection
+    lasts for a moment. As times are read in the middle between the levels WINDOW before and after, the fall must cross it, and half
+    of the fall at least must be the step between them. None if it never leaves so.
     """
     step = float(run.t[1] - run.t[0])
     engaged = run["milling.depth"] > 0.0
@@ -32,10 +34,14 @@ def steepest_release(run: Run, span: float = 0.1) -> int | None:
     cuts = np.concatenate([[0], np.cumsum(engaged)])  # steps engaged so far
     end = np.minimum(middle + 2 * window, len(engaged))
     leaves = before & (cuts[end] == cuts[np.minimum(middle + window, len(engaged) - 1)])
+    fall = deflection[:-n] - deflection[n:]
     if not np.any(leaves):
         return None
-    fall = np.where(leaves, deflection[:-n] - deflection[n:], -np.inf)
-    return int(middle[np.argmax(fall)])
+    i = int(np.argmax(np.where(leaves, fall, -np.inf)))
+    level_before = float(deflection[max(middle[i] - window, 0)])
+    level_after = float(deflection[min(middle[i] + window, len(deflection) - 1)])
+    crosses = deflection[i] >= 0.5 * (level_before + level_after) >= deflection[i + n]
+    return int(middle[i]) if crosses and level_before - level_after >= 0.5 * fall[i] else None
 
 
 def half_time(t: FloatArray, signal: FloatArray, before: float, after: float) -> float:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from fmus.interface import interface_of
 from models.declaration import FloatArray, Record, record
 from models.gcode import parse, read
-from models.path_interpolator import MODEL
+from models.path_interpolator import MODEL, default_segments
 from models.point_path import read_points
 from models.reachability import check_reachable
 from models.robots import KR300, SPINDLE_ACROSS, Robot
@@ -349,6 +349,17 @@ class TestErrors:
         plain_init(s)
         s.speed_ratio = ratio
         assert MODEL.message(plain_step(s, 0.0, H), s, 0.0) == f"path_interpolator: speed_ratio is {ratio}, expected 0 .. 1.5"
+
+    def test_tables_whose_times_do_not_increase(self) -> None:
+        table = np.array(default_segments())
+        table[2, TAU] = table[1, TAU]
+        s = instance(table)
+        assert MODEL.message(plain_init(s), s, 0.0).startswith(
+            "path_interpolator: table 'segments', row 2 (counted from 0): its path time, "
+        )
+        pilot = instance()
+        MODEL.load_table(pilot, "pilot", np.array([[0.0, 1.0, 1.0, 1.0], [2.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]]))
+        assert "table 'pilot', row 2 (counted from 0): its path time, 1 s, is not after" in MODEL.message(plain_init(pilot), pilot, 0.0)
 
     def test_table_that_does_not_fit(self) -> None:
         with pytest.raises(ValueError, match=r"table 'segments' of 'path_interpolator': has shape \(3, 49\), expected rows of 50 columns"):

@@ -556,11 +556,19 @@ class TestPointPath:
             ("speed = 5", r"path: unknown keys \['speed'\]; known: orientation, point"),
             ("orientation = 'edge'", "path: orientation = 'edge'; expected 'corner'"),
             ("[[point]]\nposition = [1, 2, 3]", r"at least two \[\[point\]\] tables; found 1"),
-            ("[[point]]\nfeed = 1\n[[point]]\n", "path: point 1: position is missing"),
-            ("[[point]]\nposition = [1, 2]\n[[point]]\n", r"path: point 1: position = \[1, 2\]; expected three numbers in mm"),
-            ("[[point]]\nposition = [1, 2, 3]\nspin = 4\n[[point]]\n", r"path: point 1: unknown keys \['spin'\]; known: position"),
-            ("[[point]]\nposition = [1, 2, 3]\n[[point]]\nposition = [4, 5, 6]", "path: point 2: feed is missing"),
-            ("[[point]]\nposition = [1, 2, 3]\nblend = -1\n[[point]]\n", "path: point 1: blend = -1; expected a number in mm, at least 0"),
+            ("point = [1, 2]", r"path: a path needs at least two \[\[point\]\] tables; found 2"),
+            ("[[point]]\nfeed = 1\n[[point]]\n", "path:1: point 1: position is missing"),
+            ("[[point]]\nposition = [1, 2]\n[[point]]\n", r"path:1: point 1: position = \[1, 2\]; expected three numbers in mm"),
+            (
+                "[[point]]\nposition = [1, 2, true]\n[[point]]\n",
+                r"path:1: point 1: position = \[1, 2, True\]; expected three numbers in mm",
+            ),
+            ("[[point]]\nposition = [1, 2, 3]\nspin = 4\n[[point]]\n", r"path:1: point 1: unknown keys \['spin'\]; known: position"),
+            ("[[point]]\nposition = [1, 2, 3]\n[[point]]\nposition = [4, 5, 6]", "path:3: point 2: feed is missing"),
+            (
+                "[[point]]\nposition = [1, 2, 3]\nblend = -1\n[[point]]\n",
+                "path:1: point 1: blend = -1; expected a number in mm, at least 0",
+            ),
         ],
     )
     def test_errors(self, text: str, message: str) -> None:

@@ -183,6 +183,17 @@ class TestBadInput:
         assert main(["run", "played.toml", "--loop", "python"]) == 0
         assert "--loop: only with milling" in refused(capsys, "run", str(SCENARIOS / "static_loads.toml"), "--loop", "python")
 
+    def test_static_loads_replace_nothing_unasked(self, tmp_path, monkeypatch, capsys):
+        (tmp_path / "summary.json").write_text("{}")
+        arguments = ("run", str(SCENARIOS / "static_loads.toml"), "--no-pictures", "--out", str(tmp_path))
+        assert "already holds results (summary.json)" in refused(capsys, *arguments)
+        assert (tmp_path / "summary.json").read_text() == "{}"
+        assert main([*arguments, "--overwrite"]) == 0
+
+    def test_a_component_that_is_not_there_is_named_with_its_line(self, cell, capsys):
+        edit(cell / "part.toml", "[variants.cartesian]", '[parameters]\nmiling.spacing = "1 mm"\n[variants.cartesian]')
+        assert "part.toml:11: unknown component 'miling'; did you mean 'milling'" in refused(capsys, "run", "part.toml")
+
     def test_a_program_is_no_scenario(self, cell, capsys):
         assert "`robomill plan` looks at it" in refused(capsys, "run", "part.ngc")
 

@@ -19,7 +19,7 @@ from orchestration.results import Run
 from orchestration.system import System
 from robomill.binding import convert, resolve
 from robomill.cli import main
-from robomill.experiments import folder_of, is_experiment, known_parameters, load_experiment, run_condition
+from robomill.experiments import folder_of, is_experiment, known_parameters, load_experiment, remarks, run_condition
 from robomill.milling import with_parameters
 from robomill.scenario import ScenarioError
 from tests.tolerances import ROUNDOFF
@@ -124,6 +124,20 @@ def test_the_command_runs_one_condition(tmp_path, capsys):
     assert [r["folder"] for r in summary["runs"]] == ["along_y-1", "along_y-2", "along_y-3"]
     measured = Run.load(tmp_path / "along_y-3")
     assert np.abs(measured["load.f_T_B"][:, 1]).max() == 600.0
+
+
+def test_programs_of_experiments_have_notes_and_warnings(tmp_path):
+    """A groove that is read with M8 and mills with its spindle at rest."""
+    (tmp_path / "cut.nc").write_text("G21 G90 F600\nM8\nG0 X-70 Y0 Z10\nG1 Z-5\nX70\n")
+    file = tmp_path / "cut.toml"
+    file.write_text(
+        f'[scenario]\nname = "cut"\nkind = "experiment"\nsystem = "{FOLDER.parent / "milling_cell.toml"}"\n[experiment]\nkind = "milling"\n'
+        '[[condition]]\nname = "one"\nprogram = "cut.nc"\nposition = ["1300 mm", 0, "1200 mm"]\nabc = ["180 deg", 0, 0]\n'
+        'size = ["100 mm", "60 mm", "30 mm"]\n'
+    )
+    notes, warnings = remarks(load_experiment(file))
+    assert any("cut.nc: skipped: M8 (coolant) (condition one)" in text for text in notes)
+    assert any("cut while the spindle stands" in text for text in warnings)
 
 
 def test_an_unknown_condition_is_named_with_those_there_are(tmp_path, capsys):
