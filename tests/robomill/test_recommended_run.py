@@ -66,9 +66,9 @@ def tip(kind: str, truth: dict[str, float], folder: Path, channels: tuple[str, .
 def noisy(clean: Run, repeats: int, seed: int) -> list[Run]:
     random = np.random.default_rng(seed)
     made = []
-    for _ in range(repeats):
+    for k in range(repeats):
         columns = {c: v + NOISE * random.standard_normal(v.shape) for c, v in clean.columns.items()}
-        made.append(Run(clean.folder, clean.t, columns, clean.ports, clean.info))
+        made.append(Run(clean.folder / f"repeat {k}", clean.t, columns, clean.ports, clean.info))
     return made
 
 
