@@ -23,6 +23,8 @@ LATE = 0.3
 OTHER = 0.01
 """Energy of what a recorded program differs from the one that is played, over that of its motion: a tenth in amplitude, where the same
 program recorded late differs by the rounding of the log."""
+ROUNDING = 2.0**-22
+"""Part of a number that single precision may round off, doubled: what moves by less stands still."""
 
 
 def check_each(runs: Sequence[Run], held_out: Sequence[Run]) -> None:
@@ -82,7 +84,9 @@ def other_program(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str
     found = []
     for name, members in arrays.items():
         a, b = x[:, members], s[:, members]
-        motion = float(((b - b.mean(axis=0)) ** 2).sum()) or float((b**2).sum())  # what does not move: its size
+        motion, size = float(((b - b.mean(axis=0)) ** 2).sum()), float((b**2).sum())
+        if motion < ROUNDING**2 * size:  # what does not move: its size
+            motion = size
         reach = min(int(LATE / step) + 1, len(a) // 2)
         off = min(_apart(a, b, k) for k in range(-reach, reach + 1))
         if off > OTHER * motion:

@@ -99,6 +99,15 @@ class TestProgram:
         assert self.found(np.round(np.sin(self.T - 0.25), 3), s) == []
         assert self.found(np.full(800, 1.0001), np.ones(800)) == []
 
+    def test_what_stands_still_but_for_rounding_is_as_large_as_it_is(self) -> None:
+        """A spindle's speed: means of simulations differ in the last bit, logs are in single precision."""
+        s = np.full(800, 1361.356816555577)
+        s[::2] = np.nextafter(s[0], 2000.0)
+        assert self.found(s.astype(np.float32).astype(float), s) == []
+        assert len(self.found(1.15 * s, s)) == 1
+        moving = s + 1e-3 * np.sin(self.T)  # what moves by more than that moves
+        assert len(self.found(s, moving)) == 1
+
     def test_another_amplitude_place_or_time_is_another(self) -> None:
         s = np.sin(self.T)
         for other in (1.12 * s, s + 0.15, np.sin(self.T - 0.6), np.cos(3.0 * self.T)):

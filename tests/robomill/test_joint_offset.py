@@ -1,0 +1,25 @@
+"""A true joint offset on the milling cell holds in new conditions: calibrated numbers are not had there for nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from blind.generate import Plan, make_case
+from robomill.blind_command import diagnose_case
+
+
+@pytest.mark.slow
+def test_a_joint_offset_is_named_and_keeps_its_promise_in_new_conditions(tmp_path: Path) -> None:
+    (tmp_path / "sealed").mkdir()
+    make_case(tmp_path, Plan(1, "single", ("drive.joint_offset",)), seed=9092, tier="T1")
+    (truth,) = json.loads((tmp_path / "sealed" / "0001.json").read_text())["effects"]
+    diagnose_case(tmp_path / "cases" / "0001", tmp_path)
+    result = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert result["verdict"] == "identified"
+    assert result["transfer"]["stands"]
+    first = result["which"][0]
+    low, high = first["parameters"][truth["parameter"]]["interval"]
+    assert low < truth["value"] < high
