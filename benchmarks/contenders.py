@@ -20,12 +20,12 @@ from benchmarks.network import Network, calls
 from benchmarks.peers import build_container
 from benchmarks.runners import Program, Runner, Worker
 from benchmarks.system_loop import SystemLoop
-from fmus.python.builder import build as build_python
-from orchestration.assembly import Assembly, assemble
-from orchestration.system import Component, System
-from robomill.binding import convert, resolve, with_fmus
-from robomill.milling import prepare
-from robomill.scenario import load_scenario
+from robomill.cell.binding import convert, resolve, with_fmus
+from robomill.cell.milling import prepare
+from robomill.cell.scenario import load_scenario
+from robomill.fmus.python.builder import build as build_python
+from robomill.orchestration.assembly import Assembly, assemble
+from robomill.orchestration.system.definition import Component, System
 
 ROOT = Path(__file__).parent.parent
 C_LOOP = "plain C loop"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the processes of the peers load nothing of ours
-    from orchestration.assembly import Assembly
+    from robomill.orchestration.assembly import Assembly
 
 TYPES = ("real", "integer", "boolean")
 
@@ -57,7 +57,7 @@ class Network:
     @staticmethod
     def of(assembly: Assembly) -> Network:
         """The network of an assembled system whose components are all FMUs."""
-        from orchestration.slave import inputs, outputs
+        from robomill.orchestration.slaves.protocol import inputs, outputs
 
         w, members, n = assembly.wiring, [], assembly.wiring.n_outputs
         for name in w.order:

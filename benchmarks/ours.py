@@ -11,13 +11,13 @@ import pyarrow.parquet as pq
 
 from benchmarks import ring_model
 from benchmarks.answer import Answer, clocks, peak_memory
-from fmus.in_process import InProcessSlave
-from orchestration.assembly import assemble
-from orchestration.master import Master
-from orchestration.memory import Memory
-from orchestration.recorder import Recorder
-from orchestration.slave import Slave
-from robomill.binding import convert, resolve
+from robomill.cell.binding import convert, resolve
+from robomill.fmus.in_process import InProcessSlave
+from robomill.orchestration.assembly import assemble
+from robomill.orchestration.loop.master import Master
+from robomill.orchestration.runs.memory import Memory
+from robomill.orchestration.runs.recorder import Recorder
+from robomill.orchestration.slaves.protocol import Slave
 
 
 def resolver(source: str, name: str) -> Slave:

@@ -24,18 +24,18 @@ from llvmlite import ir
 from numba import types
 
 from benchmarks.answer import clocks, peak_memory
-from orchestration import compiled
-from orchestration.assembly import assemble
-from orchestration.compiled import DONE, FAILED, LIMIT, OPTIONS, TICK, begin, finish, intrinsic, njit, operate
-from orchestration.errors import ResultsError
-from orchestration.master import Master
-from orchestration.memory import Memory
-from orchestration.recorder import Recorder
-from orchestration.results import Run
-from orchestration.system import System
-from robomill.binding import convert, resolve, with_fmus
-from robomill.milling import prepare
-from robomill.scenario import load_scenario
+from robomill.cell.binding import convert, resolve, with_fmus
+from robomill.cell.milling import prepare
+from robomill.cell.scenario import load_scenario
+from robomill.orchestration.assembly import assemble
+from robomill.orchestration.errors import ResultsError
+from robomill.orchestration.loop import compiled
+from robomill.orchestration.loop.compiled import DONE, FAILED, LIMIT, OPTIONS, TICK, begin, finish, intrinsic, njit, operate
+from robomill.orchestration.loop.master import Master
+from robomill.orchestration.runs.memory import Memory
+from robomill.orchestration.runs.recorder import Recorder
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system.definition import System
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs" / "benchmarks"

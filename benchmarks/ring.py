@@ -9,7 +9,7 @@ from pathlib import Path
 
 import fmpy
 
-from orchestration.system import Component, Connection, Recording, System
+from robomill.orchestration.system.definition import Component, Connection, Recording, System
 
 STEP = 0.004
 HERE = Path(__file__).parent

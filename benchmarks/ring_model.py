@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from models.declaration import Model, Record, Variable
+from robomill.models.model.declaration import Model, Record, Variable
 
 N = 12
 

@@ -1,6 +1,6 @@
 """A plain C loop for any system of FMI 2.0 FMUs, generated from its wiring and compiled on the spot: what nobody's master can beat by much.
 
-Same calls in the same order as Gauss-Seidel (or Jacobi) in `orchestration.master`, on static buffers; statuses are checked, nothing else.
+Same calls in the same order as Gauss-Seidel (or Jacobi) in the master, on static buffers; statuses are checked, nothing else.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.ring import HEADERS, compiler
-from orchestration.assembly import Assembly
-from orchestration.slave import Port, inputs, outputs
+from robomill.orchestration.assembly import Assembly
+from robomill.orchestration.slaves.protocol import Port, inputs, outputs
 
 _NAMES = {"real": ("Real", "double"), "integer": ("Integer", "int"), "boolean": ("Boolean", "int")}
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from blind.outside import Columns
-from models.declaration import FloatArray
+from robomill.blind.outside import Columns
+from robomill.models.model.declaration import FloatArray
 
 Fault = Callable[[Columns, FloatArray], None]
 """Changes the columns in place; times in s."""

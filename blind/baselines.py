@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from blind.case import Case
-from blind.conditions import Condition, from_truth
-from blind.effects import EFFECTS
-from blind.signatures import STRIDE, Library, floor, library
-from blind.workers import Progress
-from blind.world import nominal
-from models.declaration import FloatArray
-from orchestration.results import Run
+from robomill.blind.case import Case
+from robomill.blind.conditions import Condition, from_truth
+from robomill.blind.effects import EFFECTS
+from robomill.blind.signatures import STRIDE, Library, floor, library
+from robomill.blind.workers import Progress
+from robomill.blind.world import nominal
+from robomill.models.model.declaration import FloatArray
+from robomill.orchestration.runs.run import Run
 
 
 @dataclass(frozen=True)

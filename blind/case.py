@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from blind.prediction import Named, Prediction
+from robomill.blind.prediction import Named, Prediction
 
 DETECTABLE = 3.0
 """Oracle ratio from which a case counts as detectable."""

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from models.declaration import FloatArray
-from models.point_path import PathPoint, PointPath
-from models.trajectory import Placement, Plan, plan
+from robomill.models.model.declaration import FloatArray
+from robomill.models.planning.point_path import PathPoint, PointPath
+from robomill.models.planning.trajectory import Placement, Plan, plan
 
 SPINDLE = 10_000.0 * 2.0 * math.pi / 60.0
 """rad/s; three teeth pass in 6 ms, so a communication step of 2 or 4 ms holds whole tooth periods (1 or 2)."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from blind.case import Case
-from blind.prediction import Named
+from robomill.blind.case import Case
+from robomill.blind.prediction import Named
 
 AXES = ("x", "y", "z")
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from blind.baselines import Guess
-from blind.case import CATALOGUE, REAL, Case, Cases
-from blind.criteria import answer_right, component_right, effect_in_top, estimate, location_right, named_exactly, set_holds_truth
-from blind.prediction import ComponentValues
-from blind.statistics import Figure, expected_calibration_error, proportion, quantile
+from robomill.blind.baselines import Guess
+from robomill.blind.case import CATALOGUE, REAL, Case, Cases
+from robomill.blind.criteria import answer_right, component_right, effect_in_top, estimate, location_right, named_exactly, set_holds_truth
+from robomill.blind.prediction import ComponentValues
+from robomill.blind.statistics import Figure, expected_calibration_error, proportion, quantile
 
 SquaredGaps = Callable[[int, ComponentValues], Mapping[str, tuple[float, float]]]
 """(number of the case, claimed values) -> sum of squares of the true gap by held-out condition, before and after, of the array that

@@ -20,33 +20,21 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 
-from blind import bad_logs, outside
-from blind.conditions import Condition, draw, known, planned
-from blind.effects import BY_KEY, EFFECTS, Instance
-from blind.effects import draw as draw_effect
-from blind.outside import Changes, Columns
-from blind.sealing import hashes
-from blind.signatures import ARRAYS, floor
-from blind.workers import Progress, work
-from blind.world import (
-    NOISE,
-    STEP,
-    SYSTEM,
-    TRACKER,
-    Machine,
-    draw_machine,
-    jittered,
-    measure,
-    nominal,
-    simulate,
-    simulate_nominal,
-)
-from models.declaration import FloatArray
-from orchestration.errors import RunError
-from orchestration.recorder import SCHEMA, frame_of
-from orchestration.results import RUN, SIGNALS
-from orchestration.slave import PortData
-from orchestration.toml_text import dump
+from robomill.blind import bad_logs, outside
+from robomill.blind.conditions import Condition, draw, known, planned
+from robomill.blind.effects import BY_KEY, EFFECTS, Instance
+from robomill.blind.effects import draw as draw_effect
+from robomill.blind.outside import Changes, Columns
+from robomill.blind.sealing import hashes
+from robomill.blind.signatures import ARRAYS, floor
+from robomill.blind.workers import Progress, work
+from robomill.blind.world import NOISE, STEP, SYSTEM, TRACKER, Machine, draw_machine, jittered, measure, nominal, simulate, simulate_nominal
+from robomill.models.model.declaration import FloatArray
+from robomill.orchestration.errors import RunError
+from robomill.orchestration.runs.recorder import SCHEMA, frame_of
+from robomill.orchestration.runs.run import RUN, SIGNALS
+from robomill.orchestration.slaves.protocol import PortData
+from robomill.orchestration.system.toml_text import dump
 
 VERSION = 2
 """Of the generator: numbers change only with it."""
@@ -241,7 +229,7 @@ def instance_of(e: Mapping[str, Any]) -> Instance:
 def write_run(
     folder: Path, t: FloatArray, columns: Columns, ports: Mapping[str, PortData], c: Condition, labels: Mapping[str, Any]
 ) -> None:
-    """A measured run as `orchestration.results.Run.load` reads it, without a date: the same bytes each time."""
+    """A measured run as `orchestration.runs.run.Run.load` reads it, without a date: the same bytes each time."""
     folder.mkdir(parents=True)
     np.save(folder / "segments.npy", planned(c).table)
     described = {n: {"port": n, "unit": ports[n].unit or "", "frame": frame_of(ports[n].name), "type": ports[n].type} for n in columns}

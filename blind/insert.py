@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.slave import FloatArray, PortData, Slave
-from orchestration.system import Component, Connection, System
+from robomill.orchestration.slaves.protocol import FloatArray, PortData, Slave
+from robomill.orchestration.system.definition import Component, Connection, System
 
 Function = Callable[[float, float, FloatArray], FloatArray]
 """(t, h, inputs) -> outputs, once per step; h is 0 at the start. Must keep its own state."""

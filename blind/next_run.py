@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from blind import outside
-from blind.generate import detectability, switched_on
-from blind.outside import Changes, Columns
-from blind.prediction import LOGGING, ComponentValues
-from blind.world import Machine, simulate_menu
+from robomill.blind import outside
+from robomill.blind.generate import detectability, switched_on
+from robomill.blind.outside import Changes, Columns
+from robomill.blind.prediction import LOGGING, ComponentValues
+from robomill.blind.world import Machine, simulate_menu
 
 
 def separates(truth: Mapping[str, Any], kind: str, wrong: Sequence[ComponentValues], tier: str, limit: float) -> bool:

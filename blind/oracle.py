@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from blind.case import DETECTABLE, Confusable
-from blind.conditions import from_truth
-from blind.figures import Separates, SquaredGaps
-from blind.generate import difference, instance_of
-from blind.next_run import separates
-from blind.prediction import ComponentValues
-from blind.signatures import clocks, confusable, features, library
-from blind.world import nominal, simulate_adopted, simulate_nominal
-from models.declaration import FloatArray
-from orchestration.errors import OrchestrationError
+from robomill.blind.case import DETECTABLE, Confusable
+from robomill.blind.conditions import from_truth
+from robomill.blind.figures import Separates, SquaredGaps
+from robomill.blind.generate import difference, instance_of
+from robomill.blind.next_run import separates
+from robomill.blind.prediction import ComponentValues
+from robomill.blind.signatures import clocks, confusable, features, library
+from robomill.blind.world import nominal, simulate_adopted, simulate_nominal
+from robomill.models.model.declaration import FloatArray
+from robomill.orchestration.errors import OrchestrationError
 
 Truths = Mapping[int, Mapping[str, Any]]
 """By number of the case."""

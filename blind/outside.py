@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from blind.insert import Function
-from models.declaration import FloatArray
-from models.robot_drive import MODEL as DRIVE
+from robomill.blind.insert import Function
+from robomill.models.components.robot_drive import MODEL as DRIVE
+from robomill.models.model.declaration import FloatArray
 
 _START = {v.name: v.start_values for v in DRIVE.variables if v.causality == "parameter" and v.kind != "table"}
 GEAR = np.asarray(_START["gear_ratio"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from blind.acceptance import MARGIN, bound, met
+from robomill.blind.acceptance import MARGIN, bound, met
 
 Score = Mapping[str, Any]
 """score.json; with `withheld`, if there is a withheld.json."""

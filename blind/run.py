@@ -10,8 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from blind.sealing import BenchmarkError
-from blind.workers import Progress, work
+from robomill.blind.sealing import BenchmarkError
+from robomill.blind.workers import Progress, work
 
 Diagnose = Callable[[Path, Path], Any]
 """(folder of the case, folder for the result) -> anything; writes diagnosis.json there. Must be importable: it goes to other processes."""

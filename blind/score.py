@@ -7,13 +7,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from blind.baselines import baseline_guesses
-from blind.case import KINDS, Cases, load_cases
-from blind.figures import baseline_figures, figures
-from blind.oracle import oracle_confusable, oracle_gaps, oracle_separates
-from blind.sealing import freeze_predictions, unseal
-from blind.tables import confusion, per_effect, strata
-from blind.workers import Progress
+from robomill.blind.baselines import baseline_guesses
+from robomill.blind.case import KINDS, Cases, load_cases
+from robomill.blind.figures import baseline_figures, figures
+from robomill.blind.oracle import oracle_confusable, oracle_gaps, oracle_separates
+from robomill.blind.sealing import freeze_predictions, unseal
+from robomill.blind.tables import confusion, per_effect, strata
+from robomill.blind.workers import Progress
 
 
 def score(folder: str | Path, *, isolability: bool = True, baselines: bool = True, progress: Progress | None = None) -> dict[str, Any]:

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from blind.conditions import Condition
-from blind.effects import EFFECTS, Instance
-from blind.world import MEASURED, STEP, TRACKER, nominal, simulate_nominal
-from models.declaration import FloatArray
-from orchestration.results import Run
+from robomill.blind.conditions import Condition
+from robomill.blind.effects import EFFECTS, Instance
+from robomill.blind.world import MEASURED, STEP, TRACKER, nominal, simulate_nominal
+from robomill.models.model.declaration import FloatArray
+from robomill.orchestration.runs.run import Run
 
 STRIDE = 5
 """Every fifth row (20 ms) is looked at."""
@@ -98,7 +98,7 @@ def feature_names() -> tuple[str, ...]:
 
 
 def _any_condition() -> Condition:
-    from blind.conditions import _TRAINING
+    from robomill.blind.conditions import _TRAINING
 
     return _TRAINING[0]
 

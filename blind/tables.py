@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from blind.case import REAL, Case, Cases
-from blind.criteria import component_right, effect_in_top
-from blind.statistics import Figure, proportion
+from robomill.blind.case import REAL, Case, Cases
+from robomill.blind.criteria import component_right, effect_in_top
+from robomill.blind.statistics import Figure, proportion
 
 STRATA = (
     ("hidden, below 1", 0.0, 1.0),

@@ -12,13 +12,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from blind.case import Cases, load_cases
-from blind.oracle import oracle_confusable
-from blind.prediction import Prediction
-from blind.run import complete, diagnose_one
-from blind.sealing import BenchmarkError, unseal
-from blind.statistics import proportion
-from blind.workers import Progress, work
+from robomill.blind.case import Cases, load_cases
+from robomill.blind.oracle import oracle_confusable
+from robomill.blind.prediction import Prediction
+from robomill.blind.run import complete, diagnose_one
+from robomill.blind.sealing import BenchmarkError, unseal
+from robomill.blind.statistics import proportion
+from robomill.blind.workers import Progress, work
 
 DiagnoseWithout = Callable[..., Any]
 """(folder of the case, folder for the result, without=`component.parameter`) -> anything; writes diagnosis.json. Must be importable."""

@@ -18,19 +18,19 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from blind.conditions import Condition, known, planned
-from blind.effects import Instance
-from blind.felt import FINE, felt
-from blind.insert import Function, Insert, insert, resolver
-from blind.outside import Changes, Columns
-from models.declaration import FloatArray
-from orchestration.assembly import run
-from orchestration.results import Run
-from orchestration.slave import PortData, Slave
-from orchestration.system import Connection, System
-from robomill.binding import convert, resolve
-from robomill.milling import with_parameters
-from robomill.next_runs import prepare
+from robomill.blind.conditions import Condition, known, planned
+from robomill.blind.effects import Instance
+from robomill.blind.force_averaging import FINE, felt
+from robomill.blind.insert import Function, Insert, insert, resolver
+from robomill.blind.outside import Changes, Columns
+from robomill.cell.binding import convert, resolve
+from robomill.cell.milling import with_parameters
+from robomill.cell.next_runs import prepare
+from robomill.models.model.declaration import FloatArray
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import PortData, Slave
+from robomill.orchestration.system.definition import Connection, System
 
 STEP = 0.004
 SYSTEM = Path(__file__).parent.parent / "scenarios" / "milling_cell.toml"
@@ -183,7 +183,7 @@ def simulate(
 def simulate_menu(
     kind: str, machine: Machine, effects: Sequence[Instance], changes: Changes, adopted: Mapping[str, Mapping[str, float]]
 ) -> tuple[FloatArray, Columns]:
-    """Times [s] and columns of the run `kind` of the menu (`robomill.next_runs`), no noise; `adopted` is component -> element -> value.
+    """Times [s] and columns of the run `kind` of the menu (`cell.next_runs`), no noise; `adopted` is component -> element -> value.
 
     What is in components that the run does not have has no effect. LookupError: no such run.
     """

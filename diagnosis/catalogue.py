@@ -53,8 +53,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from orchestration.toml_file import TomlFile
-from orchestration.written import merged
+from robomill.orchestration.system.toml_file import TomlFile
+from robomill.orchestration.system.written import merged
 
 LOGGING = "logging"
 """Component that stands for the log itself."""

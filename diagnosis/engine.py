@@ -9,23 +9,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis import gate, phases, run_set
-from diagnosis.answer import Diagnosis, Menu, curves_of, effort_of, result_of, titles_of
-from diagnosis.catalogue import LOGGING, Catalogue, Nuisance
-from diagnosis.conclusion import Conclusion
-from diagnosis.estimation import Fit, probabilities
-from diagnosis.how_far import CLOSING
-from diagnosis.measured import Condition, DataError, in_units, sort_by_condition
-from diagnosis.screening import NOMINAL
-from diagnosis.search import Search, likely_count, searched
-from diagnosis.simulation import Laboratory, Report, Setting, Simulator, decimate, setting
-from diagnosis.store import Store
-from diagnosis.verdict import UNEXPLAINED, UNKNOWN, over_noise, unexplained
-from orchestration.assembly import Resolver, assemble, run
-from orchestration.parameters import Convert, same_unit_only
-from orchestration.results import Run
-from orchestration.slave import FloatArray, PortData, base_name
-from orchestration.system import System
+from robomill.diagnosis.catalogue import LOGGING, Catalogue, Nuisance
+from robomill.diagnosis.experiment.measured import Condition, DataError, in_units, sort_by_condition
+from robomill.diagnosis.experiment.simulation import Laboratory, Report, Setting, Simulator, decimate, setting
+from robomill.diagnosis.experiment.store import Store
+from robomill.diagnosis.gate import checks as gate
+from robomill.diagnosis.gate import phases, run_set
+from robomill.diagnosis.inference.estimation import Fit, probabilities
+from robomill.diagnosis.inference.search import Search, likely_count, searched
+from robomill.diagnosis.inference.sensitivities import NOMINAL
+from robomill.diagnosis.outcome.answer import Diagnosis, Menu, curves_of, effort_of, result_of, titles_of
+from robomill.diagnosis.outcome.conclusion import Conclusion
+from robomill.diagnosis.outcome.how_far import CLOSING
+from robomill.diagnosis.outcome.verdict import UNEXPLAINED, UNKNOWN, over_noise, unexplained
+from robomill.orchestration.assembly import Resolver, assemble, run
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
+from robomill.orchestration.system.definition import System
+from robomill.orchestration.system.parameters import Convert, same_unit_only
 
 ROWS = 1500
 """Samples that a diagnosis works on, over all conditions: longer logs are averaged in blocks."""

@@ -13,12 +13,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
-from models.declaration import FloatArray
-from orchestration.errors import OrchestrationError
-from orchestration.system import Connection, System
-from robomill import milling, run
-from robomill.evaluation import Result, evaluate
-from robomill.scenario import Scenario, load_scenario
+from robomill import run
+from robomill.cell import milling
+from robomill.cell.evaluation import Result, evaluate
+from robomill.cell.scenario import Scenario, load_scenario
+from robomill.models.model.declaration import FloatArray
+from robomill.orchestration.errors import OrchestrationError
+from robomill.orchestration.system.definition import Connection, System
 
 HERE = Path(__file__).parent
 GROOVE = load_scenario(HERE.parent / "scenarios" / "groove.toml")

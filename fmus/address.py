@@ -1,6 +1,6 @@
 """A component in process as addresses: the compiled master calls its step without passing through Python.
 
-The structures are those that `orchestration.native` describes; nothing is imported from there.
+The structures are those that `orchestration.slaves.native` describes; nothing is imported from there.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from fmus.instance import ComponentError, Instance
-from fmus.interface import Port
-from models.declaration import COMPILER_OPTIONS, Model, kernel
+from robomill.fmus.instance import ComponentError, Instance
+from robomill.fmus.interface import Port
+from robomill.models.model.declaration import COMPILER_OPTIONS, Model, kernel
 
 RAISED = -1
 """Status for an exception inside compiled code: an index out of bounds."""
@@ -94,7 +94,7 @@ def _step_function(model: Model) -> Any:
         import numba
         from numba import cfunc, types
 
-        from models.cache import compiled_code
+        from robomill.models.model.cache import compiled_code
 
         record: Any = numba.from_dtype(model.dtype)  # Numba hands records on as the pointers that they are
         signature = types.int32(record, types.float64, types.float64, types.int32)

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 
-from fmus.interface import Interface, Port
-from models.declaration import Variable
-from models.units import from_si
+from robomill.fmus.interface import Interface, Port
+from robomill.models.model.declaration import Variable
+from robomill.models.model.units import from_si
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ROOT / "docs" / "components"

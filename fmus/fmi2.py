@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from xml.etree.ElementTree import Element, SubElement
 
-from fmus.interface import Interface, Port
-from fmus.model_description import (
+from robomill.fmus.interface import Interface, Port
+from robomill.fmus.model_description import (
     LOG_CATEGORIES,
     Options,
     boolean,

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from fmus.address import Addresses, Rollback
-from fmus.instance import ComponentError, Instance, State, all_finite
-from fmus.interface import Port, interface_of
-from models.declaration import FloatArray, Model
+from robomill.fmus.address import Addresses, Rollback
+from robomill.fmus.instance import ComponentError, Instance, State, all_finite
+from robomill.fmus.interface import Port, interface_of
+from robomill.models.model.declaration import FloatArray, Model
 
 
 class InProcessSlave:
-    """Implements the master's slave protocol (`orchestration.slave.Slave`) by structure; nothing is imported from there.
+    """Implements the master's slave protocol (`orchestration.slaves.protocol.Slave`) by structure; nothing is imported from there.
 
     `plain=True` runs the model uncompiled: for the debugger, print and coverage.
     """

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fmus.interface import WORD, Interface, Port
-from models.declaration import FloatArray, Model, point, record
-from models.table import Table, from_file, from_rows
+from robomill.fmus.interface import WORD, Interface, Port
+from robomill.models.model.declaration import FloatArray, Model, point, record
+from robomill.models.model.table import Table, from_file, from_rows
 
 DEFAULT_STEP = 0.004
 """Communication step that the model descriptions name [s]."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
-from models.declaration import Causality, Model, Variable
+from robomill.models.model.declaration import Causality, Model, Variable
 
 WORD = 8
 """Bytes of every element of a record."""

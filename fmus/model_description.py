@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from fmus.instance import DEFAULT_STEP
-from fmus.interface import Interface, Port
-from models.units import UNITS
+from robomill.fmus.instance import DEFAULT_STEP
+from robomill.fmus.interface import Interface, Port
+from robomill.models.model.units import UNITS
 
 LOG_CATEGORIES = {
     "logStatusWarning": "Things worth knowing, such as that the model runs uncompiled",

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fmus.instance import DEFAULT_STEP, ComponentError, Instance
-from fmus.interface import Interface
+from robomill.fmus.instance import DEFAULT_STEP, ComponentError, Instance
+from robomill.fmus.interface import Interface
 
 TRIALS = 3
 

@@ -10,21 +10,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from orchestration import checkpoint
-from orchestration.errors import OrchestrationError, PlacedError, SlaveError, SystemFileError, describe
-from orchestration.isolation import IsolatedSlave
-from orchestration.lock import FolderLock
-from orchestration.master import Manipulator, Master, Observer, Progress, Saver
-from orchestration.memory import Memory
-from orchestration.parameters import Convert, prepare, same_unit_only
-from orchestration.rate import MultiRate
-from orchestration.recorder import Recorder
-from orchestration.replay import ReplaySlave
-from orchestration.results import Run, check_vacant
-from orchestration.slave import Port, PortData, Scalar, Slave, arrays, outputs, plain
-from orchestration.system import Component, System
-from orchestration.watch import Watch
-from orchestration.wiring import Wiring, wire
+from robomill.orchestration.errors import OrchestrationError, PlacedError, SlaveError, SystemFileError, describe
+from robomill.orchestration.loop.master import Manipulator, Master, Observer, Progress, Saver
+from robomill.orchestration.runs import checkpoint
+from robomill.orchestration.runs.lock import FolderLock
+from robomill.orchestration.runs.memory import Memory
+from robomill.orchestration.runs.recorder import Recorder
+from robomill.orchestration.runs.run import Run, check_vacant
+from robomill.orchestration.runs.watch import Watch
+from robomill.orchestration.slaves.isolation import IsolatedSlave
+from robomill.orchestration.slaves.multirate import MultiRate
+from robomill.orchestration.slaves.playback import ReplaySlave
+from robomill.orchestration.slaves.protocol import Port, PortData, Scalar, Slave, arrays, outputs, plain
+from robomill.orchestration.system.definition import Component, System
+from robomill.orchestration.system.parameters import Convert, prepare, same_unit_only
+from robomill.orchestration.system.wiring import Wiring, wire
 
 Resolver = Callable[[str, str], Slave]
 """(source, instance name) -> an in-process slave; LookupError with a text that lists the sources there are."""
@@ -219,7 +219,7 @@ def _open(system: System, c: Component, resolver: Resolver | None) -> Slave:
         goes_back = system.algorithm == "iterated" and c.rate > 1
         if c.isolate:
             return IsolatedSlave(system.folder / c.source, c.name, c.time_limit, goes_back)
-        from orchestration.fmu import FmuSlave  # only systems with FMUs need FMPy
+        from robomill.orchestration.slaves.fmu import FmuSlave  # only systems with FMUs need FMPy
 
         return FmuSlave(system.folder / c.source, c.name, goes_back)
     if resolver is None:

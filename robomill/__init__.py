@@ -1,35 +1,31 @@
-"""The face of the project: what scripts import, and the command line.
+"""The digital twin of compliance-compensated robot milling.
 
     from robomill import System, run
 
     result = run(System.load("my_cell.toml"), "results/my_cell")
     result["drive.q_link"]          # float64[n, 6]
 
-`run` and `System` are those of `orchestration`, with this project's components and units put in.
+These names are those of `robomill.api`, imported when they are asked for: a part of the package, and an FMU's
+process, does not load the rest of it.
 """
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from orchestration.assembly import run as _run
-from orchestration.parameters import Convert
-from orchestration.results import Run
-from orchestration.system import System as _System
-from robomill.binding import convert, resolve
-from robomill.scenario import Scenario, load_scenario
+if TYPE_CHECKING:
+    from robomill.api import Run, Scenario, System, load_scenario, run
 
 __all__ = ["Run", "Scenario", "System", "load_scenario", "run"]
 
-run = partial(_run, resolver=resolve, convert=convert)
-"""`orchestration.assembly.run`: System, folder (or None), stop [s], ... -> Run."""
+if not (Path(__file__).parent / "models").is_dir():  # a checkout of a system without symbolic links
+    __path__.append(str(Path(__file__).parents[1]))
 
 
-class System(_System):
-    """`orchestration.system.System`, whose files may give values with units."""
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from robomill import api
 
-    @staticmethod
-    def load(file: str | Path, convert: Convert = convert) -> _System:
-        """Read a system file; SystemFileError names file, line, what was found and what is allowed."""
-        return _System.load(file, convert)
+    return getattr(api, name)

@@ -14,7 +14,7 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from diagnosis.catalogue import Catalogue
+    from robomill.diagnosis.catalogue import Catalogue
 
 PAGE = Path("docs/benchmarks/blind.md")
 SIMULATIONS = "simulations"
@@ -60,13 +60,13 @@ def diagnose_case(case: Path, out: Path, without: str | None = None) -> None:
     Simulations of the nominal cell and of what may be wrong with it are the same in all cases of a condition: they are kept in
     `simulations` beside the cases, which may be deleted at any time.
     """
-    from diagnosis.catalogue import Catalogue
-    from diagnosis.engine import diagnose
-    from diagnosis.store import Store
-    from orchestration.results import Run
-    from orchestration.system import System
-    from robomill.binding import convert, resolve
+    from robomill.cell.binding import convert, resolve
     from robomill.diagnose_command import menu, sources
+    from robomill.diagnosis.catalogue import Catalogue
+    from robomill.diagnosis.engine import diagnose
+    from robomill.diagnosis.experiment.store import Store
+    from robomill.orchestration.runs.run import Run
+    from robomill.orchestration.system.definition import System
 
     runs = [Run.load(f) for f in sorted((case / "runs").iterdir()) if f.is_dir()]
     system = System.load(case / "system.toml", convert)
@@ -80,7 +80,7 @@ def diagnose_case(case: Path, out: Path, without: str | None = None) -> None:
 
 def lacking(catalogue: Catalogue, parameter: str | None) -> Catalogue:
     """The catalogue without what switches on `component.parameter`, at any place."""
-    from orchestration.slave import base_name
+    from robomill.orchestration.slaves.protocol import base_name
 
     known = [c for c in catalogue.candidates if parameter not in {f"{c.component}.{base_name(p)}" for p in c.named}]
     return replace(catalogue, candidates=tuple(known))
@@ -92,19 +92,19 @@ def blind(options: Namespace) -> int:
 
     with _progress(options.json) as report:
         if options.step == "make":
-            from blind.generate import make
+            from robomill.blind.generate import make
 
             made = make(options.folder, options.cases, options.seed, options.tier, report, options.jobs)
             summary = {k: v for k, v in made.items() if k != "files"}
             text = f"{made['cases']} cases of tier {made['tier']} in {options.folder}/cases, truth sealed as {made['truth'][:12]}"
         elif options.step == "run":
-            from blind.run import run_cases
+            from robomill.blind.run import run_cases
 
             summary = run_cases(options.folder, diagnose_case, options.jobs, report, options.scheduler)
             text = f"{summary['done']} diagnosed, {summary['before']} were there, {len(summary['failed'])} failed, of {summary['cases']}"
             text += "".join(f"\ncase {name}: {error}" for name, error in sorted(summary["failed"].items()))
         elif options.step == "withhold":
-            from blind.withhold import withhold
+            from robomill.blind.withhold import withhold
 
             summary = withhold(options.folder, diagnose_case, options.jobs, report)
             (options.folder / "withheld.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
@@ -114,7 +114,7 @@ def blind(options: Namespace) -> int:
         elif options.step == "page":
             summary, text = write_page(options.folders, options.output)
         else:
-            from blind.score import score
+            from robomill.blind.score import score
 
             summary = score(options.folder, isolability=not options.no_isolability, baselines=not options.no_baselines, progress=report)
             (options.folder / "score.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
@@ -133,8 +133,8 @@ def blind(options: Namespace) -> int:
 
 def write_page(folders: Sequence[Path], output: Path) -> tuple[dict[str, Any], str]:
     """Write the page of results; returns what was done and says it. BenchmarkError where a folder has not been scored."""
-    from blind.page import page
-    from blind.sealing import BenchmarkError
+    from robomill.blind.page import page
+    from robomill.blind.sealing import BenchmarkError
 
     for folder in folders:
         if not (folder / "score.json").is_file():
@@ -150,7 +150,7 @@ def write_page(folders: Sequence[Path], output: Path) -> tuple[dict[str, Any], s
 
 def tables(summary: dict[str, Any]) -> list[Table]:
     """The scores beside those of the baselines, and what was said for each true effect."""
-    from blind.acceptance import bound, met
+    from robomill.blind.acceptance import bound, met
 
     baselines = summary["baselines"]
     first = Table(title=f"tier {summary['tier']}, {summary['cases']} cases, {summary['predictions']} predictions", box=SIMPLE)

@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
-from models.gcode import DIALECTS
-from orchestration.errors import Interrupted, OrchestrationError
+from robomill.models.planning.gcode import DIALECTS
 from robomill.option_types import in_unit
+from robomill.orchestration.errors import Interrupted, OrchestrationError
 
 DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exchangeable FMUs."
 

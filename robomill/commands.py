@@ -18,25 +18,27 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from diagnosis import adopt
-from fmus.components import COMPONENTS, component
-from fmus.documentation import reference_files
-from fmus.python.builder import build as build_python
-from models.declaration import Model
-from models.replay import replay_model
-from orchestration.assembly import assemble
-from orchestration.assembly import run as run_once
-from orchestration.errors import OrchestrationError
-from orchestration.lock import FolderLock
-from orchestration.results import Run, check_vacant
-from orchestration.ssp_import import open_ssp
-from orchestration.system import System
-from orchestration.toml_text import parse
-from robomill import conformance, experiments, milling, ssp, static_loads
-from robomill.binding import convert, resolve, with_fmus
-from robomill.evaluation import Result, evaluate
-from robomill.plausibility import unusual_values
-from robomill.scenario import Scenario, ScenarioError, load_scenario
+from robomill import conformance
+from robomill.cell import experiments, milling, static_loads
+from robomill.cell import package as ssp
+from robomill.cell.binding import convert, resolve, with_fmus
+from robomill.cell.evaluation import Result, evaluate
+from robomill.cell.plausibility import unusual_values
+from robomill.cell.scenario import Scenario, ScenarioError, load_scenario
+from robomill.diagnosis.outcome import adopt
+from robomill.fmus.components import COMPONENTS, component
+from robomill.fmus.documentation import reference_files
+from robomill.fmus.python.builder import build as build_python
+from robomill.models.components.recording import replay_model
+from robomill.models.model.declaration import Model
+from robomill.orchestration.assembly import assemble
+from robomill.orchestration.assembly import run as run_once
+from robomill.orchestration.errors import OrchestrationError
+from robomill.orchestration.runs.lock import FolderLock
+from robomill.orchestration.runs.run import Run, check_vacant
+from robomill.orchestration.ssp.importing import open_ssp
+from robomill.orchestration.system.definition import System
+from robomill.orchestration.system.toml_text import parse
 
 RESULTS = Path("results")
 _SHOWN = (
@@ -168,7 +170,7 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
         raise
     files: list[Path] = []
     if not options.no_pictures:
-        from robomill import pictures  # matplotlib takes a second to load
+        from robomill.cell import pictures  # matplotlib takes a second to load
 
         files = pictures.draw_all(scenario, results, folder)
     if options.json:
@@ -238,7 +240,7 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
     published = {name: figures["mean_displacement_m"] for name, figures in scenario.paper.items() if "mean_displacement_m" in figures}
     titles = {v.name: v.title for v in scenario.variants}
     if not options.no_pictures:
-        from robomill import pictures
+        from robomill.cell import pictures
 
         pictures.load_cases(magnitudes, titles, published).savefig(folder / "load_cases.png", dpi=130)
     if options.json:
@@ -336,7 +338,7 @@ def _build(models: Sequence[Model], options: Namespace, report: milling.Progress
         report("build", len(files), len(models) * len(versions))
 
     if options.backend == "native":
-        from fmus.native.builder import build_all  # needs LLVM: a second to load
+        from robomill.fmus.native.builder import build_all  # needs LLVM: a second to load
 
         built: list[Path] = []
         for fmi in versions:

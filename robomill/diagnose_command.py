@@ -11,17 +11,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from diagnosis import adopt
-from diagnosis.answer import Diagnosis, Menu, as_json
-from diagnosis.catalogue import LOGGING, Catalogue
-from diagnosis.engine import diagnose
-from diagnosis.next_run import Offer
-from diagnosis.store import Store
-from orchestration.results import Run
-from orchestration.system import System
-from robomill import next_runs
-from robomill.binding import convert, resolve
+from robomill.cell import next_runs
+from robomill.cell.binding import convert, resolve
+from robomill.diagnosis.catalogue import LOGGING, Catalogue
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.experiment.store import Store
+from robomill.diagnosis.outcome import adopt
+from robomill.diagnosis.outcome.answer import Diagnosis, Menu, as_json
+from robomill.diagnosis.outcome.next_run import Offer
 from robomill.joints import PROJECTIONS
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system.definition import System
 
 CATALOGUE = "catalogue.toml"
 SIMULATIONS = "simulations"
@@ -104,7 +104,7 @@ def sources() -> str:
     """Hash of all that a simulation is computed with: simulations kept on disk are those of this program."""
     digest = hashlib.sha256()
     for package in ("models", "fmus", "orchestration", "diagnosis"):
-        for file in sorted((Path(__file__).parent.parent / package).rglob("*")):
+        for file in sorted((Path(__file__).parent / package).rglob("*")):
             if file.suffix in (".py", ".toml"):
                 digest.update(file.read_bytes())
     return digest.hexdigest()

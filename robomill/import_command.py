@@ -7,9 +7,9 @@ from argparse import Namespace
 from collections.abc import Iterable
 from typing import Any
 
-from orchestration.slave import base_name
 from robomill.logs.importing import import_log
 from robomill.logs.reading import LogError
+from robomill.orchestration.slaves.protocol import base_name
 
 
 def run(options: Namespace) -> int:

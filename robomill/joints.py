@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from diagnosis.localise import Projection
-from models.declaration import FloatArray, Record, record
-from models.robot_drive import MODEL
-from models.robots import jacobian
+from robomill.diagnosis.localisation.localise import Projection
+from robomill.models.components.robot_drive import MODEL
+from robomill.models.model.declaration import FloatArray, Record, record
+from robomill.models.robot.kinematics import jacobian
 
 TOOL_TIP = "compliance.p_BT_B"
 KNOTS = 150

@@ -6,8 +6,8 @@ import argparse
 import re
 from collections.abc import Callable
 
-from models.units import convert
-from orchestration.parameters import quantity
+from robomill.models.model.units import convert
+from robomill.orchestration.system.parameters import quantity
 
 _PLAIN = re.compile(r"\s*[-+]?[\d.]+([eE][-+]?\d+)?\s*")
 

@@ -11,20 +11,20 @@ from pathlib import Path
 
 import numpy as np
 
-from models.cutting import EndMill
-from models.gcode import HOME, Program, Setup, Vector
-from models.parameters import load
-from models.point_path import PointPath
-from models.reachability import check_reachable
-from models.robots import KR300
-from models.trajectory import Placement, Plan
-from models.trajectory import plan as plan_path
-from orchestration.system import System
-from robomill.binding import convert
-from robomill.milling import check, notes_of, read_program
+from robomill.cell.binding import convert
+from robomill.cell.milling import check, notes_of, read_program
+from robomill.cell.plan_checks import Findings, check_plan
+from robomill.cell.scenario import OFFSETS, load_scenario, place_in_block
+from robomill.models.model.parameters import load
+from robomill.models.planning.gcode import HOME, Program, Setup, Vector
+from robomill.models.planning.point_path import PointPath
+from robomill.models.planning.reachability import check_reachable
+from robomill.models.planning.trajectory import Placement, Plan
+from robomill.models.planning.trajectory import plan as plan_path
+from robomill.models.process.cutting import EndMill
+from robomill.models.robot.kinematics import KR300
 from robomill.option_types import in_unit
-from robomill.plan_checks import Findings, check_plan
-from robomill.scenario import OFFSETS, load_scenario, place_in_block
+from robomill.orchestration.system.definition import System
 
 _PLACES = {"at", "turn", "start", "home", "offset", "zero", "block", "tool", "dialect", "no_block_delete", "wear"}
 """Options that a scenario has its own keys for."""

@@ -23,9 +23,9 @@ import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.signal import butter, sosfiltfilt
 
-from diagnosis.catalogue import Candidate
-from models.inverse_dynamics import MODEL
-from orchestration.results import Run
+from robomill.diagnosis.catalogue import Candidate
+from robomill.models.components.inverse_dynamics import MODEL
+from robomill.orchestration.runs.run import Run
 
 FloatArray = npt.NDArray[np.float64]
 Values = Mapping[str, float]

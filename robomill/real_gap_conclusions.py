@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from diagnosis.catalogue import Candidate
+    from robomill.diagnosis.catalogue import Candidate
     from robomill.real_gap import Fit
     from robomill.real_gap_report import Result, Use
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from models.dynamics import KR300_DYNAMICS
 from robomill import real_gap_conclusions as conclusions
+from robomill.models.robot.dynamics import KR300_DYNAMICS
 from robomill.real_gap import Problem, low_pass, simulate
 
 if TYPE_CHECKING:

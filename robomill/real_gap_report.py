@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from diagnosis.catalogue import Candidate, Catalogue
-from models.dynamics import KR300_DYNAMICS
-from orchestration.results import Run
+from robomill.diagnosis.catalogue import Candidate, Catalogue
 from robomill.logs.importing import import_log
+from robomill.models.robot.dynamics import KR300_DYNAMICS
+from robomill.orchestration.runs.run import Run
 from robomill.real_gap import MARGIN, Fit, FloatArray, H, Problem, Recording, Step, Values, fit, low_pass, select, simulate
 
 DATA = Path("data") / "kuka_kr300_recordings"

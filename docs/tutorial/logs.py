@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestration.results import Run
+from robomill.orchestration.runs.run import Run
 
 TRACKER, ENCODER, TORQUE = 0.010, 2e-5, 0.02
 """Standard deviations of the noise: mm, degrees, N m."""

@@ -16,17 +16,17 @@ from pathlib import Path
 from typing import Literal
 from uuid import UUID
 
-from fmus import archive
-from fmus.documentation import index_html, licences
-from fmus.fmi2 import model_description_2
-from fmus.interface import Interface
-from fmus.model_description import Options
-from fmus.native.data import data_c
-from fmus.native.fmi3 import model_description_3, terminals_and_icons
-from fmus.native.lower import Lowered, Lowering, NativeBuildError
-from fmus.native.targets import PLATFORMS, compiler, fat, libraries, uses_zig
-from fmus.python.builder import ICON, _npy, _version
-from models.declaration import Model
+from robomill.fmus import archive
+from robomill.fmus.documentation import index_html, licences
+from robomill.fmus.fmi2 import model_description_2
+from robomill.fmus.interface import Interface
+from robomill.fmus.model_description import Options
+from robomill.fmus.native.data import data_c
+from robomill.fmus.native.fmi3 import model_description_3, terminals_and_icons
+from robomill.fmus.native.lower import Lowered, Lowering, NativeBuildError
+from robomill.fmus.native.targets import PLATFORMS, compiler, fat, libraries, uses_zig
+from robomill.fmus.python.builder import ICON, _npy, _version
+from robomill.models.model.declaration import Model
 
 SHIM = Path(__file__).parent / "shim"
 NOTES = (

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from fmus.instance import DEFAULT_STEP
-from fmus.interface import WORD, Interface
-from fmus.native.lower import NativeBuildError
-from models.declaration import Model, Variable
+from robomill.fmus.instance import DEFAULT_STEP
+from robomill.fmus.interface import WORD, Interface
+from robomill.fmus.native.lower import NativeBuildError
+from robomill.models.model.declaration import Model, Variable
 
 _CAUSALITIES = ("input", "output", "parameter")
 _PRINTF = set("efgEFG")

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
-from fmus.interface import WORD, Interface, Port
-from fmus.model_description import (
+from robomill.fmus.interface import WORD, Interface, Port
+from robomill.fmus.model_description import (
     Options,
     boolean,
     default_experiment,
@@ -22,7 +22,7 @@ from fmus.model_description import (
     variable_attributes,
     xml_file,
 )
-from models.declaration import Variable
+from robomill.models.model.declaration import Variable
 
 _TAGS = {"real": "Float64", "integer": "Int64", "boolean": "Boolean", "string": "String"}
 

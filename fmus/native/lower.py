@@ -24,9 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from models.cache import PACKAGE, prune, source_files, user_folder
-from models.declaration import COMPILER_OPTIONS, Model
-from models.replay import ReplayModel, from_specification
+from robomill.models.components.recording import ReplayModel, from_specification
+from robomill.models.model.cache import PACKAGE, prune, source_files, user_folder
+from robomill.models.model.declaration import COMPILER_OPTIONS, Model
 
 FORBIDDEN = ("Py", "_Py", "NRT_", "numba_")
 """Beginnings of names of functions that a native FMU does not have."""
@@ -117,7 +117,7 @@ class _Process:
             environment.pop(name, None)
         # a file, as a pipe that nobody reads would fill up; `end` closes it
         self._errors = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115 (until `end`)
-        command = [sys.executable, "-m", "fmus.native.lower"]
+        command = [sys.executable, "-m", "robomill.fmus.native.lower"]
         self._process = subprocess.Popen(
             command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, encoding="utf-8"
         )
@@ -158,7 +158,7 @@ def _cache_file(model: Model, folder: Path) -> Path | None:
     import numba
 
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__} {sys.version_info[:3]} {np.__version__}".encode())
-    module = "models.replay" if isinstance(model, ReplayModel) else model.step.__module__
+    module = "robomill.models.components.recording" if isinstance(model, ReplayModel) else model.step.__module__
     try:
         files = {*source_files(module).values(), *source_files(__name__).values(), *PACKAGE.rglob("*.toml")}
         for name, content in sorted((f.name, hashlib.sha256(f.read_bytes()).digest()) for f in (*files, *folder.iterdir())):
@@ -286,8 +286,8 @@ def _probe(model: Model, functions: tuple[Any, Any]) -> tuple[bool, dict[str, li
     """Whether the model takes other steps, and what its initial outputs depend on."""
     from dataclasses import replace
 
-    from fmus import probe
-    from fmus.interface import Interface
+    from robomill.fmus import probe
+    from robomill.fmus.interface import Interface
 
     interface = Interface(replace(model, init=functions[0], step=functions[1]))
     dependencies = probe.initial_dependencies(interface, plain=True)

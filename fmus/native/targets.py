@@ -17,7 +17,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from fmus.native.lower import NativeBuildError
+from robomill.fmus.native.lower import NativeBuildError
 
 
 @dataclass(frozen=True)

@@ -25,20 +25,20 @@ from uuid import UUID
 
 import numpy as np
 
-from fmus import archive, probe
-from fmus.documentation import index_html, licences, reference_files
-from fmus.fmi2 import model_description_2
-from fmus.interface import Interface
-from fmus.model_description import Options
-from models.cache import source_files
-from models.declaration import FloatArray, Model
-from models.parameters import DATA
-from models.replay import ReplayModel
+from robomill.fmus import archive, probe
+from robomill.fmus.documentation import index_html, licences, reference_files
+from robomill.fmus.fmi2 import model_description_2
+from robomill.fmus.interface import Interface
+from robomill.fmus.model_description import Options
+from robomill.models.components.recording import ReplayModel
+from robomill.models.model.cache import source_files
+from robomill.models.model.declaration import FloatArray, Model
+from robomill.models.model.parameters import DATA
 
 PLATFORMS = {"linux64": "libpythonfmu-export.so", "win64": "pythonfmu-export.dll"}
 ICON = Path(__file__).parents[1] / "icon.png"
-RUNTIME = "fmus.python.slave"
-_INSTALLER = "fmus.python.install"
+RUNTIME = "robomill.fmus.python.slave"
+_INSTALLER = "robomill.fmus.python.install"
 
 SCRIPT = '''"""Entry point of this FMU for the pythonfmu library, which runs it once per instance. Loads the package beside it."""
 
@@ -59,7 +59,8 @@ def load():
     sys.path[:] = [p for p in sys.path if not os.path.isfile(os.path.join(p, "slave_" + PACKAGE + ".py"))]
     if PACKAGE not in sys.modules:
         bundle = os.path.join(os.path.dirname(__file__), "python", PACKAGE)
-        spec = importlib.util.spec_from_file_location(PACKAGE + "_install", os.path.join(bundle, "fmus", "python", "install.py"))
+        file = os.path.join(bundle, "robomill", "fmus", "python", "install.py")
+        spec = importlib.util.spec_from_file_location(PACKAGE + "_install", file)
         installer = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(installer)
         installer.install(PACKAGE, bundle)
@@ -73,7 +74,7 @@ ComponentSlave = load()
 PACKAGE_INIT = '''"""{description}."""
 
 {imports}
-from fmus.python.slave import slave_class
+from robomill.fmus.python.slave import slave_class
 
 ComponentSlave = slave_class(MODEL, "{package}")
 '''
@@ -83,7 +84,7 @@ from pathlib import Path
 
 import numpy as np
 
-from models.replay import from_specification
+from robomill.models.components.recording import from_specification
 
 _FOLDER = Path(__file__).parent
 MODEL = from_specification(json.loads((_FOLDER / "replay.json").read_text()), np.load(_FOLDER / "recording.npy"))
@@ -147,14 +148,14 @@ def build(model: Model, destination: str | Path, *, page: str | None = None, ref
 def _sources(model: Model) -> tuple[dict[str, bytes], str]:
     """Files of the package below its folder, imports not yet renamed, and its `__init__.py` with the package's name left open."""
     if isinstance(model, ReplayModel):
-        module, imports = "models.replay", REPLAY_IMPORTS
+        module, imports = "robomill.models.components.recording", REPLAY_IMPORTS
     else:
         module = model.step.__module__
         if getattr(sys.modules.get(module), "MODEL", None) is not model:
             raise ValueError(f"model {model.name!r}: not bundled: its step stands in module {module!r}, which does not hold it as MODEL")
         imports = f"from {module} import MODEL"
     try:
-        modules = source_files(module) | source_files(RUNTIME) | source_files(_INSTALLER) | source_files("models.cache")
+        modules = source_files(module) | source_files(RUNTIME) | source_files(_INSTALLER) | source_files("robomill.models.model.cache")
     except ModuleNotFoundError as error:
         raise ValueError(f"model {model.name!r}: not bundled: {error}") from None
     files: dict[str, bytes] = {}
@@ -162,7 +163,10 @@ def _sources(model: Model) -> tuple[dict[str, bytes], str]:
         is_package = file.name == "__init__.py"
         inside = "/".join(name.split(".")) + ("/__init__.py" if is_package else ".py")
         files[inside] = b"" if is_package else file.read_bytes().replace(b"\r\n", b"\n")
-    files |= {f"models/data/{f.relative_to(DATA).as_posix()}": f.read_bytes().replace(b"\r\n", b"\n") for f in sorted(DATA.rglob("*.toml"))}
+    files |= {
+        f"robomill/models/data/{f.relative_to(DATA).as_posix()}": f.read_bytes().replace(b"\r\n", b"\n")
+        for f in sorted(DATA.rglob("*.toml"))
+    }
     if isinstance(model, ReplayModel):
         files["replay.json"] = json.dumps(model.specification, indent=1, sort_keys=True).encode()
         files["recording.npy"] = _npy(model.default_tables["recording"])

@@ -25,7 +25,7 @@ KEPT = 30
 def install(package: str, bundle: str) -> ModuleType:
     """Import the package that stands in the folder `bundle`, from its copy in the cache folder if that is possible."""
     source = Path(bundle)
-    cache = _module("cache", source / "models" / "cache.py")
+    cache = _module("cache", source / "robomill" / "models" / "model" / "cache.py")
     folder, notes = source, []
     try:
         folder = _copy(source, cache.user_folder() / "fmu" / package)

@@ -28,9 +28,9 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
-from fmus.instance import ComponentError, Instance, State, TableState
-from fmus.interface import Interface, Port, PortType
-from models.declaration import Model
+from robomill.fmus.instance import ComponentError, Instance, State, TableState
+from robomill.fmus.interface import Interface, Port, PortType
+from robomill.models.model.declaration import Model
 
 _OK, _WARNING = 0, 1
 _CATEGORIES = {_OK: "logAll", _WARNING: "logStatusWarning"}

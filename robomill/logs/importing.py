@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from models.units import UNITS, canonical, compatible
-from orchestration.importing import write_run
-from orchestration.parameters import quantity
-from orchestration.slave import PortData
-from robomill.binding import convert
+from robomill.cell.binding import convert
 from robomill.logs.mapping import LogMapping, Signal, load_mapping, rotation_abc
 from robomill.logs.reading import SUFFIXES, FloatArray, Log, LogError, read_log
+from robomill.models.model.units import UNITS, canonical, compatible
+from robomill.orchestration.runs.importing import write_run
+from robomill.orchestration.slaves.protocol import PortData
+from robomill.orchestration.system.parameters import quantity
 
 
 @dataclass(frozen=True)

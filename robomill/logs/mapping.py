@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from fmus.components import COMPONENTS
-from models.declaration import Model, Variable
-from models.units import UNITS, canonical, compatible
-from orchestration.errors import PlacedError, unknown
-from orchestration.parameters import prepare, quantity
-from orchestration.slave import arrays
-from orchestration.toml_file import TomlFile
-from robomill.binding import convert, resolve
+from robomill.cell.binding import convert, resolve
+from robomill.fmus.components import COMPONENTS
 from robomill.logs.reading import READERS, FloatArray, LogError
+from robomill.models.model.declaration import Model, Variable
+from robomill.models.model.units import UNITS, canonical, compatible
+from robomill.orchestration.errors import PlacedError, unknown
+from robomill.orchestration.slaves.protocol import arrays
+from robomill.orchestration.system.parameters import prepare, quantity
+from robomill.orchestration.system.toml_file import TomlFile
 
 _TOP = ("log", "clock", "about", "components", "labels", "parameters", "signal")
 _LOG = ("format", "delimiter", "decimal", "skip_rows")

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
-from orchestration.errors import OrchestrationError, available, unknown
+from robomill.orchestration.errors import OrchestrationError, available, unknown
 
 FloatArray = npt.NDArray[np.float64]
 

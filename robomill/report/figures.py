@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from diagnosis.catalogue import LOGGING
-from orchestration.slave import FloatArray, base_name
+from robomill.diagnosis.catalogue import LOGGING
+from robomill.orchestration.slaves.protocol import FloatArray, base_name
 from robomill.report import robot
 from robomill.report.style import AFTER, BEFORE, COLOURS, INK, MUTED, NOISE, PAPER, SHADE, STYLE, WIDTH
 from robomill.report.subject import HELD_OUT, KINDS, Subject

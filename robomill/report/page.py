@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.isolability import CONFUSABLE
-from orchestration.slave import base_name
+from robomill.diagnosis.inference.isolability import CONFUSABLE
+from robomill.orchestration.slaves.protocol import base_name
 from robomill.report.figures import component_name, smallest
 from robomill.report.subject import GUESS, HELD_OUT, KINDS, Subject, effect_name, listed, verdict_sentence
 from robomill.report.units import join, number, percent, percent_interval, quantity, relative, scale, with_interval

@@ -13,16 +13,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
-from models.declaration import FloatArray, record
-from models.robot_compliance import MODEL
-from models.robots import ROBOT_VARIABLES, SPINDLE_ACROSS, forward
-from orchestration.system import Component, System
+from robomill.models.components.robot_compliance import MODEL
+from robomill.models.model.declaration import FloatArray, record
+from robomill.models.robot.kinematics import ROBOT_VARIABLES, SPINDLE_ACROSS, forward
+from robomill.orchestration.system.definition import Component, System
 from robomill.report.style import BODY, INK, MARK, MUTED, PAPER, TINT, WIDTH
 from robomill.report.subject import Subject, effect_name
 from robomill.report.units import percent
 
 ROBOTS = ("robot_compliance", "robot_drive", "inverse_dynamics")
-"""Components that stand for the arm of models/robots.py, in process or as an FMU of that name."""
+"""Components that stand for the arm of models/robot/kinematics.py, in process or as an FMU of that name."""
 ANGLES = ("drive.q_motor", "drive.q_link", "path.q_ref", "motion.q_motor", "robot.q_link")
 """Axis angles A1..A6 [rad], the first of these that is in the log."""
 POINTS = 200
@@ -57,7 +57,7 @@ def arm(system: System) -> Component | None:
 
 
 def geometry(component: Component) -> Any:
-    """The record that the kernels of models/robots.py work on: the KR 300, with what the system file says otherwise."""
+    """The record that the kernels of models/robot/kinematics.py work on: the KR 300, with what the system file says otherwise."""
     s = record(MODEL.new())
     for v in ROBOT_VARIABLES:
         if v.causality == "parameter":

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.answer import Diagnosis
-from diagnosis.catalogue import Catalogue
-from diagnosis.verdict import IDENTIFIED, UNEXPLAINED
-from orchestration.recorder import frame_of
-from orchestration.results import Run
-from orchestration.slave import FloatArray, base_name
-from orchestration.system import System
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.diagnosis.outcome.answer import Diagnosis
+from robomill.diagnosis.outcome.verdict import IDENTIFIED, UNEXPLAINED
+from robomill.orchestration.runs.recorder import frame_of
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import FloatArray, base_name
+from robomill.orchestration.system.definition import System
 from robomill.report.units import join, number, percent, quantity, relative, scale
 
 HELD_OUT = " (held out)"

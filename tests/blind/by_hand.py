@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from blind.case import Case, Cases
-from blind.prediction import Named, Prediction
+from robomill.blind.case import Case, Cases
+from robomill.blind.prediction import Named, Prediction
 
 
 def truth(kind, *effects, detectability=20.0, **more):

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blind.baselines import BASELINES
-from blind.effects import BY_KEY, Instance
-from blind.signatures import FLOOR, STRIDE, Library, clocks, confusable, features, floor
-from blind.world import STEP
-from orchestration.results import Run
+from robomill.blind.baselines import BASELINES
+from robomill.blind.effects import BY_KEY, Instance
+from robomill.blind.signatures import FLOOR, STRIDE, Library, clocks, confusable, features, floor
+from robomill.blind.world import STEP
+from robomill.orchestration.runs.run import Run
 
 ROWS = 100
 COLUMNS = ("drive.q_motor[1]", "sensor.f_T_T[1]", "compliance.p_BT_B[1]")

@@ -1,12 +1,12 @@
-"""blind.figures and blind.tables on predictions written by hand, whose scores can be counted."""
+"""robomill.blind.figures and robomill.blind.tables on predictions written by hand, whose scores can be counted."""
 
 from __future__ import annotations
 
 import pytest
 
-from blind.baselines import Guess
-from blind.figures import baseline_figures, figures
-from blind.tables import confusion, per_effect, strata
+from robomill.blind.baselines import Guess
+from robomill.blind.figures import baseline_figures, figures
+from robomill.blind.tables import confusion, per_effect, strata
 from tests.blind.by_hand import GAIN, STIFF, cases, entry, said, truth
 
 

@@ -9,23 +9,23 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from blind import bad_logs, outside
-from blind.conditions import _TRAINING as TRAINING
-from blind.conditions import Condition, draw, planned
-from blind.effects import BY_KEY, EFFECTS
-from blind.effects import draw as draw_effect
-from blind.felt import felt
-from blind.generate import PROPORTIONS, closure, detectability, difference, make, make_case, plans
-from blind.outside import Changes
-from blind.run import run_cases
-from blind.score import score
-from blind.sealing import BenchmarkError, hashes
-from blind.world import MEASURED, TRACKER, Machine, coloured, draw_machine, jittered, measure, nominal, simulate
-from fmus.components import COMPONENTS
-from fmus.instance import ComponentError
-from models.declaration import Model, record
-from models.robots import ROBOT_VARIABLES, jacobian
-from orchestration.results import Run
+from robomill.blind import bad_logs, outside
+from robomill.blind.conditions import _TRAINING as TRAINING
+from robomill.blind.conditions import Condition, draw, planned
+from robomill.blind.effects import BY_KEY, EFFECTS
+from robomill.blind.effects import draw as draw_effect
+from robomill.blind.force_averaging import felt
+from robomill.blind.generate import PROPORTIONS, closure, detectability, difference, make, make_case, plans
+from robomill.blind.outside import Changes
+from robomill.blind.run import run_cases
+from robomill.blind.score import score
+from robomill.blind.sealing import BenchmarkError, hashes
+from robomill.blind.world import MEASURED, TRACKER, Machine, coloured, draw_machine, jittered, measure, nominal, simulate
+from robomill.fmus.components import COMPONENTS
+from robomill.fmus.instance import ComponentError
+from robomill.models.model.declaration import Model, record
+from robomill.models.robot.kinematics import ROBOT_VARIABLES, jacobian
+from robomill.orchestration.runs.run import Run
 from tests.tolerances import ROUNDOFF
 
 SOURCES = {

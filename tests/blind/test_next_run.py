@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from blind.next_run import separates
+from robomill.blind.next_run import separates
 
 FRICTION = {
     "machine": {},

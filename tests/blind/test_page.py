@@ -6,10 +6,10 @@ import json
 
 import pytest
 
-from blind.acceptance import bound
-from blind.figures import figures
-from blind.page import page
-from blind.tables import confusion, per_effect, strata
+from robomill.blind.acceptance import bound
+from robomill.blind.figures import figures
+from robomill.blind.page import page
+from robomill.blind.tables import confusion, per_effect, strata
 from robomill.cli import main
 from tests.blind.by_hand import GAIN, STIFF, cases, entry, said, truth
 

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blind.acceptance import BOUNDS, met
-from blind.case import Case, Cases
-from blind.criteria import location_names
-from blind.effects import BY_KEY
-from blind.figures import figures
-from blind.generate import _subject as subject
-from blind.generate import plans
-from blind.prediction import Named, Prediction
+from robomill.blind.acceptance import BOUNDS, met
+from robomill.blind.case import Case, Cases
+from robomill.blind.criteria import location_names
+from robomill.blind.effects import BY_KEY
+from robomill.blind.figures import figures
+from robomill.blind.generate import _subject as subject
+from robomill.blind.generate import plans
+from robomill.blind.prediction import Named, Prediction
 
 CATALOGUE = Path(__file__).parents[2] / "scenarios" / "catalogue.toml"
 LAG = ("lag sensor.*", "force sensor")

@@ -1,4 +1,4 @@
-"""blind.sealing: what was changed after it was sealed is refused or reported."""
+"""robomill.blind.sealing: what was changed after it was sealed is refused or reported."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import json
 
 import pytest
 
-from blind.case import Cases, load_cases
-from blind.figures import figures
-from blind.sealing import BenchmarkError, freeze_predictions, hashes, unseal
-from blind.statistics import wilson
+from robomill.blind.case import Cases, load_cases
+from robomill.blind.figures import figures
+from robomill.blind.sealing import BenchmarkError, freeze_predictions, hashes, unseal
+from robomill.blind.statistics import wilson
 from tests.blind.by_hand import GAIN, truth
 
 

@@ -1,4 +1,4 @@
-"""blind.statistics: intervals by what defines them."""
+"""robomill.blind.statistics: intervals by what defines them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import pytest
 from scipy import stats
 
-from blind.statistics import expected_calibration_error, proportion, quantile, wilson
+from robomill.blind.statistics import expected_calibration_error, proportion, quantile, wilson
 from tests.tolerances import ROUNDOFF
 
 

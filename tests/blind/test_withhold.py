@@ -7,13 +7,13 @@ import json
 
 import pytest
 
-from blind import withhold as module
-from blind.page import page
-from blind.sealing import BenchmarkError, hashes
-from blind.withhold import row, shares, withhold
-from diagnosis.catalogue import Catalogue
+from robomill.blind import withhold as module
+from robomill.blind.page import page
+from robomill.blind.sealing import BenchmarkError, hashes
+from robomill.blind.withhold import row, shares, withhold
 from robomill.blind_command import CATALOGUE, lacking
 from robomill.cli import main
+from robomill.diagnosis.catalogue import Catalogue
 from tests.blind.by_hand import GAIN, STIFF, entry, truth
 from tests.blind.test_page import score
 

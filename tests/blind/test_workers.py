@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from blind.workers import cores, work
+from robomill.blind.workers import cores, work
 
 
 def double(x):

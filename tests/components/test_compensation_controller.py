@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from models.compensation_controller import DELAY_CAPACITY, MODEL
-from models.compliance import COMPLIANCE_VARIABLES, compliance_matrix
-from models.declaration import Model, record
-from models.elementary import TWO_PI
-from models.robot_compliance import MODEL as COMPLIANCE
-from models.robots import ROBOT_VARIABLES, jacobian, tool_pose
-from models.sensor_chain import MODEL as SENSOR
-from models.validation_loads import DIRECTIONS, POSITIONS, validation_loads
+from robomill.models.calibration.validation_loads import DIRECTIONS, POSITIONS, validation_loads
+from robomill.models.components.compensation_controller import DELAY_CAPACITY, MODEL
+from robomill.models.components.robot_compliance import MODEL as COMPLIANCE
+from robomill.models.components.sensor_chain import MODEL as SENSOR
+from robomill.models.maths.elementary import TWO_PI
+from robomill.models.model.declaration import Model, record
+from robomill.models.robot.kinematics import ROBOT_VARIABLES, jacobian, tool_pose
+from robomill.models.robot.virtual_joints import COMPLIANCE_VARIABLES, compliance_matrix
 from tests.tolerances import EXACT, ROUNDOFF, physics
 
 H = 0.004

@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from models.declaration import FloatArray, record
-from models.dynamics import KR300_DYNAMICS, friction_torque, inverse_dynamics
-from models.inverse_dynamics import MODEL
-from models.robots import KR300
+from robomill.models.components.inverse_dynamics import MODEL
+from robomill.models.model.declaration import FloatArray, record
+from robomill.models.robot.dynamics import KR300_DYNAMICS, friction_torque, inverse_dynamics
+from robomill.models.robot.kinematics import KR300
 from tests.models.test_dynamics import pinocchio_robot
 from tests.tolerances import EXACT, ROUNDOFF, discretisation
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.cutting import CuttingCoefficients, mean_force, slot_force
-from models.milling_force import MODEL
+from robomill.models.components.milling_force import MODEL
+from robomill.models.process.cutting import CuttingCoefficients, mean_force, slot_force
 from tests.components.test_milling_force import FEED, GROOVE, K, Mill
 from tests.components.test_milling_force import H as CYCLE
 from tests.tolerances import ROUNDOFF, discretisation

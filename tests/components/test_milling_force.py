@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from models import tool_table
-from models.cutting import CuttingCoefficients, EndMill, ideal_force, immersion, mean_force, mean_torque, slot_force
-from models.declaration import record
-from models.milling_force import BINS, MODEL
-from models.parameters import load
+from robomill.models.components.milling_force import BINS, MODEL
+from robomill.models.model.declaration import record
+from robomill.models.model.parameters import load
+from robomill.models.process import tool_table
+from robomill.models.process.cutting import CuttingCoefficients, EndMill, ideal_force, immersion, mean_force, mean_torque, slot_force
 from tests.tolerances import EXACT, ROUNDOFF, discretisation, physics
 
 H = 0.004

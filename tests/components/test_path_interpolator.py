@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fmus.interface import interface_of
-from models.declaration import FloatArray, Record, record
-from models.gcode import parse, read
-from models.path_interpolator import MODEL, default_segments
-from models.point_path import read_points
-from models.reachability import check_reachable
-from models.robots import KR300, SPINDLE_ACROSS, Robot
-from models.segment_table import COLUMNS, TAU, TOOL
-from models.trajectory import Placement, Plan, PlanError, pilot_table, plan
+from robomill.fmus.interface import interface_of
+from robomill.models.components.path_interpolator import MODEL, default_segments
+from robomill.models.model.declaration import FloatArray, Record, record
+from robomill.models.planning.gcode import parse, read
+from robomill.models.planning.point_path import read_points
+from robomill.models.planning.reachability import check_reachable
+from robomill.models.planning.segment_table import COLUMNS, TAU, TOOL
+from robomill.models.planning.trajectory import Placement, Plan, PlanError, pilot_table, plan
+from robomill.models.robot.kinematics import KR300, SPINDLE_ACROSS, Robot
 from tests.tolerances import EXACT, ROUNDOFF, discretisation, physics
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"

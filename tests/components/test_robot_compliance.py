@@ -13,12 +13,12 @@ import pytest
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from models.compliance import DRIVES
-from models.declaration import Record, record
-from models.dynamics import counterbalance_torque
-from models.robot_compliance import ERRORS, MODEL, VARIABLES
-from models.robots import KR300, inverse
-from models.validation_loads import validation_loads
+from robomill.models.calibration.validation_loads import validation_loads
+from robomill.models.components.robot_compliance import ERRORS, MODEL, VARIABLES
+from robomill.models.model.declaration import Record, record
+from robomill.models.robot.dynamics import counterbalance_torque
+from robomill.models.robot.kinematics import KR300, inverse
+from robomill.models.robot.virtual_joints import DRIVES
 from tests.tolerances import EXACT, ROUNDOFF, physics
 
 H = 0.004

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, null_space
 
-from models.declaration import FloatArray, record
-from models.dynamics import KR300_DYNAMICS, inverse_dynamics
-from models.robot_drive import DIRECTION_THRESHOLD, MODEL, RSI_DRIVE, map_displacement, second_order_zoh
-from models.robots import KR300, forward, jacobian
+from robomill.models.components.robot_drive import DIRECTION_THRESHOLD, MODEL, RSI_DRIVE, map_displacement, second_order_zoh
+from robomill.models.model.declaration import FloatArray, record
+from robomill.models.robot.dynamics import KR300_DYNAMICS, inverse_dynamics
+from robomill.models.robot.kinematics import KR300, forward, jacobian
 from tests.tolerances import EXACT, ROUNDOFF, discretisation, physics
 
 H = 0.004

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from models.declaration import record
-from models.identification import fit_orientation_polynomial, identify_poses, orientation_features
-from models.parameters import load
-from models.robots import SPINDLE_ACROSS
-from models.sensor_chain import CONFERENCE_MATRIX, HOSE, LAG_CAPACITY, MODEL, MOUNTING, OMEGA160, ForceSensor
+from robomill.models.calibration.identification import fit_orientation_polynomial, identify_poses, orientation_features
+from robomill.models.components.sensor_chain import CONFERENCE_MATRIX, HOSE, LAG_CAPACITY, MODEL, MOUNTING, OMEGA160, ForceSensor
+from robomill.models.model.declaration import record
+from robomill.models.model.parameters import load
+from robomill.models.robot.kinematics import SPINDLE_ACROSS
 from tests.tolerances import EXACT, ROUNDOFF, physics
 
 H = 0.004

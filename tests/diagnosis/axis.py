@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.catalogue import Catalogue
-from orchestration.assembly import run
-from orchestration.results import Run
-from orchestration.system import Component, Connection, System
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system.definition import Component, Connection, System
 from tests.diagnosis.demo import Part, real
 
 NOISE = {"drive.torque": 0.05, "drive.angle": 2e-5}

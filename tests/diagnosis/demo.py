@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.catalogue import Catalogue
-from orchestration.assembly import run
-from orchestration.results import Run
-from orchestration.slave import FloatArray, ParameterValue, Port, PortData
-from orchestration.system import Component, Connection, System
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import FloatArray, ParameterValue, Port, PortData
+from robomill.orchestration.system.definition import Component, Connection, System
 
 STEP = 0.01
 NOISE = 2e-5  # m

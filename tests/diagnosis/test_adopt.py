@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from diagnosis import adopt
-from diagnosis.adopt import AdoptError
 from robomill.cli import main
+from robomill.diagnosis.outcome import adopt
+from robomill.diagnosis.outcome.adopt import AdoptError
 
 SYSTEM = """
 name = "static"

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from scipy.integrate import quad
 
-from diagnosis.catalogue import LOGGING, Catalogue, CatalogueError, Prior, Tolerance, physical
-from fmus.components import COMPONENTS
-from orchestration.system import System
-from robomill.binding import convert
+from robomill.cell.binding import convert
+from robomill.diagnosis.catalogue import LOGGING, Catalogue, CatalogueError, Prior, Tolerance, physical
+from robomill.fmus.components import COMPONENTS
+from robomill.orchestration.system.definition import System
 from tests.tolerances import physics
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnosis.ceiling import predicted_gap
-from diagnosis.closure import figures, products
-from orchestration.slave import FloatArray
+from robomill.diagnosis.outcome.ceiling import predicted_gap
+from robomill.diagnosis.outcome.closure import figures, products
+from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import physics
 
 NOISE = 0.1

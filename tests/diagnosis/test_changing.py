@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from diagnosis.answer import Diagnosis
-from diagnosis.engine import diagnose
-from orchestration.slave import FloatArray
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.outcome.answer import Diagnosis
+from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import STEP, SYSTEM, catalogue, changed, measure, resolve
 
 SECONDS = 8.0
@@ -48,7 +48,7 @@ def test_what_changes_with_time_is_unknown_and_says_what_it_is_like(
 
 
 def test_without_that_a_gain_that_grows_would_be_named_as_a_gain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diagnosis.verdict.CHANGES", np.inf)
+    monkeypatch.setattr("robomill.diagnosis.outcome.verdict.CHANGES", np.inf)
     result = answer(tmp_path, growing).result
     assert result["verdict"] == "identified"
     assert result["which"][0]["effect"] == "gain"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnosis.closure import figures, products
+from robomill.diagnosis.outcome.closure import figures, products
 from tests.tolerances import physics
 
 NOISE, ROWS = 0.1, 4000

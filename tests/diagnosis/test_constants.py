@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis import gate, phases, search
-from diagnosis.catalogue import COS, SIN, Candidate, Prior
-from diagnosis.gate import Finding
-from diagnosis.measured import Condition
-from diagnosis.noise import fast, own_noise
-from diagnosis.simulation import Setting
-from orchestration.results import Run
-from orchestration.slave import FloatArray
+from robomill.diagnosis.catalogue import COS, SIN, Candidate, Prior
+from robomill.diagnosis.experiment.measured import Condition
+from robomill.diagnosis.experiment.simulation import Setting
+from robomill.diagnosis.gate import checks as gate
+from robomill.diagnosis.gate import phases
+from robomill.diagnosis.gate.checks import Finding
+from robomill.diagnosis.inference import search
+from robomill.diagnosis.inference.noise import fast, own_noise
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import measure
 
 STEP = 0.01

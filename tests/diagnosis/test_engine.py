@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis import gate
-from diagnosis.answer import Diagnosis
-from diagnosis.catalogue import Catalogue
-from diagnosis.engine import diagnose
-from diagnosis.measured import DataError, sort_by_condition
-from orchestration.results import Run
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
+from robomill.diagnosis.gate import checks as gate
+from robomill.diagnosis.outcome.answer import Diagnosis
+from robomill.orchestration.runs.run import Run
 from tests.diagnosis.demo import NOISE, RANGE, SYSTEM, catalogue, changed, measure, resolve
 
 REPEAT = itertools.count()

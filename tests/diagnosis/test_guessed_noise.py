@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.engine import diagnose
-from diagnosis.noise import fast, whitening
 from robomill import report
 from robomill.diagnose_command import lines
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.inference.noise import fast, whitening
 from tests.diagnosis.axis import NOISE, catalogue, measure, resolve, system
 
 THREE = {"coulomb": 5.0, "viscous": 0.1, "inertia_error": 0.01}

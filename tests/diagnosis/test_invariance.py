@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis.catalogue import Candidate
-from diagnosis.engine import diagnose
-from diagnosis.estimation import Fit, probabilities
-from diagnosis.measured import DataError, sort_by_condition
-from diagnosis.search import Search
-from diagnosis.simulation import Laboratory, Simulator
-from orchestration.results import Run
-from robomill.binding import convert
+from robomill.cell.binding import convert
+from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
+from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
+from robomill.diagnosis.inference.estimation import Fit, probabilities
+from robomill.diagnosis.inference.search import Search
+from robomill.orchestration.runs.run import Run
 from tests.diagnosis.demo import SYSTEM, catalogue, changed, measure, resolve
 
 TRUTH = {"masses": {"stiffness_error[2]": -0.08}}

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis.catalogue import selects
-from diagnosis.engine import diagnose
-from diagnosis.measured import sort_by_condition
-from orchestration.results import Run
+from robomill.diagnosis.catalogue import selects
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.experiment.measured import sort_by_condition
+from robomill.orchestration.runs.run import Run
 from tests.diagnosis.axis import DEAD_TIME, OFFSET, catalogue, measure, resolve, system
 from tests.tolerances import EXACT
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from diagnosis.engine import diagnose
+from robomill.diagnosis.engine import diagnose
 from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
 
 TRUTHS = {

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis import gate
-from diagnosis.measured import sort_by_condition
-from orchestration.results import Run
-from orchestration.slave import FloatArray
+from robomill.diagnosis.experiment.measured import sort_by_condition
+from robomill.diagnosis.gate import checks as gate
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import STEP, SYSTEM, measure
 
 CHANNEL = "sensors.y[1]"

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis.answer import Menu
-from diagnosis.catalogue import Catalogue
-from diagnosis.engine import diagnose
-from diagnosis.estimation import Fit
-from diagnosis.isolability import CONFUSABLE
-from diagnosis.next_run import Offer, rivals
-from orchestration.assembly import run
-from orchestration.results import Run
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.isolability import CONFUSABLE
+from robomill.diagnosis.outcome.answer import Menu
+from robomill.diagnosis.outcome.next_run import Offer, rivals
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
 from tests.diagnosis.demo import CATALOGUE, HUNG, NOISE, SYSTEM, measure, resolve
 
 TWINS = """

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis import adopt
-from diagnosis.catalogue import Catalogue, CatalogueError, physical
-from diagnosis.engine import diagnose
-from orchestration.results import Run
 from robomill.diagnose_command import lines, write
+from robomill.diagnosis.catalogue import Catalogue, CatalogueError, physical
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.outcome import adopt
+from robomill.orchestration.runs.run import Run
 from tests.diagnosis.axis import RIPPLE, catalogue, measure, resolve, system
 from tests.tolerances import ROUNDOFF
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from diagnosis.answer import Diagnosis
-from diagnosis.engine import diagnose
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.outcome.answer import Diagnosis
 from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
 
 

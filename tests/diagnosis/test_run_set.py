@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.engine import diagnose
-from diagnosis.measured import DataError
-from diagnosis.run_set import check_each, other_program
-from orchestration.assembly import run
-from orchestration.results import Run
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.experiment.measured import DataError
+from robomill.diagnosis.gate.run_set import check_each, other_program
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
 from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
 
 

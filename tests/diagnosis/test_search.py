@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.catalogue import Address, Candidate, Catalogue
-from diagnosis.engine import diagnose
-from diagnosis.estimation import Fit
-from diagnosis.measured import sort_by_condition
-from diagnosis.search import FAULT, SUBSTANTIAL, Search
-from diagnosis.simulation import Laboratory, Simulator
-from orchestration.assembly import run
-from orchestration.results import Run
-from orchestration.slave import FloatArray
-from orchestration.system import Component, System
+from robomill.diagnosis.catalogue import Address, Candidate, Catalogue
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.experiment.measured import sort_by_condition
+from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
+from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.search import FAULT, SUBSTANTIAL, Search
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import FloatArray
+from robomill.orchestration.system.definition import Component, System
 from tests.diagnosis.demo import SYSTEM, Part, catalogue, changed, measure, real, resolve
 
 GAIN, RUBBING, CLOCK = ("sensors", "gain_error[1]"), ("masses", "friction[1]"), ("logging", "lag sensors.*")

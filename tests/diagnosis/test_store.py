@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis.engine import diagnose
-from diagnosis.store import Store
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.experiment.store import Store
 from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
 
 STIFF = {"masses": {"stiffness_error[2]": -0.08}}

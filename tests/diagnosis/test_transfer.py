@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from diagnosis.catalogue import Catalogue
-from diagnosis.engine import diagnose
-from diagnosis.transfer import TELLING, Transfer
-from diagnosis.verdict import stands
-from orchestration.results import Run
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.inference.transfer import TELLING, Transfer
+from robomill.diagnosis.outcome.verdict import stands
+from robomill.orchestration.runs.run import Run
 from tests.diagnosis import axis
 from tests.diagnosis.demo import CATALOGUE, SYSTEM, catalogue, measure, resolve
 

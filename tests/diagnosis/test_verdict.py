@@ -10,10 +10,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from diagnosis.changing import Changing
-from diagnosis.estimation import Fit
-from diagnosis.transfer import Transfer
-from diagnosis.verdict import believed, changes
+from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.time_varying import Changing
+from robomill.diagnosis.inference.transfer import Transfer
+from robomill.diagnosis.outcome.verdict import believed, changes
 from tests.diagnosis.demo import catalogue
 
 

@@ -10,20 +10,20 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from diagnosis.engine import _nuisances, diagnose
-from diagnosis.localise import alignment, bands, dependences, discoveries, variables
-from diagnosis.measured import DataError, sort_by_condition
-from diagnosis.replay import Replay
-from diagnosis.segments import Segment, segments, sets_alike, structure
-from diagnosis.simulation import Laboratory
-from diagnosis.swap import shapley
-from diagnosis.tape import Tape
-from diagnosis.where import blame, combined, locate
-from orchestration.assembly import run
-from orchestration.parameters import same_unit_only
-from orchestration.results import Run
-from orchestration.slave import FloatArray
-from orchestration.system import Component, Connection, System
+from robomill.diagnosis.engine import _nuisances, diagnose
+from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
+from robomill.diagnosis.experiment.playback import Tape
+from robomill.diagnosis.experiment.segments import Segment, segments, sets_alike, structure
+from robomill.diagnosis.experiment.simulation import Laboratory
+from robomill.diagnosis.localisation.localise import alignment, bands, dependences, discoveries, variables
+from robomill.diagnosis.localisation.replay_attribution import Replay
+from robomill.diagnosis.localisation.swap import shapley
+from robomill.diagnosis.localisation.where import blame, combined, locate
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import FloatArray
+from robomill.orchestration.system.definition import Component, Connection, System
+from robomill.orchestration.system.parameters import same_unit_only
 from tests import tolerances
 from tests.diagnosis.demo import NOISE, SYSTEM, catalogue, changed, real, resolve
 

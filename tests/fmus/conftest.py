@@ -8,9 +8,9 @@ from typing import Literal
 
 import pytest
 
-from fmus.components import COMPONENTS
-from fmus.native.builder import build as build_native
-from fmus.python.builder import build
+from robomill.fmus.components import COMPONENTS
+from robomill.fmus.native.builder import build as build_native
+from robomill.fmus.python.builder import build
 from tests.fmus import demo
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.cell import cell
-from models.declaration import Model, Record, Variable, kernel
-from models.elementary import sin
+from robomill.models.maths.elementary import sin
+from robomill.models.model.declaration import Model, Record, Variable, kernel
+from robomill.models.model.table_access import cell
 
 GAIN = 2.0
 

@@ -10,8 +10,8 @@ import fmpy
 import numpy as np
 from fmpy.fmi3 import FMU3Slave, fmi3LogMessageCallback
 
-from fmus.interface import Interface, Port
-from models.declaration import FloatArray, Model
+from robomill.fmus.interface import Interface, Port
+from robomill.models.model.declaration import FloatArray, Model
 from tests import golden
 from tests.fmus import demo
 
@@ -57,7 +57,7 @@ def parameters(name: str, variant: str, model: Model) -> dict[str, Any]:
 
 def model(name: str) -> Model:
     """A component's model, or the demo model."""
-    from fmus.components import COMPONENTS
+    from robomill.fmus.components import COMPONENTS
 
     return demo.MODEL if name == "demo" else COMPONENTS[name]
 

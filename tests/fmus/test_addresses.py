@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fmus.address import Addresses
-from fmus.in_process import InProcessSlave
-from models.robot_compliance import MODEL as COMPLIANCE
-from models.robot_drive import MODEL as DRIVE
-from orchestration.assembly import run
-from orchestration.errors import OrchestrationError, RunError
-from orchestration.system import Component, Connection, System
+from robomill.fmus.address import Addresses
+from robomill.fmus.in_process import InProcessSlave
+from robomill.models.components.robot_compliance import MODEL as COMPLIANCE
+from robomill.models.components.robot_drive import MODEL as DRIVE
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import OrchestrationError, RunError
+from robomill.orchestration.system.definition import Component, Connection, System
 from tests.fmus import demo
 
 MODELS = {"demo": demo.MODEL, "drive": DRIVE, "compliance": COMPLIANCE}
@@ -74,7 +74,7 @@ def test_index_out_of_bounds_is_an_error_and_not_a_number():
         s.y = s.x[int(1000.0 * t)]
         return 0
 
-    from models.declaration import Model, Variable
+    from robomill.models.model.declaration import Model, Variable
 
     model = Model("bad", "d", (Variable("x", "input", "x", shape=(20,)), Variable("y", "output", "y")), init, step)
     s = System("x", 0.004, (Component("bad", "bad"),))

@@ -12,12 +12,12 @@ import fmpy
 import numpy as np
 import pytest
 
-from fmus.interface import Interface
-from fmus.python.builder import _npy
-from orchestration.errors import SlaveError
-from orchestration.fmu import FmuSlave
-from orchestration.ssp_tables import carrying
 from robomill.conformance import check_fmu
+from robomill.fmus.interface import Interface
+from robomill.fmus.python.builder import _npy
+from robomill.orchestration.errors import SlaveError
+from robomill.orchestration.slaves.fmu import FmuSlave
+from robomill.orchestration.ssp.tables import carrying
 from tests.fmus.demo import MODEL
 
 OUTPUTS = Interface(MODEL).outputs

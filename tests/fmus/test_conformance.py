@@ -9,10 +9,10 @@ from typing import Literal
 
 import pytest
 
-from fmus.components import NAMES, component
-from fmus.documentation import reference_files
-from fmus.native.builder import build
 from robomill.conformance import CHECKS, Result, check_fmu
+from robomill.fmus.components import NAMES, component
+from robomill.fmus.documentation import reference_files
+from robomill.fmus.native.builder import build
 
 NOT_APPLICABLE = {"milling_force": {"dependencies"}, "compensation_controller": {"dependencies"}}
 """Checks that may be skipped: a cutter out of the material, an input without effect at that moment."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from fmus.components import COMPONENTS, NAMES
-from fmus.interface import Interface
+from robomill.fmus.components import COMPONENTS, NAMES
+from robomill.fmus.interface import Interface
 from tests import golden
 
 

@@ -1,4 +1,4 @@
-"""fmus.in_process and fmus.instance: a model as a slave without an FMU."""
+"""robomill.fmus.in_process and robomill.fmus.instance: a model as a slave without an FMU."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmus.in_process import InProcessSlave
-from fmus.instance import ComponentError
-from orchestration.slave import Slave
+from robomill.fmus.in_process import InProcessSlave
+from robomill.fmus.instance import ComponentError
+from robomill.orchestration.slaves.protocol import Slave
 from tests.fmus.demo import MODEL
 
 U = np.array([0.1, 0.2, 1.0, 0.0, 3.0])

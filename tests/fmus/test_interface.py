@@ -1,12 +1,12 @@
-"""fmus.interface: scalar variables and where they stand in the record."""
+"""robomill.fmus.interface: scalar variables and where they stand in the record."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from fmus.components import COMPONENTS, NAMES, component
-from fmus.interface import Interface
+from robomill.fmus.components import COMPONENTS, NAMES, component
+from robomill.fmus.interface import Interface
 from tests.fmus.demo import MODEL
 
 DEMO = Interface(MODEL)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.in_process import InProcessSlave
-from fmus.interface import Interface
-from orchestration.fmu import FmuSlave
+from robomill.fmus.in_process import InProcessSlave
+from robomill.fmus.interface import Interface
+from robomill.orchestration.slaves.fmu import FmuSlave
 from tests.fmus import native_runs as runs
 from tests.fmus.demo import MODEL
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmus.in_process import InProcessSlave
-from models import gcode, trajectory
-from models.declaration import FloatArray
-from models.path_interpolator import MODEL
-from models.trajectory import Placement, Plan
-from orchestration.fmu import FmuSlave
+from robomill.fmus.in_process import InProcessSlave
+from robomill.models.components.path_interpolator import MODEL
+from robomill.models.model.declaration import FloatArray
+from robomill.models.planning import gcode, trajectory
+from robomill.models.planning.trajectory import Placement, Plan
+from robomill.orchestration.slaves.fmu import FmuSlave
 from tests.fmus import native_runs as runs
 from tests.tolerances import ROUNDOFF
 

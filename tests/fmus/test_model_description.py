@@ -11,11 +11,11 @@ import fmpy
 import pytest
 from fmpy.validation import validate_fmu
 
-from fmus import archive, probe
-from fmus.components import COMPONENTS, NAMES
-from fmus.documentation import index_html
-from fmus.interface import Interface
-from models.declaration import Model, Record, Variable
+from robomill.fmus import archive, probe
+from robomill.fmus.components import COMPONENTS, NAMES
+from robomill.fmus.documentation import index_html
+from robomill.fmus.interface import Interface
+from robomill.models.model.declaration import Model, Record, Variable
 from tests.fmus import demo
 
 Built = Callable[[str], Path]

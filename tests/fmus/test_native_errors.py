@@ -10,12 +10,12 @@ import fmpy.fmi3
 import numpy as np
 import pytest
 
-from fmus.components import COMPONENTS
-from fmus.in_process import InProcessSlave
-from fmus.instance import ComponentError
-from fmus.interface import Interface
-from orchestration.errors import SlaveError
-from orchestration.fmu import FmuSlave
+from robomill.fmus.components import COMPONENTS
+from robomill.fmus.in_process import InProcessSlave
+from robomill.fmus.instance import ComponentError
+from robomill.fmus.interface import Interface
+from robomill.orchestration.errors import SlaveError
+from robomill.orchestration.slaves.fmu import FmuSlave
 from tests.fmus import native_runs as runs
 from tests.fmus.demo import MODEL
 

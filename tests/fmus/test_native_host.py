@@ -16,13 +16,13 @@ import fmpy
 import numpy as np
 import pytest
 
-from fmus.components import NAMES
-from fmus.in_process import InProcessSlave
-from fmus.interface import Interface
-from fmus.native.builder import c_sources
-from fmus.native.lower import Lowering
-from fmus.native.targets import PLATFORMS, Slice, link
-from models.declaration import FloatArray
+from robomill.fmus.components import NAMES
+from robomill.fmus.in_process import InProcessSlave
+from robomill.fmus.interface import Interface
+from robomill.fmus.native.builder import c_sources
+from robomill.fmus.native.lower import Lowering
+from robomill.fmus.native.targets import PLATFORMS, Slice, link
+from robomill.models.model.declaration import FloatArray
 from tests.fmus import native_runs as runs
 
 SOURCE = Path(__file__).parent / "host.c"

@@ -18,11 +18,11 @@ import fmpy
 import pytest
 from fmpy.validation import validate_fmu
 
-from fmus.components import NAMES
-from fmus.interface import Interface
-from fmus.native.fmi3 import terminals
-from fmus.native.lower import NativeBuildError
-from fmus.native.targets import PLATFORMS
+from robomill.fmus.components import NAMES
+from robomill.fmus.interface import Interface
+from robomill.fmus.native.fmi3 import terminals
+from robomill.fmus.native.lower import NativeBuildError
+from robomill.fmus.native.targets import PLATFORMS
 from tests.fmus import demo, native_runs
 
 ALL = ("demo", *NAMES)
@@ -154,7 +154,7 @@ def test_both_standards_have_the_same_library(built_native: Callable[..., Path])
 def _build_elsewhere(folder: Path, module: str, fmi: int, platforms: tuple[str, ...]) -> bytes:
     """Build in a process of its own, from the beginning: nothing is taken from a cache but the linker's own."""
     code = (
-        f"from {module} import MODEL; from fmus.native.builder import build; "
+        f"from {module} import MODEL; from robomill.fmus.native.builder import build; "
         f"build(MODEL, r'{folder / 'a.fmu'}', fmi={fmi}, platforms={platforms!r})"
     )
     environment = {**os.environ, "ROBOMILL_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -172,7 +172,7 @@ def test_two_builds_in_two_processes_give_the_same_bytes(fmi: Literal[2, 3], bui
 @pytest.mark.parametrize("name", ["path_interpolator", "milling_force"])  # with tables, and with the largest record
 def test_two_builds_for_all_platforms_give_the_same_bytes(name: str, built_native: Callable[..., Path], tmp_path: Path) -> None:
     here = built_native(name, 2, tuple(PLATFORMS)).read_bytes()
-    assert _build_elsewhere(tmp_path, f"models.{name}", 2, tuple(PLATFORMS)) == here
+    assert _build_elsewhere(tmp_path, f"robomill.models.components.{name}", 2, tuple(PLATFORMS)) == here
 
 
 @needs_zig
@@ -302,7 +302,7 @@ def test_fmi3_has_a_folder_per_processor(built_native: Callable[..., Path]) -> N
 
 
 def test_what_cannot_be_built_is_said() -> None:
-    from fmus.native.builder import build
+    from robomill.fmus.native.builder import build
 
     with pytest.raises(NativeBuildError, match=r"unknown platform win32; available: linux64, win64, darwin64"):
         build(demo.MODEL, "x.fmu", platforms=("win32",))

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.components import NAMES
-from fmus.interface import Interface
-from fmus.native.data import data_c
-from fmus.native.lower import Lowered, Lowering, NativeBuildError, portable
-from fmus.native.targets import PLATFORMS, Slice, fat, machine_code, object_code
-from models.declaration import Model, Record, Variable
-from models.replay import replay_model
+from robomill.fmus.components import NAMES
+from robomill.fmus.interface import Interface
+from robomill.fmus.native.data import data_c
+from robomill.fmus.native.lower import Lowered, Lowering, NativeBuildError, portable
+from robomill.fmus.native.targets import PLATFORMS, Slice, fat, machine_code, object_code
+from robomill.models.components.recording import replay_model
+from robomill.models.model.declaration import Model, Record, Variable
 from tests.fmus import native_runs
 
 SLICES = [s for p in PLATFORMS.values() for s in p.slices]
@@ -98,7 +98,7 @@ def test_the_code_does_not_depend_on_the_models_lowered_before(
 
 
 def test_what_was_found_by_trying_is_what_python_finds(lowered: dict[str, Lowered]) -> None:
-    from fmus import probe
+    from robomill.fmus import probe
 
     interface = Interface(native_runs.model("demo"))
     assert lowered["demo"].variable_step == probe.accepts_other_steps(interface)
@@ -106,7 +106,7 @@ def test_what_was_found_by_trying_is_what_python_finds(lowered: dict[str, Lowere
 
 
 MODULE = """
-from models.declaration import Model, Variable
+from robomill.models.model.declaration import Model, Variable
 
 def init(s):
     {init}

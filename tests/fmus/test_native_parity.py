@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.components import NAMES
-from fmus.in_process import InProcessSlave
-from fmus.interface import Interface
-from orchestration.fmu import FmuSlave
+from robomill.fmus.components import NAMES
+from robomill.fmus.in_process import InProcessSlave
+from robomill.fmus.interface import Interface
+from robomill.orchestration.slaves.fmu import FmuSlave
 from tests.fmus import native_runs as runs
 
 pytestmark = pytest.mark.skipif(not runs.ON_LINUX, reason="runs the linux64 library")

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.components import COMPONENTS, NAMES
-from fmus.interface import Interface
 from robomill.conformance import Fmu, Instance
+from robomill.fmus.components import COMPONENTS, NAMES
+from robomill.fmus.interface import Interface
 from tests import golden
 
 

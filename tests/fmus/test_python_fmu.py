@@ -19,11 +19,11 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 
-from fmus.components import COMPONENTS
-from fmus.in_process import InProcessSlave
-from fmus.python.builder import build
-from models.replay import replay_model
 from robomill.conformance import CallFailed, Fmu, Instance
+from robomill.fmus.components import COMPONENTS
+from robomill.fmus.in_process import InProcessSlave
+from robomill.fmus.python.builder import build
+from robomill.models.components.recording import replay_model
 from tests.fmus import demo
 
 Built = Callable[[str], Path]
@@ -87,7 +87,11 @@ def test_a_model_that_is_not_the_model_of_its_module_cannot_be_bundled(tmp_path:
 
 
 def test_a_plain_import_of_a_bundled_module_cannot_be_renamed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = Path(demo.__file__).read_text(encoding="utf-8").replace("import numpy as np", "import models.units\nimport numpy as np")
+    source = (
+        Path(demo.__file__)
+        .read_text(encoding="utf-8")
+        .replace("import numpy as np", "import robomill.models.model.units\nimport numpy as np")
+    )
     (tmp_path / "awkward.py").write_text(source, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     import awkward  # type: ignore[import-not-found]  # written above
@@ -194,7 +198,7 @@ def test_bytes_that_are_no_state_are_refused(instance: Instance) -> None:
 
 
 def test_an_unexpected_exception_comes_with_its_traceback(fmu: Fmu) -> None:
-    from fmus.python.slave import slave_class
+    from robomill.fmus.python.slave import slave_class
 
     slave = slave_class(demo.MODEL, "x")(instance_name="springs")
     slave._instance.data = None  # type: ignore[assignment]  # what must not happen

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmus.in_process import InProcessSlave
-from fmus.instance import ComponentError
-from fmus.interface import Interface
-from orchestration import checkpoint
-from orchestration.errors import SlaveError
-from orchestration.fmu import FmuSlave
+from robomill.fmus.in_process import InProcessSlave
+from robomill.fmus.instance import ComponentError
+from robomill.fmus.interface import Interface
+from robomill.orchestration.errors import SlaveError
+from robomill.orchestration.runs import checkpoint
+from robomill.orchestration.slaves.fmu import FmuSlave
 from tests.fmus import demo
 from tests.fmus import native_runs as runs
 

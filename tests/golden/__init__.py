@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from fmus.in_process import InProcessSlave
-from fmus.interface import Interface, Port
-from models.declaration import FloatArray, Model
+from robomill.fmus.in_process import InProcessSlave
+from robomill.fmus.interface import Interface, Port
+from robomill.models.model.declaration import FloatArray, Model
 
 FOLDER = Path(__file__).parent
 H = 0.004

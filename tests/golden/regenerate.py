@@ -7,8 +7,8 @@ import json
 
 import numpy as np
 
-from fmus.components import COMPONENTS, NAMES
-from fmus.interface import Interface
+from robomill.fmus.components import COMPONENTS, NAMES
+from robomill.fmus.interface import Interface
 from tests import golden
 from tests.golden.stimuli import input_rows, stimulus
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from fmus.interface import Interface
-from models import gcode
-from models.declaration import FloatArray
-from models.segment_table import BLOCK, TOOL
-from models.trajectory import Placement, plan
+from robomill.fmus.interface import Interface
+from robomill.models.model.declaration import FloatArray
+from robomill.models.planning import gcode
+from robomill.models.planning.segment_table import BLOCK, TOOL
+from robomill.models.planning.trajectory import Placement, plan
 from tests.golden import H
 
 STEPS = 100

@@ -1,4 +1,4 @@
-"""models.cache: compiled code is kept under the hash of the sources that it was made from."""
+"""robomill.models.model.cache: compiled code is kept under the hash of the sources that it was made from."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from models.cache import _key, compiled_code, prune, source_files, user_folder
+from robomill.models.model.cache import _key, compiled_code, prune, source_files, user_folder
 
 MODEL = """
-from models.declaration import Model, Variable
+from robomill.models.model.declaration import Model, Variable
 from helpers import gain
 
 def init(s):
@@ -28,7 +28,7 @@ MODEL = Model("edited", "A model with a helper elsewhere", (Variable("y", "outpu
 """
 RUN = """
 import edited
-from models.declaration import record
+from robomill.models.model.declaration import record
 _, step = edited.MODEL.compiled()
 data = edited.MODEL.new()
 step(record(data), 0.0, 1.0)
@@ -40,7 +40,7 @@ def test_an_edit_in_a_function_called_from_another_file_is_noticed(tmp_path: Pat
     """Numba's own cache would go on with the old function."""
     (tmp_path / "edited.py").write_text(MODEL, encoding="utf-8")
     (tmp_path / "run.py").write_text(RUN, encoding="utf-8")
-    helper = "from models.declaration import kernel\n\n@kernel\ndef gain():\n    return {}\n"
+    helper = "from robomill.models.model.declaration import kernel\n\n@kernel\ndef gain():\n    return {}\n"
 
     def run(value: float) -> str:
         (tmp_path / "helpers.py").write_text(helper.format(value), encoding="utf-8")
@@ -85,12 +85,19 @@ def test_folders_used_longest_ago_are_removed(tmp_path: Path) -> None:
 
 
 def test_sources_are_those_imported_directly_through_others_and_inside_functions() -> None:
-    files = source_files("models.milling_force")
-    assert {"models", "models.milling_force", "models.workpiece", "models.elementary", "models.declaration", "models.cache"} <= set(files)
-    assert "models.sensor_chain" not in files
+    files = source_files("robomill.models.components.milling_force")
+    assert {
+        "models",
+        "robomill.models.components.milling_force",
+        "robomill.models.process.dexels",
+        "robomill.models.maths.elementary",
+        "robomill.models.model.declaration",
+        "robomill.models.model.cache",
+    } <= set(files)
+    assert "robomill.models.components.sensor_chain" not in files
     assert not [name for name in files if name.startswith(("numba", "numpy", "tests"))]
     with pytest.raises(ModuleNotFoundError, match=r"no source file of module 'models\.nothing'"):
-        source_files("models.nothing")
+        source_files("robomill.models.nothing")
 
 
 def test_the_key_depends_on_functions_and_compiler() -> None:
@@ -126,7 +133,7 @@ def test_threads_may_look_for_sources_side_by_side() -> None:
     sys.setswitchinterval(1e-6)
     try:
         with ThreadPoolExecutor(4) as pool:
-            found = list(pool.map(lambda _: source_files("models.robot_drive"), range(8)))
+            found = list(pool.map(lambda _: source_files("robomill.models.components.robot_drive"), range(8)))
     finally:
         gc.callbacks.remove(change_threads)
         gc.set_threshold(*before)

@@ -1,4 +1,4 @@
-"""models.cell: numbers and rows of a table beside the record."""
+"""robomill.models.model.table_access: numbers and rows of a table beside the record."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from models import cell
-from models.compiled import compiled_on_call
+from robomill.models.model import table_access as cell
+from robomill.models.model.compiled import compiled_on_call
 
 ROWS, COLUMNS = 1000, 3
 TABLE = np.ascontiguousarray(

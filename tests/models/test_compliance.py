@@ -10,7 +10,9 @@ import pytest
 from numba import njit
 from scipy.spatial.transform import Rotation
 
-from models.compliance import (
+from robomill.models.model.declaration import COMPILER_OPTIONS, Model, Record, record
+from robomill.models.robot.kinematics import KR300, ROBOT_VARIABLES
+from robomill.models.robot.virtual_joints import (
     COMPLIANCE_VARIABLES,
     DRIVES,
     JOINTS,
@@ -19,8 +21,6 @@ from models.compliance import (
     displacement,
     virtual_joints,
 )
-from models.declaration import COMPILER_OPTIONS, Model, Record, record
-from models.robots import KR300, ROBOT_VARIABLES
 from tests.tolerances import EXACT, ROUNDOFF, discretisation, physics
 
 SEEDS = range(100)

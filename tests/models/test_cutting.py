@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.cutting import (
+from robomill.models.model.parameters import load
+from robomill.models.process.cutting import (
     LEAST_LAG,
     MAX_TEETH,
     CuttingCoefficients,
@@ -25,7 +26,6 @@ from models.cutting import (
     slot_force,
     tooth_radii,
 )
-from models.parameters import load
 from tests.tolerances import ROUNDOFF, discretisation, physics
 
 AL7075 = load(CuttingCoefficients, "materials/al7075_t6")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.cell import cell
-from models.declaration import Model, Record, Variable, kernel, record
+from robomill.models.model.declaration import Model, Record, Variable, kernel, record
+from robomill.models.model.table_access import cell
 from tests.tolerances import EXACT
 
 

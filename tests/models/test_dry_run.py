@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from models.dry_run import DryRun, dry_run
-from models.gcode import Move, parse
+from robomill.models.planning.dry_run import DryRun, dry_run
+from robomill.models.planning.gcode import Move, parse
 from tests.tolerances import EXACT, physics
 
 SIZE = (0.10, 0.06, 0.03)

@@ -10,8 +10,8 @@ import pinocchio as pin
 import pytest
 from scipy.linalg import eigh
 
-from models.declaration import FloatArray, record
-from models.dynamics import (
+from robomill.models.model.declaration import FloatArray, record
+from robomill.models.robot.dynamics import (
     KR300_DYNAMICS,
     RIGID_BODY,
     _instance,
@@ -23,7 +23,7 @@ from models.dynamics import (
     link_friction_torque,
     mass_matrix,
 )
-from models.robots import KR300, SPINDLE_ACROSS, forward, jacobian
+from robomill.models.robot.kinematics import KR300, SPINDLE_ACROSS, forward, jacobian
 from tests.tolerances import EXACT, ROUNDOFF, discretisation, physics
 
 G = 9.81
@@ -210,7 +210,7 @@ def test_mass_matrix_against_pinocchio() -> None:
 
 
 def test_geometry_of_the_dynamics_is_that_of_the_kinematics() -> None:
-    # two sources: WEI's standard DH here, the modified DH table of the data sheets in models.robots
+    # two sources: WEI's standard DH here, the modified DH table of the data sheets in robomill.models.robot.kinematics
     model, data, tip = pinocchio_robot()
     s = record(RIGID_BODY.new())
     for q in states(100)[0]:

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from models import elementary
-from models.declaration import COMPILER_OPTIONS
+from robomill.models.maths import elementary
+from robomill.models.model.declaration import COMPILER_OPTIONS
 from tests.tolerances import EXACT
 
 DIGITS = 60

@@ -9,8 +9,7 @@ import pytest
 from numba import njit
 from scipy import signal
 
-from models.declaration import COMPILER_OPTIONS
-from models.filters import (
+from robomill.models.maths.filters import (
     aliased_frequency,
     average,
     average_rest,
@@ -21,6 +20,7 @@ from models.filters import (
     delay_rest,
     moving_average_window,
 )
+from robomill.models.model.declaration import COMPILER_OPTIONS
 from tests.tolerances import EXACT, ROUNDOFF, physics
 
 SAMPLE = 0.004

@@ -7,8 +7,8 @@ import pytest
 from numba import njit
 from scipy.spatial.transform import Rotation
 
-from models import frames
-from models.declaration import COMPILER_OPTIONS
+from robomill.models.maths import frames
+from robomill.models.model.declaration import COMPILER_OPTIONS
 from tests.tolerances import EXACT, ROUNDOFF, physics
 
 SEEDS = range(100)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from models.gcode import Arc, Dwell, GCodeError, Move, Setup, parse, read
+from robomill.models.planning.gcode import Arc, Dwell, GCodeError, Move, Setup, parse, read
 from tests.tolerances import EXACT, ROUNDOFF, physics
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"

@@ -10,7 +10,7 @@ import pygcode
 import pytest
 from pygcode.transform import ArcLinearizeInside, linearize_arc, simplify_canned_cycle
 
-from models.gcode import Arc, Move, parse
+from robomill.models.planning.gcode import Arc, Move, parse
 from tests.tolerances import ROUNDOFF, physics
 
 PLANES = {17: ("X", "Y", "I", "J"), 18: ("Z", "X", "K", "I"), 19: ("Y", "Z", "J", "K")}

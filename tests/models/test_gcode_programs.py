@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.gcode import Arc, Dwell, GCodeError, Move, Program, Setup, parse, read
+from robomill.models.planning.gcode import Arc, Dwell, GCodeError, Move, Program, Setup, parse, read
 from tests.tolerances import ROUNDOFF
 
 START = "G21 G90 G17\nG0 X0 Y0 Z10\nF600 S1000 M3\n"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from models.identification import (
+from robomill.models.calibration.identification import (
     FEATURES,
     THREE_POSES,
     Load,

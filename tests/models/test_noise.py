@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from models.declaration import COMPILER_OPTIONS
-from models.noise import mix, normal_pair, uniform
+from robomill.models.maths.noise import mix, normal_pair, uniform
+from robomill.models.model.declaration import COMPILER_OPTIONS
 
 N = 20_000
 SIGMAS = 4.0

@@ -1,4 +1,4 @@
-"""models.replay: recorded outputs in place of a component."""
+"""robomill.models.components.recording: recorded outputs in place of a component."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.declaration import FloatArray, Model, Variable, record
-from models.replay import HOLD, LINEAR, ReplayModel, from_specification, replay_model
+from robomill.models.components.recording import HOLD, LINEAR, ReplayModel, from_specification, replay_model
+from robomill.models.model.declaration import FloatArray, Model, Variable, record
 from tests.tolerances import EXACT, ROUNDOFF
 
 ORIGINAL = Model(

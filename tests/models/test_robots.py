@@ -10,9 +10,19 @@ import pytest
 from numba import njit
 from scipy.spatial.transform import Rotation
 
-from models.declaration import COMPILER_OPTIONS, Model, Record, record
-from models.parameters import load
-from models.robots import KR300, ROBOT_VARIABLES, SPINDLE_ACROSS, Robot, Tool, inverse, jacobian, robot_variables, tool_pose
+from robomill.models.model.declaration import COMPILER_OPTIONS, Model, Record, record
+from robomill.models.model.parameters import load
+from robomill.models.robot.kinematics import (
+    KR300,
+    ROBOT_VARIABLES,
+    SPINDLE_ACROSS,
+    Robot,
+    Tool,
+    inverse,
+    jacobian,
+    robot_variables,
+    tool_pose,
+)
 from tests.tolerances import EXACT, ROUNDOFF, discretisation, physics
 
 SEEDS = range(100)

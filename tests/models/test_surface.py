@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from models.height_map import cut_height_map
-from models.surface import NothingCutError, SurfaceDeviation, measure
-from models.tool_path import ToolPath
+from robomill.models.metrology.height_map import cut_height_map
+from robomill.models.metrology.surface import NothingCutError, SurfaceDeviation, measure
+from robomill.models.metrology.tool_path import ToolPath
 from tests.tolerances import ROUNDOFF, discretisation
 
 RADIUS, SIZE = 0.008, (0.10, 0.06, 0.03)

@@ -16,8 +16,8 @@ import pytest
 import trimesh
 from manifold3d import Manifold, OpType
 
-from models.surface import FEATURE, measure
-from models.tool_path import ToolPath
+from robomill.models.metrology.surface import FEATURE, measure
+from robomill.models.metrology.tool_path import ToolPath
 from tests.tolerances import discretisation
 
 MM = 1e-3

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models import tool_table
-from models.cutting import EndMill
+from robomill.models.process import tool_table
+from robomill.models.process.cutting import EndMill
 
 TOOLS = {7: EndMill(0.006, 2.0, 0.7, 0.020), 1: EndMill(0.016, 3.0, 0.5, 0.032)}
 TABLE = tool_table.rows(TOOLS)

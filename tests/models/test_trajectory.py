@@ -13,14 +13,14 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
-from models.blend import arc_length, arc_length_pieces, bezier_control, bezier_derivatives, blend
-from models.declaration import FloatArray
-from models.double_s import Phase, profile, ramp_length, reachable_speed
-from models.gcode import Setup, parse, read
-from models.path_geometry import Polynomial, helix, line
-from models.point_path import Interpolation, PathError, parse_points, read_points
-from models.segment_table import ACCELERATION, JERK, LINE, SPEED, TAU, TOOL
-from models.trajectory import LIMITS, PathLimits, Placement, Plan, PlanError, pilot_table, plan
+from robomill.models.model.declaration import FloatArray
+from robomill.models.planning.blend import arc_length, arc_length_pieces, bezier_control, bezier_derivatives, blend
+from robomill.models.planning.double_s import Phase, profile, ramp_length, reachable_speed
+from robomill.models.planning.gcode import Setup, parse, read
+from robomill.models.planning.path_geometry import Polynomial, helix, line
+from robomill.models.planning.point_path import Interpolation, PathError, parse_points, read_points
+from robomill.models.planning.segment_table import ACCELERATION, JERK, LINE, SPEED, TAU, TOOL
+from robomill.models.planning.trajectory import LIMITS, PathLimits, Placement, Plan, PlanError, pilot_table, plan
 from tests.tolerances import ROUNDOFF, discretisation, physics
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.declaration import FloatArray
-from models.parameters import DATA, load, quantity
-from models.units import UNITS, compatible, convert, from_si, to_si
+from robomill.models.model.declaration import FloatArray
+from robomill.models.model.parameters import DATA, load, quantity
+from robomill.models.model.units import UNITS, compatible, convert, from_si, to_si
 from tests.tolerances import ROUNDOFF
 
 ATOMS: dict[str, tuple[float, dict[str, int]]] = {

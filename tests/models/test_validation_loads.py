@@ -5,9 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.frames import quat_to_matrix
-from models.robots import KR300, tool_pose
-from models.validation_loads import DIRECTIONS, MEAN_CALCULATED, MEAN_MEASURED, POSITIONS, model_record, validation_loads
+from robomill.models.calibration.validation_loads import (
+    DIRECTIONS,
+    MEAN_CALCULATED,
+    MEAN_MEASURED,
+    POSITIONS,
+    model_record,
+    validation_loads,
+)
+from robomill.models.maths.frames import quat_to_matrix
+from robomill.models.robot.kinematics import KR300, tool_pose
 from tests.tolerances import ROUNDOFF, physics
 
 LOADS = validation_loads()

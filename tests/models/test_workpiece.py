@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from models import workpiece
-from models.declaration import COMPILER_OPTIONS
+from robomill.models.model.declaration import COMPILER_OPTIONS
+from robomill.models.process import dexels as workpiece
 from tests.tolerances import EXACT, ROUNDOFF, discretisation
 
 LX, LY, TOP, BOTTOM, RADIUS = 0.06, 0.05, 0.0, -0.02, 0.008

@@ -221,9 +221,9 @@ def damaged(kind: str, number: int, originals: Path, folder: Path) -> tuple[Path
 
 def attempt(kind: str, number: int, originals: Path, folder: Path) -> None:
     """Use a damaged file as a user would."""
-    from orchestration.assembly import run
-    from orchestration.ssp_import import open_ssp
-    from orchestration.system import Component, System
+    from robomill.orchestration.assembly import run
+    from robomill.orchestration.ssp.importing import open_ssp
+    from robomill.orchestration.system.definition import Component, System
 
     file, isolated = damaged(kind, number, originals, folder)
     if kind in ("fmu", "fmu3"):
@@ -239,7 +239,7 @@ def attempt(kind: str, number: int, originals: Path, folder: Path) -> None:
 
 def session(kind: str, number: int, originals: str, place: str) -> tuple[str, str]:
     """(class of the error, its text) that the attempt ends with; "" if it ran. Everything in a folder `place` of its own."""
-    from orchestration.errors import OrchestrationError
+    from robomill.orchestration.errors import OrchestrationError
 
     folder = Path(place) / "work"
     (Path(place) / "temporary").mkdir(parents=True)

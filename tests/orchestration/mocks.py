@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.slave import FloatArray, ParameterValue, Port, PortData, inputs, outputs
-from orchestration.system import Component, Connection, System
+from robomill.orchestration.slaves.protocol import FloatArray, ParameterValue, Port, PortData, inputs, outputs
+from robomill.orchestration.system.definition import Component, Connection, System
 
 
 class Mock:

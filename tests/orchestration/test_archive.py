@@ -7,8 +7,8 @@ import zipfile
 
 import pytest
 
-from orchestration.archive import check_xml, unpack
-from orchestration.errors import SlaveError
+from robomill.orchestration.errors import SlaveError
+from robomill.orchestration.slaves.archive import check_xml, unpack
 
 
 def archive(tmp_path, *entries):

@@ -16,12 +16,12 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from orchestration.assembly import run
-from orchestration.checkpoint import Snapshot, read, write
-from orchestration.errors import Interrupted, OrchestrationError, ResultsError, RunError, SlaveError
-from orchestration.results import Run
-from orchestration.slave import PortData
-from orchestration.system import Component, Connection, Recording, System
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import Interrupted, OrchestrationError, ResultsError, RunError, SlaveError
+from robomill.orchestration.runs.checkpoint import Snapshot, read, write
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import PortData
+from robomill.orchestration.system.definition import Component, Connection, Recording, System
 from tests.orchestration import c_fmu
 from tests.orchestration.mocks import Mock
 
@@ -138,7 +138,7 @@ class TestSameNumbers:
 
     def test_a_killed_process(self, whole, tmp_path):
         script = (
-            "import os\nfrom pathlib import Path\nfrom orchestration.assembly import run\n"
+            "import os\nfrom pathlib import Path\nfrom robomill.orchestration.assembly import run\n"
             "from tests.orchestration.test_checkpoint import oscillator, resolver\n"
             f"run(oscillator(), Path({str(tmp_path / 'r')!r}), resolver=resolver(),"
             " progress=lambda done, total: os.kill(os.getpid(), 9) if done == 77 else None)\n"
@@ -154,7 +154,7 @@ class TestSameNumbers:
         with pytest.raises(RunError):
             run(oscillator(), folder, resolver=resolver(0.8))
         with monkeypatch.context() as patch:
-            patch.setattr("orchestration.recorder.rows_of", lambda file: (_ for _ in ()).throw(KeyboardInterrupt))
+            patch.setattr("robomill.orchestration.runs.recorder.rows_of", lambda file: (_ for _ in ()).throw(KeyboardInterrupt))
             with pytest.raises(Interrupted):
                 run(oscillator(), folder, resolver=resolver(), resume=True)
         assert (folder / "before-signals.parquet").is_file()

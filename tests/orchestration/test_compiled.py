@@ -10,15 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestration import chunks, compiled, compiled_iteration
-from orchestration.acceleration import HOLDS, METHODS, Iteration
-from orchestration.assembly import assemble, run
-from orchestration.errors import Interrupted, OrchestrationError, RunError, SystemFileError
-from orchestration.master import Master
-from orchestration.memory import Memory
-from orchestration.results import Run
-from orchestration.slave import PortData
-from orchestration.system import Component, Connection, Recording, System
+from robomill.orchestration.assembly import assemble, run
+from robomill.orchestration.errors import Interrupted, OrchestrationError, RunError, SystemFileError
+from robomill.orchestration.loop import compiled, compiled_iteration
+from robomill.orchestration.loop import compiled_master as chunks
+from robomill.orchestration.loop.acceleration import HOLDS, METHODS, Iteration
+from robomill.orchestration.loop.master import Master
+from robomill.orchestration.runs.memory import Memory
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import PortData
+from robomill.orchestration.system.definition import Component, Connection, Recording, System
 from tests.orchestration import c_fmu
 from tests.orchestration.mocks import Mock, gain, resolver, source, system
 

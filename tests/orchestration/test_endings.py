@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestration.assembly import run
-from orchestration.errors import Interrupted, ResultsError, RunError
-from orchestration.lock import LOCK, FolderLock
-from orchestration.results import Run, read_info
-from orchestration.slave import PortData
-from orchestration.system import Component, Recording, System
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import Interrupted, ResultsError, RunError
+from robomill.orchestration.runs.lock import LOCK, FolderLock
+from robomill.orchestration.runs.run import Run, read_info
+from robomill.orchestration.slaves.protocol import PortData
+from robomill.orchestration.system.definition import Component, Recording, System
 from tests.orchestration import c_fmu
 from tests.orchestration.mocks import Mock, resolver, source, system
 
@@ -32,8 +32,8 @@ DEATHS = {
 ROWS = 31  # t = 0 .. 0.12: the step from 0.12 ends the process
 SCRIPT = """
 import sys
-from orchestration.assembly import run
-from orchestration.system import Component, Connection, Recording, System
+from robomill.orchestration.assembly import run
+from robomill.orchestration.system.definition import Component, Connection, Recording, System
 files, folder, loop, every = sys.argv[1:]
 good, bad = files.split("|")
 parts = Component("good", good), Component("bad", bad, {"gain": 3.0})
@@ -126,8 +126,8 @@ SLOW = """
 import signal, sys, time
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run under nohup
 from pathlib import Path
-from orchestration.assembly import run
-from orchestration.system import Component, Connection, System
+from robomill.orchestration.assembly import run
+from robomill.orchestration.system.definition import Component, Connection, System
 from tests.orchestration.mocks import resolver, source, system
 s = source("s", lambda t: (time.sleep(0.01), t)[1])
 made = system([s], "s.y -> x.u")

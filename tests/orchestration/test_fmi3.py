@@ -9,14 +9,14 @@ import fmpy
 import numpy as np
 import pytest
 
-from orchestration.acceleration import DEFAULT
-from orchestration.assembly import run
-from orchestration.errors import OrchestrationError, RunError, SlaveError, SystemFileError
-from orchestration.fmu import FmuSlave
-from orchestration.results import Run
-from orchestration.slave import PortData, Slave, arrays, inputs, outputs
-from orchestration.system import Component, Connection, System
 from robomill.conformance import check_fmu
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import OrchestrationError, RunError, SlaveError, SystemFileError
+from robomill.orchestration.loop.acceleration import DEFAULT
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.fmu import FmuSlave
+from robomill.orchestration.slaves.protocol import PortData, Slave, arrays, inputs, outputs
+from robomill.orchestration.system.definition import Component, Connection, System
 from tests.orchestration import c_fmu, c_fmu3
 from tests.orchestration.mocks import resolver, source
 

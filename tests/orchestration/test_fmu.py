@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from pythonfmu.builder import FmuBuilder
 
-from orchestration.assembly import assemble, run
-from orchestration.errors import RunError, SlaveError, SystemFileError
-from orchestration.fmu import FmuSlave
-from orchestration.results import Run
-from orchestration.slave import PortData, Slave, inputs, outputs
-from orchestration.system import Component, System
 from robomill.conformance import check_fmu
+from robomill.orchestration.assembly import assemble, run
+from robomill.orchestration.errors import RunError, SlaveError, SystemFileError
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.fmu import FmuSlave
+from robomill.orchestration.slaves.protocol import PortData, Slave, inputs, outputs
+from robomill.orchestration.system.definition import Component, System
 from tests.orchestration import c_fmu
 from tests.orchestration.mocks import gain, resolver, source, system
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import fmpy
 import pytest
 
-from orchestration.assembly import assemble, run
-from orchestration.errors import RunError, SystemFileError
-from orchestration.fmu import FmuSlave
-from orchestration.results import Run
-from orchestration.system import Component, Connection, System
 from robomill.conformance import check_fmu
+from robomill.orchestration.assembly import assemble, run
+from robomill.orchestration.errors import RunError, SystemFileError
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.fmu import FmuSlave
+from robomill.orchestration.system.definition import Component, Connection, System
 from tests.orchestration import c_fmu, c_fmu3
 
 pytestmark = [pytest.mark.skipif(c_fmu.compiler() is None, reason="no C compiler here"), pytest.mark.usefixtures("temporary")]

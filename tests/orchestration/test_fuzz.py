@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.ssp_export import export
-from orchestration.system import Component, Connection, System
+from robomill.orchestration.ssp.export import export
+from robomill.orchestration.system.definition import Component, Connection, System
 from tests.orchestration import c_fmu, c_fmu3
 from tests.orchestration.damage import KINDS, session
 from tests.orchestration.test_ssp_foreign import MAPPING, NESTED, VALUES, package

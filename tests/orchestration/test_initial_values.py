@@ -9,9 +9,9 @@ import fmpy
 import numpy as np
 import pytest
 
-from orchestration.assembly import run
-from orchestration.results import Run
-from orchestration.system import Component, Connection, Recording, System
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system.definition import Component, Connection, Recording, System
 from tests.orchestration import c_fmu, c_fmu3
 from tests.orchestration.mocks import gain, resolver, system
 

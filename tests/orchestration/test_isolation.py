@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestration.assembly import run
-from orchestration.errors import RunError, SlaveError, SystemFileError
-from orchestration.isolation import IsolatedSlave
-from orchestration.results import Run
-from orchestration.slave import Slave
-from orchestration.system import Component, System
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import RunError, SlaveError, SystemFileError
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.isolation import IsolatedSlave
+from robomill.orchestration.slaves.protocol import Slave
+from robomill.orchestration.system.definition import Component, System
 from tests.orchestration import c_fmu
 from tests.orchestration.mocks import resolver, source, system
 
@@ -159,7 +159,7 @@ class TestDeaths:
 
     def test_stuck_while_loading(self, fmus, monkeypatch):
         """There compilers may run, so the limit is longer; but there is one."""
-        monkeypatch.setattr("orchestration.isolation.START_LIMIT", 2.0)
+        monkeypatch.setattr("robomill.orchestration.slaves.isolation.START_LIMIT", 2.0)
         made, resolve = driven(fmus["stuck"], True, 0.5)
         with pytest.raises(RunError, match=r"did not answer within 2 s during initialise and was ended \(time_limit\)"):
             run(made, stop=1.0, resolver=resolve)
@@ -167,8 +167,8 @@ class TestDeaths:
     def test_ctrl_c_reaches_the_master_only(self, fmus, tmp_path):
         """The terminal sends it to all processes of the group; the FMU's is in another, and is closed in order."""
         script = (
-            "import os, signal\nfrom orchestration.assembly import run\nfrom orchestration.errors import Interrupted\n"
-            "from orchestration.system import Component, System\n"
+            "import os, signal\nfrom robomill.orchestration.assembly import run\nfrom robomill.orchestration.errors import Interrupted\n"
+            "from robomill.orchestration.system.definition import Component, System\n"
             f"s = System('t', 0.001, (Component('x', {str(fmus['good'])!r}, isolate=True),))\n"
             "def press(done, total):\n    if done == 50: os.killpg(0, signal.SIGINT)\n"
             f"try:\n    run(s, {str(tmp_path / 'run')!r}, stop=1e3, progress=press)\nexcept Interrupted as e:\n    print(e)\n"
@@ -187,7 +187,7 @@ class TestDeaths:
     def test_it_goes_when_this_process_is_killed(self, fmus):
         """Even while it hangs in a step."""
         script = (
-            "import sys, numpy as np\nfrom orchestration.isolation import IsolatedSlave\n"
+            "import sys, numpy as np\nfrom robomill.orchestration.slaves.isolation import IsolatedSlave\n"
             f"s = IsolatedSlave({str(fmus['hangs'])!r}, 'x')\ns.initialise(0.0, 1.0, 0.1)\n"
             "print(s.process_id, flush=True)\ns.step(0.5, 0.1)\n"
         )

@@ -9,12 +9,12 @@ import fmpy
 import numpy as np
 import pytest
 
-from orchestration.acceleration import METHODS, Iteration, Work, compare, improve
-from orchestration.assembly import run
-from orchestration.errors import RunError, SystemFileError, WiringError
-from orchestration.slave import PortData
-from orchestration.system import Component, Connection, System
-from orchestration.wiring import wire
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import RunError, SystemFileError, WiringError
+from robomill.orchestration.loop.acceleration import METHODS, Iteration, Work, compare, improve
+from robomill.orchestration.slaves.protocol import PortData
+from robomill.orchestration.system.definition import Component, Connection, System
+from robomill.orchestration.system.wiring import wire
 from tests.orchestration import c_fmu
 from tests.orchestration.mocks import Integrator, Mock, gain, resolver, source, system
 from tests.tolerances import EXACT, ROUNDOFF, discretisation

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from fmus.in_process import InProcessSlave
-from models.milling_force import MODEL as MILLING
-from models.robot_compliance import MODEL as COMPLIANCE
-from orchestration.acceleration import Iteration
-from orchestration.assembly import run
-from orchestration.slave import PortData
+from robomill.fmus.in_process import InProcessSlave
+from robomill.models.components.milling_force import MODEL as MILLING
+from robomill.models.components.robot_compliance import MODEL as COMPLIANCE
+from robomill.orchestration.assembly import run
+from robomill.orchestration.loop.acceleration import Iteration
+from robomill.orchestration.slaves.protocol import PortData
 from tests.orchestration.mocks import Mock, resolver, system
 from tests.tolerances import ROUNDOFF, discretisation
 

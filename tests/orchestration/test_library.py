@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from orchestration.library import problem
+from robomill.orchestration.slaves.library import problem
 from tests.orchestration import c_fmu
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux" or c_fmu.compiler() is None, reason="needs Linux and a C compiler")

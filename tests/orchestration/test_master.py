@@ -9,10 +9,10 @@ import signal
 import numpy as np
 import pytest
 
-from orchestration.assembly import run
-from orchestration.errors import Interrupted, OrchestrationError, RunError, SystemFileError, WiringError
-from orchestration.results import Run
-from orchestration.slave import PortData, Slave
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import Interrupted, OrchestrationError, RunError, SystemFileError, WiringError
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import PortData, Slave
 from tests.orchestration.mocks import Integrator, Mock, gain, resolver, source, system
 from tests.tolerances import EXACT, ROUNDOFF, discretisation
 

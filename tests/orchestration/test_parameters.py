@@ -6,11 +6,11 @@ import math
 
 import pytest
 
-from orchestration.errors import OrchestrationError, PlacedError, SlaveError
-from orchestration.parameters import prepare
-from orchestration.slave import PortData
-from orchestration.toml_file import TomlFile
-from orchestration.written import Written, merged, place_of
+from robomill.orchestration.errors import OrchestrationError, PlacedError, SlaveError
+from robomill.orchestration.slaves.protocol import PortData
+from robomill.orchestration.system.parameters import prepare
+from robomill.orchestration.system.toml_file import TomlFile
+from robomill.orchestration.system.written import Written, merged, place_of
 from tests.orchestration.test_system import convert
 
 PORTS = [

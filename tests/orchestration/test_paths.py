@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestration.assembly import run
-from orchestration.results import Run
-from orchestration.ssp_export import export
-from orchestration.ssp_import import open_ssp
-from orchestration.system import System
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.ssp.export import export
+from robomill.orchestration.ssp.importing import open_ssp
+from robomill.orchestration.system.definition import System
 from tests.orchestration import c_fmu
 
 NAMES = {

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestration.acceleration import Iteration
-from orchestration.assembly import run
-from orchestration.errors import RunError, SystemFileError
-from orchestration.rate import MultiRate
-from orchestration.slave import PortData, Slave
-from orchestration.system import System
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import RunError, SystemFileError
+from robomill.orchestration.loop.acceleration import Iteration
+from robomill.orchestration.slaves.multirate import MultiRate
+from robomill.orchestration.slaves.protocol import PortData, Slave
+from robomill.orchestration.system.definition import System
 from tests.orchestration.mocks import Integrator, Mock, gain, resolver, source, system
 from tests.tolerances import EXACT, ROUNDOFF, discretisation
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestration.assembly import assemble, run
-from orchestration.errors import ResultsError, RunError, SystemFileError
-from orchestration.slave import PortData, inputs
+from robomill.orchestration.assembly import assemble, run
+from robomill.orchestration.errors import ResultsError, RunError, SystemFileError
+from robomill.orchestration.slaves.protocol import PortData, inputs
 from tests.orchestration.mocks import Integrator, Mock, gain, resolver, source, system
 
 CONNECTIONS = ("s.y -> drive.u[1]", "cut.f => drive.u[2]", "drive.p -> cut.p", "drive.state -> cut.block")

@@ -12,14 +12,14 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from orchestration.assembly import run
-from orchestration.disk import LINE, zeros_on_lines
-from orchestration.errors import ResultsError
-from orchestration.recorder import Recorder, frame_of
-from orchestration.results import Run, finalise
-from orchestration.slave import PortData
-from orchestration.system import Recording
-from orchestration.wiring import wire
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import ResultsError
+from robomill.orchestration.runs.disk import LINE, zeros_on_lines
+from robomill.orchestration.runs.recorder import Recorder, frame_of
+from robomill.orchestration.runs.run import Run, finalise
+from robomill.orchestration.slaves.protocol import PortData
+from robomill.orchestration.system.definition import Recording
+from robomill.orchestration.system.wiring import wire
 from tests.orchestration.mocks import Mock, resolver, system
 
 
@@ -71,7 +71,7 @@ class TestManyRows:
         slave = Mock("c", [PortData("y", "output")], lambda _, t: [t])
         recorder = Recorder(tmp_path)
         recorder.begin(wire(system([slave]), {"c": slave.ports}), 0.004)
-        monkeypatch.setattr("orchestration.recorder._MUCH", 8 * 7 * 2)
+        monkeypatch.setattr("robomill.orchestration.runs.recorder._MUCH", 8 * 7 * 2)
         recorder.observe(0.0, np.array([1.0]))
         columns = np.arange(1.0, 17.0).reshape(2, 8)
         lengths = []
@@ -248,10 +248,10 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from tests.orchestration.mocks import source, resolver, system
-from orchestration.assembly import run
-from orchestration.disk import LINE, zeros_on_lines
-from orchestration.system import Recording
-from orchestration.wiring import wire
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.disk import LINE, zeros_on_lines
+from robomill.orchestration.system.definition import Recording
+from robomill.orchestration.system.wiring import wire
 
 def progress(done, total):
     if done == 57:

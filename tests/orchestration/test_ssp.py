@@ -12,12 +12,12 @@ import pytest
 from fmpy.ssp.ssd import get_connections, read_ssd
 from lxml import etree
 
-from orchestration.acceleration import Iteration
-from orchestration.assembly import run
-from orchestration.errors import OrchestrationError, SlaveError, SystemFileError, WiringError
-from orchestration.ssp_export import export
-from orchestration.ssp_import import open_ssp
-from orchestration.system import Component, Connection, Recording, System
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import OrchestrationError, SlaveError, SystemFileError, WiringError
+from robomill.orchestration.loop.acceleration import Iteration
+from robomill.orchestration.ssp.export import export
+from robomill.orchestration.ssp.importing import open_ssp
+from robomill.orchestration.system.definition import Component, Connection, Recording, System
 from tests.orchestration import c_fmu, c_fmu3
 
 SCHEMAS = Path(fmpy.__file__).parent / "ssp/schema"

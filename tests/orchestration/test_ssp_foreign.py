@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestration.assembly import run
-from orchestration.errors import SystemFileError
-from orchestration.ssp_import import open_ssp
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import SystemFileError
+from robomill.orchestration.ssp.importing import open_ssp
 from tests.orchestration import c_fmu, c_fmu3
 
 pytestmark = pytest.mark.skipif(c_fmu.compiler() is None, reason="no C compiler here")

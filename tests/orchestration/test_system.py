@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.assembly import run
-from orchestration.errors import SystemFileError
-from orchestration.parameters import same_unit_only
-from orchestration.system import Connection, Recording, System
-from orchestration.toml_file import TomlFile
-from orchestration.toml_lines import key_lines
-from orchestration.toml_text import dump
 from robomill.cli import main
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import SystemFileError
+from robomill.orchestration.system.definition import Connection, Recording, System
+from robomill.orchestration.system.parameters import same_unit_only
+from robomill.orchestration.system.toml_file import TomlFile
+from robomill.orchestration.system.toml_lines import key_lines
+from robomill.orchestration.system.toml_text import dump
 from tests.orchestration.mocks import gain
 from tests.tolerances import EXACT
 

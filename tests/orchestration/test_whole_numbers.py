@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestration.assembly import run
-from orchestration.errors import RunError, SystemFileError, WiringError
-from orchestration.results import Run
-from orchestration.slave import PortData
-from orchestration.system import Component, Connection, System
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import RunError, SystemFileError, WiringError
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import PortData
+from robomill.orchestration.system.definition import Component, Connection, System
 from tests.orchestration import c_fmu, c_fmu3
 from tests.orchestration.mocks import Mock, resolver, system
 

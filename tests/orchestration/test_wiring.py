@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from orchestration.errors import WiringError
-from orchestration.slave import PortData
-from orchestration.wiring import wire
+from robomill.orchestration.errors import WiringError
+from robomill.orchestration.slaves.protocol import PortData
+from robomill.orchestration.system.wiring import wire
 from tests.orchestration.mocks import Mock, gain, source, system
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from robomill import milling
-from robomill.evaluation import Result, evaluate
-from robomill.scenario import load_scenario
+from robomill.cell import milling
+from robomill.cell.evaluation import Result, evaluate
+from robomill.cell.scenario import load_scenario
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 

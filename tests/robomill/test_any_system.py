@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis import closure
-from diagnosis.answer import as_json, titles_of
-from diagnosis.catalogue import Catalogue
-from diagnosis.engine import diagnose
-from diagnosis.evidence import BEGINNING
-from diagnosis.repeats import as_share, bootstrapped
-from orchestration.results import Run
-from orchestration.slave import PortData
-from orchestration.system import System
 from robomill.cli import main
 from robomill.diagnose_command import lines, write
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.experiment.repeats import as_share, bootstrapped
+from robomill.diagnosis.inference.evidence import BEGINNING
+from robomill.diagnosis.outcome import closure
+from robomill.diagnosis.outcome.answer import as_json, titles_of
 from robomill.logs.importing import import_log
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import PortData
+from robomill.orchestration.system.definition import System
 from robomill.report import units
 from tests.diagnosis import axis, demo
 

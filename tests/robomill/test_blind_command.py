@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from blind.sealing import hashes
+from robomill.blind.sealing import hashes
 from robomill.cli import main
 
 

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.assembly import run as record
-from orchestration.lock import FolderLock
-from orchestration.results import Run
 from robomill.cli import main
+from robomill.orchestration.assembly import run as record
+from robomill.orchestration.runs.lock import FolderLock
+from robomill.orchestration.runs.run import Run
 from tests.orchestration.mocks import resolver, source, system
 from tests.robomill.conftest import SCENARIOS
 
@@ -284,7 +284,7 @@ class TestResume:
 
     def test_an_interrupted_scenario(self, cell, capsys, monkeypatch):
         """The first of two variants is finished, the second was stopped in its middle."""
-        from robomill import milling
+        from robomill.cell import milling
 
         edit(cell / "part.toml", "[variants.cartesian]", "[variants.none]\nparameters.controller.mode = 0\n[variants.cartesian]")
         assert main(["run", "part.toml", "--no-pictures", "--out", "whole"]) == 0

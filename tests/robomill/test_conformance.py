@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from fmus.python.builder import build as build_python_fmu
-from orchestration.errors import SlaveError
-from orchestration.fmu import FmuSlave
 from robomill.conformance import CHECKS, Result, check_fmu
+from robomill.fmus.python.builder import build as build_python_fmu
+from robomill.orchestration.errors import SlaveError
+from robomill.orchestration.slaves.fmu import FmuSlave
 from tests.fmus import demo
 from tests.orchestration import c_fmu
 

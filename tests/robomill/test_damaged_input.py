@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from diagnosis.catalogue import Catalogue, CatalogueError
-from orchestration.errors import OrchestrationError
-from orchestration.system import System
-from robomill.binding import convert
-from robomill.entries import ScenarioError
-from robomill.experiments import load_experiment
+from robomill.cell.binding import convert
+from robomill.cell.entries import ScenarioError
+from robomill.cell.experiments import load_experiment
+from robomill.cell.scenario import load_scenario
+from robomill.diagnosis.catalogue import Catalogue, CatalogueError
 from robomill.logs.mapping import load_mapping
 from robomill.logs.reading import LogError
-from robomill.scenario import load_scenario
+from robomill.orchestration.errors import OrchestrationError
+from robomill.orchestration.system.definition import System
 
 ROOT = Path(__file__).parents[2]
 READERS: list[tuple[str, Callable[[Path], object]]] = [

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from models import tool_table
-from models.cutting import EndMill
-from orchestration.results import Run
-from robomill import milling, pictures
+from robomill.cell import milling, pictures
+from robomill.cell.evaluation import Result, evaluate
+from robomill.cell.reaction import reaction_time
+from robomill.cell.scenario import Scenario, Workpiece
 from robomill.commands import _largest, _table
-from robomill.evaluation import Result, evaluate
-from robomill.reaction import reaction_time
-from robomill.scenario import Scenario, Workpiece
+from robomill.models.process import tool_table
+from robomill.models.process.cutting import EndMill
+from robomill.orchestration.runs.run import Run
 from tests.tolerances import EXACT, ROUNDOFF, discretisation
 
 BLOCK = Workpiece((1.3, 0.0, 1.2), (0.10, 0.06, 0.03))

@@ -10,18 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.interface import interface_of
-from models.applied_load import MODEL
-from models.declaration import record
-from models.validation_loads import displacement
-from orchestration.assembly import run
-from orchestration.results import Run
-from orchestration.system import System
-from robomill.binding import convert, resolve
+from robomill.cell.binding import convert, resolve
+from robomill.cell.experiments import folder_of, is_experiment, known_parameters, load_experiment, remarks, run_condition
+from robomill.cell.milling import with_parameters
+from robomill.cell.scenario import ScenarioError
 from robomill.cli import main
-from robomill.experiments import folder_of, is_experiment, known_parameters, load_experiment, remarks, run_condition
-from robomill.milling import with_parameters
-from robomill.scenario import ScenarioError
+from robomill.fmus.interface import interface_of
+from robomill.models.calibration.validation_loads import displacement
+from robomill.models.components.applied_load import MODEL
+from robomill.models.model.declaration import record
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system.definition import System
 from tests.tolerances import ROUNDOFF
 
 FOLDER = Path(__file__).parents[2] / "scenarios" / "experiments"
@@ -75,7 +75,7 @@ def test_a_push_deflects_the_tool_as_the_compliance_model_says(tmp_path):
     r = run_condition(experiment, c, 1, tmp_path / "r")
     k = int(np.searchsorted(r.t, 3.0))
     np.testing.assert_array_equal(r["load.f_T_B"][k], [300.0, 0.0, 0.0])
-    from models.robot_compliance import MODEL as COMPLIANCE
+    from robomill.models.components.robot_compliance import MODEL as COMPLIANCE
 
     data = COMPLIANCE.new()
     s = record(data)

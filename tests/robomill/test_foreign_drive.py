@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestration.assembly import run
-from orchestration.errors import Interrupted, WiringError
-from orchestration.system import Component, Connection, Recording, System
-from robomill.binding import convert, resolve
+from robomill.cell.binding import convert, resolve
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import Interrupted, WiringError
+from robomill.orchestration.system.definition import Component, Connection, Recording, System
 from tests.orchestration import c_fmu
 
 pytestmark = pytest.mark.skipif(c_fmu.compiler() is None, reason="no C compiler here")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from diagnosis.gate import against_simulation
-from orchestration.assembly import run
-from orchestration.system import System
-from robomill.binding import convert, resolve
-from robomill.milling import with_parameters
-from robomill.next_runs import prepare
+from robomill.cell.binding import convert, resolve
+from robomill.cell.milling import with_parameters
+from robomill.cell.next_runs import prepare
+from robomill.diagnosis.gate.checks import against_simulation
+from robomill.orchestration.assembly import run
+from robomill.orchestration.system.definition import System
 
 SPREAD = {"compliance.p_BT_B": 7e-6, "sensor.f_S_raw": 0.5, "sensor.f_T_T": 0.5, "drive.q_motor": 1e-6, "drive.torque_motor": 0.07}
 """Arrays that are measured, and the noise of their instruments."""

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robomill import milling
-from robomill.evaluation import evaluate
-from robomill.scenario import load_scenario
+from robomill.cell import milling
+from robomill.cell.evaluation import evaluate
+from robomill.cell.scenario import load_scenario
 from tests.robomill.conftest import SCENARIOS, Runs
 from tests.tolerances import EXACT, physics
 

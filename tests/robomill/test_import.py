@@ -12,11 +12,11 @@ import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
-from orchestration.errors import ResultsError
-from orchestration.results import Run
 from robomill import cli
 from robomill.logs.importing import import_log
 from robomill.logs.reading import LogError
+from robomill.orchestration.errors import ResultsError
+from robomill.orchestration.runs.run import Run
 from tests.tolerances import EXACT, ROUNDOFF
 
 DATA = Path(__file__).parents[2] / "data" / "kuka_kr300_recordings"

@@ -14,15 +14,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.components import COMPONENTS
-from fmus.native.builder import build_all
-from models.declaration import FloatArray
-from orchestration.assembly import run
-from orchestration.results import Run
-from orchestration.ssp_import import open_ssp
-from robomill import milling, ssp
-from robomill.binding import convert
-from robomill.scenario import load_scenario
+from robomill.cell import milling
+from robomill.cell import package as ssp
+from robomill.cell.binding import convert
+from robomill.cell.scenario import load_scenario
+from robomill.fmus.components import COMPONENTS
+from robomill.fmus.native.builder import build_all
+from robomill.models.model.declaration import FloatArray
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.ssp.importing import open_ssp
 from tests.robomill.conftest import SCENARIOS
 from tests.robomill.importers import STEP
 from tests.robomill.test_scenarios import short

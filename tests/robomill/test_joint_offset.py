@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from blind.generate import Plan, make_case
+from robomill.blind.generate import Plan, make_case
 from robomill.blind_command import diagnose_case
 
 

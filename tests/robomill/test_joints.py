@@ -9,23 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blind.conditions import POSITIONS, Condition, known, planned
-from blind.effects import BY_KEY, Instance
-from blind.world import MEASURED, NOISE, TRACKER, nominal_system, simulate_nominal
-from diagnosis.catalogue import Catalogue
-from diagnosis.engine import _nuisances
-from diagnosis.localise import alignment
-from diagnosis.measured import sort_by_condition
-from diagnosis.replay import Replay
-from diagnosis.simulation import Laboratory
-from diagnosis.where import locate
-from models.declaration import FloatArray, record
-from models.robot_drive import MODEL
-from models.robots import tool_pose
-from orchestration.results import Run
-from orchestration.slave import base_name
-from robomill.binding import convert, resolve
+from robomill.blind.conditions import POSITIONS, Condition, known, planned
+from robomill.blind.effects import BY_KEY, Instance
+from robomill.blind.world import MEASURED, NOISE, TRACKER, nominal_system, simulate_nominal
+from robomill.cell.binding import convert, resolve
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.diagnosis.engine import _nuisances
+from robomill.diagnosis.experiment.measured import sort_by_condition
+from robomill.diagnosis.experiment.simulation import Laboratory
+from robomill.diagnosis.localisation.localise import alignment
+from robomill.diagnosis.localisation.replay_attribution import Replay
+from robomill.diagnosis.localisation.where import locate
 from robomill.joints import ANGLES, KNOTS, PROJECTIONS, TOOL_TIP, tool_tip_jacobian
+from robomill.models.components.robot_drive import MODEL
+from robomill.models.model.declaration import FloatArray, record
+from robomill.models.robot.kinematics import tool_pose
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import base_name
 
 CATALOGUE = Path(__file__).parents[2] / "scenarios" / "catalogue.toml"
 CUT = Condition("cut", POSITIONS[0], 180.0, 4e-3, 0.06, reversals=True)

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestration.assembly import run
-from orchestration.system import System
-from robomill.binding import convert, resolve
+from robomill.cell.binding import convert, resolve
+from robomill.cell.milling import with_parameters
+from robomill.cell.next_runs import kinds, prepare, with_load
 from robomill.diagnose_command import menu
-from robomill.milling import with_parameters
-from robomill.next_runs import kinds, prepare, with_load
+from robomill.orchestration.assembly import run
+from robomill.orchestration.system.definition import System
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 CELL = System.load(SCENARIOS / "milling_cell.toml", convert)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from fmus.components import COMPONENTS
-from fmus.native.builder import build_all
-from fmus.python.builder import build
-from models.declaration import Model
-from robomill import milling
-from robomill.scenario import load_scenario
+from robomill.cell import milling
+from robomill.cell.scenario import load_scenario
+from robomill.fmus.components import COMPONENTS
+from robomill.fmus.native.builder import build_all
+from robomill.fmus.python.builder import build
+from robomill.models.model.declaration import Model
 from tests.robomill.conftest import SCENARIOS, Runs
 from tests.robomill.test_scenarios import assert_equal
 

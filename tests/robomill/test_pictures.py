@@ -7,8 +7,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from robomill import pictures
-from robomill.evaluation import Cut, Result
+from robomill.cell import pictures
+from robomill.cell.evaluation import Cut, Result
 
 
 class _Run(dict[str, Any]):

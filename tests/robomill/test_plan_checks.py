@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models import gcode
-from models.cutting import EndMill
-from orchestration.results import Run
+from robomill.cell.milling import _label, lay_out, prepare
+from robomill.cell.plan_checks import Findings, check_plan
+from robomill.cell.scenario import ScenarioError, load_scenario, place_in_block
 from robomill.cli import main
-from robomill.milling import _label, lay_out, prepare
-from robomill.plan_checks import Findings, check_plan
-from robomill.scenario import ScenarioError, load_scenario, place_in_block
+from robomill.models.planning import gcode
+from robomill.models.process.cutting import EndMill
+from robomill.orchestration.runs.run import Run
 from tests.robomill.conftest import SCENARIOS
 from tests.tolerances import ROUNDOFF
 

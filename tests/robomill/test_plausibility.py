@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from models.cutting import EndMill
-from models.gcode import Move
-from orchestration.assembly import assemble
-from orchestration.system import System
-from robomill.binding import convert, resolve
+from robomill.cell.binding import convert, resolve
+from robomill.cell.plausibility import unusual, unusual_cuts, unusual_values
 from robomill.cli import main
-from robomill.plausibility import unusual, unusual_cuts, unusual_values
+from robomill.models.planning.gcode import Move
+from robomill.models.process.cutting import EndMill
+from robomill.orchestration.assembly import assemble
+from robomill.orchestration.system.definition import System
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 MILLING, CONTROL, SENSOR = '"milling_force"', '"compensation_controller"', '"sensor_chain"\nparameters = {'

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.catalogue import Candidate, Catalogue
-from orchestration.results import Run
+from robomill.diagnosis.catalogue import Candidate, Catalogue
 from robomill.logs.importing import import_log
+from robomill.orchestration.runs.run import Run
 from robomill.real_gap import Problem, Recording, fit, select, simulate
 from robomill.real_gap_report import LINK_EFFECTS, lag_between, link_hypotheses, torque_clock, whitened
 

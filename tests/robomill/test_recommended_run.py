@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.catalogue import Catalogue
-from diagnosis.engine import diagnose
-from orchestration.assembly import run
-from orchestration.results import Run
-from orchestration.system import System
-from robomill.binding import convert, resolve
+from robomill.cell.binding import convert, resolve
+from robomill.cell.milling import with_parameters
+from robomill.cell.next_runs import prepare, with_load
 from robomill.diagnose_command import menu
-from robomill.milling import with_parameters
-from robomill.next_runs import prepare, with_load
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.diagnosis.engine import diagnose
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system.definition import System
 
 CELL = System.load(Path(__file__).parents[2] / "scenarios" / "milling_cell.toml", convert)
 NOISE = 7e-6  # m

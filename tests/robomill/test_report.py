@@ -17,16 +17,16 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from diagnosis.answer import Diagnosis, Menu
-from diagnosis.catalogue import Catalogue
-from diagnosis.engine import diagnose
-from diagnosis.next_run import Offer
-from models.robots import forward
-from orchestration.results import Run
-from orchestration.system import System
 from robomill import report
-from robomill.binding import convert
+from robomill.cell.binding import convert
 from robomill.diagnose_command import lines
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.outcome.answer import Diagnosis, Menu
+from robomill.diagnosis.outcome.next_run import Offer
+from robomill.models.robot.kinematics import forward
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system.definition import System
 from robomill.report import robot, units
 from robomill.report.figures import draw_all
 from robomill.report.page import page as html

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.components import COMPONENTS
-from fmus.python.builder import build
-from models import gcode
-from models.height_map import cut_height_map
-from models.replay import replay_model
-from models.validation_loads import validation_loads
-from orchestration.results import Run
-from robomill import milling
-from robomill.scenario import Scenario, ScenarioError, load_scenario
-from robomill.static_loads import run_static_loads
+from robomill.cell import milling
+from robomill.cell.scenario import Scenario, ScenarioError, load_scenario
+from robomill.cell.static_loads import run_static_loads
+from robomill.fmus.components import COMPONENTS
+from robomill.fmus.python.builder import build
+from robomill.models.calibration.validation_loads import validation_loads
+from robomill.models.components.recording import replay_model
+from robomill.models.metrology.height_map import cut_height_map
+from robomill.models.planning import gcode
+from robomill.orchestration.runs.run import Run
 from tests.robomill.conftest import SCENARIOS, Runs
 from tests.tolerances import EXACT, ROUNDOFF, physics
 

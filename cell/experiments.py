@@ -1,0 +1,325 @@
+"""Experiments: runs made to find something out, simulated as they would be measured.
+
+An experiment file is a scenario of kind "experiment"::
+
+    [scenario]
+    name = "static_loads_with_weight"
+    kind = "experiment"
+    title = "..."
+    system = "loaded_cell.toml"
+
+    [experiment]
+    kind = "static load"            # label of the runs
+    repeats = 3                     # of each condition, each with noise of its own
+
+    [parameters]                    # known to the experimenter, for all conditions
+    controller.mode = 0
+    [machine]                       # not known: what the machine has; not written to the runs
+    compliance.stiffness_error = [0, 0.1, 0, 0, 0, 0]
+
+    [[condition]]
+    name = "push +x"
+    program = "programs/hold.ngc"   # G-code, or a path of points
+    position = ["1300 mm", "0 mm", "1200 mm"]       # of the frame that the program is in; also abc
+    size = ["100 mm", "60 mm", "30 mm"]             # of the block, where one is milled
+    load = [["1 s", 0, 0, 0], ["1.5 s", "300 N", 0, 0]] # time, force on the tool in B; lines between
+    weight = "25 kg"                # hangs from the tool tip all the time
+    held_out = true
+    minutes = 5                     # what its repeats cost on the machine, with setting up (scenarios/next_runs)
+    parameters.compliance.warm_up_time = "30 min"
+
+Each repeat is a run folder with the labels condition, repeat, held_out, kind, tier, and `parameters`: what the experimenter set. A
+program is a table in the run's folder, so a run stands alone.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from robomill.cell.binding import convert, resolve, with_fmus
+from robomill.cell.entries import ComponentParameters, Entry, ScenarioError
+from robomill.cell.milling import Progress, notes_of, own_tool, read_program, with_parameters
+from robomill.cell.plan_checks import check_plan
+from robomill.models.model.declaration import FloatArray
+from robomill.models.planning import gcode
+from robomill.models.planning.trajectory import Placement, Plan, plan
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import RUN, Run, check_vacant, read_info
+from robomill.orchestration.system.definition import System
+from robomill.orchestration.system.toml_text import dump, parse
+from robomill.orchestration.system.written import merged
+
+PATH, LOAD = "segments.npy", "profile.npy"
+"""Tables in the folder of a run: the planned program, the applied load."""
+GRAVITY = 9.81
+"""m/s2, as in the models."""
+_TOP = {"scenario", "experiment", "parameters", "machine", "condition"}
+_CONDITION = {"name", "program", "position", "abc", "size", "load", "weight", "held_out", "minutes", "parameters"}
+
+
+@dataclass(frozen=True)
+class ExperimentCondition:
+    """One way to measure; SI."""
+
+    name: str
+    program: Path
+    position: tuple[float, ...]
+    abc: tuple[float, ...]
+    size: tuple[float, ...] | None
+    load: FloatArray
+    """(n, 7): time [s], force [N], moment [N m] on the tool in B; (0, 7): no applied load."""
+    held_out: bool
+    parameters: ComponentParameters
+    minutes: float = 0.0
+    """What all its repeats cost on the machine, with setting up; 0: not said."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """An experiment file, paths made absolute."""
+
+    file: Path
+    name: str
+    title: str
+    kind: str
+    repeats: int
+    system: Path
+    parameters: ComponentParameters
+    machine: ComponentParameters
+    conditions: tuple[ExperimentCondition, ...]
+
+
+def is_experiment(file: Path) -> bool:
+    """Whether a TOML file is a scenario of kind "experiment"."""
+    try:
+        return bool(parse(file.read_text(encoding="utf-8"))["scenario"]["kind"] == "experiment")
+    except (OSError, KeyError, TypeError, tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return False
+
+
+def load_experiment(path: str | Path) -> Experiment:
+    """Read and check an experiment file. ScenarioError or FileNotFoundError says what is wrong and what is possible."""
+    file = Path(path).resolve()
+    top = Entry.load(file).keys({"scenario", "experiment", "condition"}, _TOP)
+    head = top["scenario"].keys({"name", "system"}, {"kind", "title"})
+    about = top["experiment"].keys({"kind"}, {"repeats"})
+    if not isinstance(top["condition"].value, list):
+        raise top["condition"].fail(f"expected [[condition]] tables; found {top['condition'].value!r}")
+    conditions = tuple(_condition(top["condition"][i]) for i in range(len(top["condition"].value)))
+    names = [c.name for c in conditions]
+    folders = [folder_of(name) for name in names]
+    for i, folder in enumerate(folders):
+        if folder in folders[:i]:
+            other = names[folders.index(folder)]
+            raise top["condition"][i]["name"].fail(f"{names[i]!r} and {other!r} are the same or have the same folder of results, {folder}")
+    return Experiment(
+        file,
+        head["name"].folder_name(),
+        head.get("title", head["name"].value).text(),
+        about["kind"].text(),
+        about.get("repeats", 1).count(1),
+        head["system"].file(),
+        top.get("parameters", {}).parameters(),
+        top.get("machine", {}).parameters(),
+        conditions,
+    )
+
+
+def folder_of(condition: str) -> str:
+    """The name of a condition as that of a folder."""
+    return "".join(ch if ch.isalnum() or ch in "+-" else "_" for ch in condition)
+
+
+def _condition(entry: Entry) -> ExperimentCondition:
+    entry.keys({"name", "program", "position"}, _CONDITION)
+    rows = entry.get("load", [])
+    if not isinstance(rows.value, list) or not all(isinstance(r, list) and len(r) == 4 for r in rows.value):
+        raise rows.fail(f"{rows.value!r}; expected rows of time, fx, fy, fz")
+    load = np.zeros((max(len(rows.value), 1), 7))
+    for i in range(len(rows.value)):
+        load[i, :4] = [rows[i][k].si("s" if k == 0 else "N") for k in range(4)]
+        if i and load[i, 0] <= load[i - 1, 0]:
+            raise rows[i].fail(f"the time {load[i, 0]:g} s is not after that of the row before, {load[i - 1, 0]:g} s")
+    weight = entry.get("weight", 0).si("kg")
+    if weight < 0.0:
+        raise entry["weight"].fail(f"{entry['weight'].value!r} is negative")
+    load[:, 3] -= weight * GRAVITY
+    return ExperimentCondition(
+        entry["name"].text(),
+        entry["program"].file(),
+        entry["position"].vector("m"),
+        entry.get("abc", [0, 0, 0]).vector("rad"),
+        entry["size"].vector("m") if "size" in entry else None,
+        load if rows.value or weight else load[:0],
+        entry.get("held_out", False).flag(),
+        entry.get("parameters", {}).parameters(),
+        _minutes(entry.get("minutes", 0)),
+    )
+
+
+def _minutes(entry: Entry) -> float:
+    """The key says the unit; a text may say another."""
+    found = entry.si("min" if isinstance(entry.value, str) else "1")
+    if found < 0.0:
+        raise entry.fail(f"{entry.value!r} is negative")
+    return found
+
+
+def known_parameters(experiment: Experiment, c: ExperimentCondition, system: System) -> dict[str, Mapping[str, Any]]:
+    """What the experimenter sets, without the tables of program and load."""
+    known: dict[str, Mapping[str, Any]] = {"path": {}}
+    names = {component.name for component in system.components}
+    if "milling" in names and c.size is not None:
+        quaternion = np.roll(Rotation.from_euler("ZYX", c.abc).as_quat(canonical=True), 1)
+        known["milling"] = {"p_BP_B": list(c.position), "quat_BP": [float(v) for v in quaternion], "block_size": list(c.size)}
+    for table in (experiment.parameters, c.parameters):
+        for component, values in table.items():
+            known[component] = merged(known.get(component, {}), values)
+    return known
+
+
+def prepare(experiment: Experiment, c: ExperimentCondition, system: System, folder: Path) -> tuple[Plan, dict[str, Mapping[str, Any]]]:
+    """Plan the condition for `system` and write its tables into `folder` (made).
+
+    Returns the plan and all that the experimenter sets, files by their names in the folder. Raises what reader and planner raise.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    planned = plan(read_program(c.program, gcode.Setup()), _placement(c))
+    np.save(folder / PATH, planned.table)
+    known = known_parameters(experiment, c, system)
+    known["path"] = merged(known["path"], {"segments": PATH})
+    if any(component.name == "load" for component in system.components):
+        np.save(folder / LOAD, c.load)
+        known["load"] = merged(known.get("load", {}), {"profile": LOAD})
+    return planned, known
+
+
+def remarks(experiment: Experiment, names: Sequence[str] | None = None) -> tuple[list[str], list[str]]:
+    """Notes and warnings about the programs of all conditions (or of those in `names`); each once, with its conditions.
+
+    Raises what reader and planner raise, so that what cannot be planned is refused before anything is run.
+    """
+    system = System.load(experiment.system, convert)
+    mills = any(component.name == "milling" for component in system.components)
+    said: tuple[dict[str, list[str]], dict[str, list[str]]] = {}, {}
+    for c in _chosen(experiment, names):
+        program = read_program(c.program, gcode.Setup())
+        texts = (*notes_of(program), *plan(program, _placement(c)).notes)
+        own = own_tool(with_parameters(system, known_parameters(experiment, c, system))) if mills and c.size is not None else None
+        x, y, z = c.size or (0.0, 0.0, 0.0)
+        findings = check_plan(program, (x, y, z), {0: own}).texts if own is not None else ()
+        for found, kind in zip((texts, findings), said, strict=True):
+            for text in found:
+                kind.setdefault(f"{c.program.name}: {text}", []).append(c.name)
+    notes, warnings = ([f"{text} (condition {', '.join(where)})" for text, where in kind.items()] for kind in said)
+    return notes, warnings
+
+
+def _placement(c: ExperimentCondition) -> Placement:
+    x, y, z = c.position
+    a, b, g = c.abc
+    return Placement((x, y, z), (a, b, g))
+
+
+def in_folder(known: ComponentParameters, folder: Path) -> dict[str, Mapping[str, Any]]:
+    """The same with the tables of path and load found from everywhere."""
+    tables = {k: {n: str((folder / v).resolve()) for n, v in values.items() if v in (PATH, LOAD)} for k, values in known.items()}
+    return {k: merged(values, tables[k]) for k, values in known.items()}
+
+
+def run_condition(
+    experiment: Experiment,
+    c: ExperimentCondition,
+    repeat: int,
+    folder: Path,
+    fmus: Path | None = None,
+    csv: bool = False,
+    tier: str = "T1",
+    overwrite: bool = False,
+) -> Run:
+    """One repeat into `folder`; a run that is there is replaced with `overwrite`, else refused.
+
+    Raises what reader, planner and master raise.
+    """
+    if not overwrite:
+        check_vacant([folder])
+    system = System.load(experiment.system, convert)
+    planned, known = prepare(experiment, c, system, folder)
+    seed = {"sensor": {"seed": 1000 * (1 + experiment.conditions.index(c)) + repeat}}
+    configured = with_parameters(with_parameters(with_parameters(system, seed), experiment.machine), in_folder(known, folder))
+    configured = replace(configured, name=experiment.name, recording=replace(configured.recording, csv=csv))
+    if fmus is not None:
+        configured = with_fmus(configured, fmus)
+    labels = {
+        "program": planned.name,
+        "robot": "KUKA KR 300 R2500 ultra",
+        "condition": c.name,
+        "repeat": repeat,
+        "held_out": c.held_out,
+        "kind": experiment.kind,
+        "tier": tier,
+    }
+    run(configured, folder, resolver=resolve, convert=convert, labels=labels, overwrite=overwrite)
+    info = read_info(folder)
+    info["parameters"] = known
+    (folder / RUN).write_text(dump(info), encoding="utf-8")
+    return Run.load(folder)
+
+
+def _place(folder: Path, c: ExperimentCondition, repeat: int) -> Path:
+    return folder / f"{folder_of(c.name)}-{repeat}"
+
+
+def _chosen(experiment: Experiment, names: Sequence[str] | None) -> list[ExperimentCondition]:
+    """All conditions, or those in `names`; ScenarioError if one is not there."""
+    unknown = sorted(set(names or ()) - {c.name for c in experiment.conditions})
+    if unknown:
+        raise ScenarioError(
+            f"{experiment.file}: no condition {', '.join(unknown)}; conditions: {', '.join(c.name for c in experiment.conditions)}"
+        )
+    return [c for c in experiment.conditions if not names or c.name in names]
+
+
+def run_experiment(
+    experiment: Experiment,
+    folder: Path,
+    names: Sequence[str] | None = None,
+    fmus: Path | None = None,
+    csv: bool = False,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """All repeats of all conditions (or of those in `names`) below `folder`; returns what summary.json holds.
+
+    Runs that are there are replaced with `overwrite`; else nothing is begun.
+    """
+    chosen = _chosen(experiment, names)
+    repeats = range(1, experiment.repeats + 1)
+    if not overwrite:
+        check_vacant(_place(folder, c, repeat) for c in chosen for repeat in repeats)
+    runs: list[dict[str, Any]] = []
+    for i, c in enumerate(chosen):
+        for repeat in repeats:
+            if progress is not None:
+                progress(experiment.name, i * experiment.repeats + repeat - 1, len(chosen) * experiment.repeats)
+            place = _place(folder, c, repeat)
+            result = run_condition(experiment, c, repeat, place, fmus, csv, overwrite=overwrite)
+            size = np.linalg.norm(result["compliance.d_T_B"], axis=1)
+            runs.append(
+                {
+                    "folder": place.name,
+                    "condition": c.name,
+                    "repeat": repeat,
+                    "duration_s": float(result.t[-1]),
+                    "max_displacement_m": float(size.max()),
+                    "max_force_n": float(np.linalg.norm(result["sensor.f_T_T"], axis=1).max()),
+                }
+            )
+    return {"scenario": experiment.name, "kind": experiment.kind, "runs": runs}

@@ -1,0 +1,280 @@
+"""The pictures that a reader of paper 000 expects, from the results of a milling scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import TwoSlopeNorm
+from matplotlib.figure import Figure
+
+from robomill.cell.evaluation import Cut, Result, cutting
+from robomill.cell.scenario import Scenario, Workpiece
+from robomill.models.metrology.height_map import cut_height_map
+from robomill.models.metrology.surface import SurfaceDeviation
+from robomill.models.model.declaration import FloatArray
+from robomill.orchestration.runs.run import Run
+
+MAP = "RdBu_r"
+RELIEF = 4e-4
+"""Cell size [m] of the height maps in the pictures."""
+DOT = 1.1e-3
+"""Size [m] at which a scanned point is drawn."""
+EDGE = "gold"
+"""Points beside an edge: no colour of MAP, so that nobody reads a deviation from it."""
+NOTE: dict[str, Any] = {"boxstyle": "round", "fc": "white", "alpha": 0.8}
+COLOURS = {"uncompensated": "tab:gray", "cartesian": "tab:blue", "axis": "tab:orange", "cartesian_pilot": "tab:green"}
+
+
+def draw_all(scenario: Scenario, results: Sequence[Result], folder: Path) -> list[Path]:
+    """Draw every picture of a milling scenario into `folder`; returns the files. Those of all variants need all variants."""
+    assert scenario.workpiece is not None
+    files = []
+    if len(results) == len(scenario.variants):
+        files.append(_save(surfaces(results, scenario.workpiece), folder / "surfaces.png"))
+        files.append(_save(deviations(results, scenario.workpiece), folder / "deviation.png"))
+    for result in results:
+        files.append(_save(surfaces([result], scenario.workpiece), folder / result.name / "surface.png"))
+        files.append(_save(forces(result), folder / result.name / "force.png"))
+        files.append(_save(projection(result), folder / result.name / "projection.png"))
+    return files
+
+
+def _save(figure: Figure, file: Path) -> Path:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file, dpi=130)
+    return file
+
+
+def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
+    """Colour maps nominal minus actual workpiece (Figs. 10-13), from above.
+
+    Walls are folded outwards about their top edge: a wall 10 mm high is a band 10 mm wide beside the groove.
+    """
+    columns = 1 if len(results) == 1 else 2
+    rows = -(-len(results) // columns)
+    size = np.array(workpiece.size[:2]) * 1e3
+    width = 6.4 if columns == 2 else 8.0
+    figure = Figure(figsize=(width * columns + 1.2, (0.72 * width * size[1] / size[0] + 0.9) * rows), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    limit = 1e3 * max((r.figures["max_deviation_m"] or 0.0 for r in results), default=0.0) or 1.0
+    norm = TwoSlopeNorm(0.0, -limit, limit)
+    for ax, result in zip(axes, results, strict=False):
+        _surface(ax, result, workpiece, norm, DOT * 72.0 * 0.8 * width / workpiece.size[0])
+    for ax in axes[len(results) :]:
+        ax.remove()
+    bar = figure.colorbar(ScalarMappable(norm, MAP), ax=list(axes[: len(results)]), shrink=0.8)
+    bar.set_label(
+        "deviation along the surface normal in mm\n"
+        "(red: material left, blue: gouged; walls folded outwards;\nyellow: beside an edge, not counted; crosses: at least so much)"
+    )
+    return figure
+
+
+def _surface(ax: Axes, result: Result, workpiece: Workpiece, norm: TwoSlopeNorm, dot: float) -> None:
+    nominal = cut_height_map(result.nominal, workpiece.size, RELIEF)
+    ax.pcolormesh(1e3 * nominal.x, 1e3 * nominal.y, nominal.height, cmap="Greys_r", alpha=0.35, shading="nearest", rasterized=True)
+    if result.surface is None:
+        ax.text(0.0, 0.0, "nothing is cut", ha="center", va="center", bbox=NOTE)
+    else:
+        _deviation(ax, result.surface, norm, dot)
+    half = 0.5e3 * np.array(workpiece.size[:2])
+    ax.set(aspect="equal", xlim=(-half[0], half[0]), ylim=(-half[1], half[1]), xlabel="x in mm", ylabel="y in mm")
+    ax.set_title(f"{result.title}\n{_headline(result)}", fontsize=10)
+
+
+def _headline(result: Result) -> str:
+    largest, rms = result.figures["max_deviation_m"], result.figures["rms_deviation_m"]
+    if largest is None:
+        return "no figures"
+    return f"max {_at_least(result.figures['max_deviation_limited'])}{1e3 * largest:.2f} mm, rms {1e3 * rms:.2f} mm"
+
+
+def _at_least(limited: bool) -> str:
+    """What stands before a figure that the measure could not follow any further."""
+    return ">= " if limited else ""
+
+
+def _deviation(ax: Axes, s: SurfaceDeviation, norm: TwoSlopeNorm, dot: float) -> None:
+    """The measured points in colour, those beside edges in one of their own, limited ones with a cross; the largest with its size."""
+    folded = 1e3 * (s.points[:, :2] - np.where(s.wall[:, None], s.normal[:, :2] * (-s.points[:, 2:3]), 0.0))
+    style: dict[str, Any] = {"s": dot**2, "marker": "s", "linewidths": 0, "rasterized": True}
+    ax.scatter(folded[s.edge, 0], folded[s.edge, 1], color=EDGE, **style)
+    order = np.argsort(np.where(s.edge, -1.0, np.abs(s.deviation)))[np.count_nonzero(s.edge) :]
+    ax.scatter(folded[order, 0], folded[order, 1], c=1e3 * s.deviation[order], cmap=MAP, norm=norm, **style)
+    ended = folded[s.limited & ~s.edge]
+    ax.scatter(ended[:, 0], ended[:, 1], c="k", s=dot**2, marker="x", linewidths=0.5, rasterized=True)
+    if len(order) == 0:
+        return
+    worst = folded[s.worst]
+    ax.annotate(
+        f"{1e3 * s.deviation[s.worst]:+.2f} mm" + (" or more" if s.limited[s.worst] else ""),
+        worst,
+        xytext=(-18 if worst[0] > 0.0 else 18, 18),  # towards the middle, so that it covers nothing beside the picture
+        textcoords="offset points",
+        ha="right" if worst[0] > 0.0 else "left",
+        arrowprops={"arrowstyle": "->"},
+        bbox=NOTE,
+    )
+
+
+def _shade(ax: Axes, cuts: Sequence[Cut], span: float = 0.0) -> None:
+    """Grey where the cutter is engaged; darker where it enters and leaves."""
+    for i, cut in enumerate(cuts):
+        ax.axvspan(cut.start, cut.end, color="0.93", zorder=0, label="engaged" if i == 0 else None)
+        if span > 0.0 and cut.end - cut.start > 2 * span:
+            ax.axvspan(cut.start, cut.start + span, color="tab:green", alpha=0.15, zorder=0, label="entry" if i == 0 else None)
+            ax.axvspan(cut.end - span, cut.end, color="tab:red", alpha=0.15, zorder=0, label="exit" if i == 0 else None)
+
+
+def deviations(results: Sequence[Result], workpiece: Workpiece) -> Figure:
+    """Deviation of the tool tip along the path, normal to the feed, with entry and exit marked."""
+    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    sideways, upwards = figure.subplots(2, 1, sharex=True)
+    first = results[0]
+    span = (
+        2.0 * float(first.nominal.radius.max()) / max(1e-9, float(np.median(_speed(first.run)[cutting(first.run)]))) if first.cuts else 0.0
+    )
+    for ax in (sideways, upwards):
+        _shade(ax, first.cuts, 0.5 * span)
+    for r in results:
+        side, up = _across(r)
+        # outside the cuts the tool is in the air and its deviation leaves no trace
+        in_cut = np.any([(r.run.t >= c.start) & (r.run.t <= c.end) for c in r.cuts], axis=0) if r.cuts else np.zeros(len(r.run), bool)
+        for ax, values in ((sideways, side), (upwards, up)):
+            ax.plot(r.run.t, np.where(in_cut, 1e3 * values, np.nan), color=COLOURS.get(r.name), label=r.title, lw=1.2)
+            ax.plot(r.run.t, 1e3 * values, color=COLOURS.get(r.name), lw=0.6, alpha=0.3)
+    sideways.set(ylabel="to the left of the feed in mm", title="Deviation of the tool tip from the planned path")
+    upwards.set(ylabel="along the tool axis (up) in mm", xlabel="time in s")
+    sideways.legend(fontsize=8, ncols=4, loc="lower center")
+    if first.cuts:
+        upwards.set_xlim(first.cuts[0].start - 0.5, first.cuts[-1].end + 0.5)
+    for ax in (sideways, upwards):
+        ax.axhline(0.0, color="k", lw=0.5)
+    return figure
+
+
+def _speed(run: Run) -> FloatArray:
+    speed: FloatArray = np.linalg.norm(run["path.v_BT_B"], axis=1)
+    return speed
+
+
+def _across(result: Result) -> tuple[FloatArray, FloatArray]:
+    """Deviation of the tool tip to the left of the horizontal feed, and upwards, in P [m]."""
+    deviation = result.actual.position - result.nominal.position
+    step = np.gradient(result.nominal.position[:, :2], axis=0)
+    length = np.linalg.norm(step, axis=1)
+    left = np.column_stack([-step[:, 1], step[:, 0]]) / np.where(length > 1e-9, length, np.inf)[:, None]
+    return np.sum(deviation[:, :2] * left, axis=1), deviation[:, 2]
+
+
+def forces(result: Result) -> Figure:
+    """Force measured, filtered, pilot, and what the controller used (Fig. 3)."""
+    run = result.run
+    figure = Figure(figsize=(11, 4.5), layout="constrained")
+    ax = figure.subplots()
+    _shade(ax, result.cuts)
+    size = {
+        "cutting force (mean of the step)": (run["milling.f_T_B"], "0.6", 0.7),
+        "measured, compensated and filtered": (run["sensor.f_T_T"], "tab:blue", 1.3),
+        "pilot (offline, ahead by the lead time)": (run["path.f_pilot_B"], "tab:orange", 1.1),
+        "used by the controller": (run["controller.f_used_B"], "tab:red", 1.1),
+    }
+    for label, (force, colour, width) in size.items():
+        ax.plot(run.t, np.linalg.norm(force, axis=1), color=colour, lw=width, label=label)
+    blend = ax.twinx()
+    if np.any(run["controller.pilot_blend"] > 0.0):
+        blend.fill_between(run.t, run["controller.pilot_blend"], color="tab:red", alpha=0.12, lw=0)
+        ax.fill_between([], [], color="tab:red", alpha=0.12, lw=0, label="pilot blend (right axis)")
+    blend.set(ylim=(0, 1), ylabel="pilot blend")
+    ax.set(xlabel="time in s", ylabel="force magnitude in N", title=f"Force signals: {result.title}")
+    if result.cuts:
+        ax.set_xlim(result.cuts[0].start - 0.5, result.cuts[-1].end + 0.5)
+    figure.legend(fontsize=8, loc="outside lower center", ncols=3)  # entry and exit, to be seen, fill the corners of the axes
+    return figure
+
+
+def projection(result: Result) -> Figure:
+    """Correction before and after the projection normal to the feed (Fig. 4), in base coordinates and as arrows from above."""
+    run = result.run
+    figure = Figure(figsize=(11, 6), layout="constrained")
+    grid: Any = figure.subplot_mosaic([["x", "top"], ["y", "top"], ["z", "top"]], sharex=False, width_ratios=[3, 2])
+    r, r_v = run["controller.r_B"], run["controller.r_v_B"]
+    for i, axis in enumerate("xyz"):
+        ax = grid[axis]
+        _shade(ax, result.cuts)
+        ax.plot(run.t, 1e3 * r[:, i], color="tab:green", lw=1.0, label="before")
+        ax.plot(run.t, 1e3 * r_v[:, i], color="tab:red", lw=1.0, label="after")
+        ax.set_ylabel(f"{axis} in mm")
+        if result.cuts:
+            ax.set_xlim(result.cuts[0].start - 0.5, result.cuts[-1].end + 0.5)
+    grid["x"].set_title(f"Correction before and after the projection: {result.title}", fontsize=10)
+    grid["x"].legend(fontsize=8)
+    grid["z"].set_xlabel("time in s")
+    ax = grid["top"]
+    p, v = run["path.p_BT_B"], run["path.v_BT_B"]
+    feeding = np.flatnonzero(cutting(run) & (_speed(run) > 1e-3))
+    chosen = feeding[:: max(1, len(feeding) // 60)]
+    ax.plot(1e3 * p[feeding, 0], 1e3 * p[feeding, 1], ".", color="0.8", ms=1)
+    for vectors, colour, label, scale in (
+        (v, "tab:blue", "feed", 0.25),
+        (r, "tab:green", "correction x 10", 10),
+        (r_v, "tab:red", "projected x 10", 10),
+    ):
+        ax.quiver(
+            *(1e3 * p[chosen, :2].T),
+            *(1e3 * scale * vectors[chosen, :2].T),
+            color=colour,
+            angles="xy",
+            scale_units="xy",
+            scale=1,
+            width=0.004,
+            label=label,
+        )
+    ax.set(aspect="equal", xlabel="x of the base in mm", ylabel="y of the base in mm", title="from above")
+    if len(chosen) > 0:
+        tips = np.vstack([p[chosen, :2], p[chosen, :2] + 0.25 * v[chosen, :2], p[chosen, :2] + 10.0 * r[chosen, :2]])
+        for limits, low, high in ((ax.set_xlim, *_range(tips[:, 0])), (ax.set_ylim, *_range(tips[:, 1]))):
+            limits(1e3 * low, 1e3 * high)
+    figure.legend(*ax.get_legend_handles_labels(), fontsize=8, loc="outside lower right", ncols=3)
+    return figure
+
+
+def _range(values: FloatArray, least: float = 0.04) -> tuple[float, float]:
+    """Bounds [m] that hold the values with room around them; a path straight along an axis gets `least` of width."""
+    middle, half = 0.5 * (values.min() + values.max()), 0.5 * (values.max() - values.min())
+    half = max(1.15 * half, 0.5 * least)
+    return middle - half, middle + half
+
+
+def load_cases(magnitudes: dict[str, FloatArray], titles: dict[str, str], paper: dict[str, float]) -> Figure:
+    """Displacement in the 60 load cases as bars, in the order of Fig. 9; dashed: means that the paper's text gives."""
+    figure = Figure(figsize=(12, 4.5), layout="constrained")
+    ax = figure.subplots()
+    n = len(magnitudes)
+    width = 0.8 / n
+    colours = mpl.colormaps["tab10"].colors  # type: ignore[attr-defined]  # a listed colour map has colours
+    for i, (name, size) in enumerate(magnitudes.items()):
+        cases = np.arange(1, len(size) + 1)
+        ax.bar(
+            cases + (i - 0.5 * (n - 1)) * width,
+            1e3 * size,
+            width,
+            color=colours[i],
+            label=f"{titles[name]} (mean {1e3 * size.mean():.2f} mm)",
+        )
+        if name in paper:
+            ax.axhline(1e3 * paper[name], color=colours[i], ls="--", lw=1.0, label=f"mean in the paper: {1e3 * paper[name]:.2f} mm")
+    for start, text in ((1, "load in +x"), (21, "load in +y"), (41, "load in -z")):
+        ax.axvline(start - 0.5, color="k", lw=0.6)
+        ax.text(start, 0.99, text, va="top", fontsize=9, transform=ax.get_xaxis_transform())
+    ax.set(xlabel="measurement (4 positions x 5 orientations per direction)", ylabel="displacement of the tool tip in mm", xlim=(0, 61))
+    ax.set_title("Static load of 750 N")
+    ax.set_ylim(0.0, 1.12e3 * max(size.max() for size in magnitudes.values()))
+    figure.legend(fontsize=8, loc="outside lower center", ncols=4)
+    return figure

@@ -1,0 +1,254 @@
+"""Scenario files: what is simulated, in which variants, and which published figures stand beside the result.
+
+A scenario is TOML. Physical values carry their unit (``"0.2 mm"``); only 0 needs none::
+
+    [scenario]
+    name = "groove"
+    kind = "milling"                    # or "static_loads"
+    system = "milling_cell.toml"        # components and connections, beside the scenario
+    program = "groove.ngc"              # G-code, or a path of points in TOML
+    # how the program is read where it does not say itself (docs/gcode.md); places in mm of its own zero (G54):
+    start = ["0 mm", "0 mm", "50 mm"]   # where the tool stands before the first block
+    home = ["0 mm", "0 mm", "100 mm"]   # where G28, G30 and G53 lead
+    dialect = "fanuc"                   # linuxcnc (default), fanuc, haas, marlin: units of dwells
+    block_delete = false                # execute lines that begin with /
+    wear = true                         # G41 and G42 correct wear only: the program has the centre path
+    feed = "25 mm/s"                    # until the program names one; so does
+    spindle_speed = "13000 rpm"
+
+    [workpiece]
+    position = ["1595 mm", "-18 mm", "1099 mm"]   # centre of its top surface, in the robot base
+    size = ["100 mm", "60 mm", "30 mm"]
+    zero = "front-left-top"                       # where G54 lies in the block (default: centre-top); or three lengths from the centre
+    work_offsets = { G55 = ["10 mm", 0, 0] }      # if the program needs others than G54: a place as `zero`
+
+    [tools.1]                           # the tools that T names; without, the one of the milling component does all
+    diameter = "16 mm"
+    teeth = 3
+    helix = "30 deg"
+    cutting_length = "32 mm"
+    title = "roughing"                  # beside the dimensions in run.toml
+
+    [parameters]                        # for every variant: component, parameter, value
+    controller.mode = 0
+
+    [variants.cartesian]
+    title = "Cartesian"
+    parameters.controller.mode = 1
+
+    [paper.cartesian]                   # published figures, printed beside ours
+    max_deviation_m = "0.7 mm"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from robomill.cell.entries import ComponentParameters, Entry, ScenarioError
+from robomill.models.planning.gcode import DIALECTS, Setup, Vector
+from robomill.models.process.cutting import MAX_TEETH, EndMill
+
+__all__ = ["ComponentParameters", "Scenario", "ScenarioError", "Variant", "Workpiece", "load_scenario"]
+
+KINDS = ("milling", "static_loads")
+PLAIN_OFFSETS: Mapping[float, Vector] = {54: (0.0, 0.0, 0.0)}
+"""Work offsets where a scenario names none."""
+OFFSETS = {f"G{n:g}": float(n) for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3)}
+"""Names of the work offsets, and the numbers that the reader of programs knows them by."""
+_READING = {"start", "home", "dialect", "block_delete", "wear", "feed", "spindle_speed"}
+"""Keys of [scenario] that say how the program is read."""
+_FACES: Mapping[str, tuple[tuple[int, float], ...]] = {
+    "left": ((0, -0.5),),
+    "right": ((0, 0.5),),
+    "front": ((1, -0.5),),
+    "back": ((1, 0.5),),
+    "top": ((2, 0.0),),
+    "bottom": ((2, -1.0),),
+    "corner": ((0, -0.5), (1, -0.5)),
+    "centre": (),
+}
+"""Words of a place in the block: axis and share of the size from the centre of the top."""
+_SECTIONS = {"scenario", "parameters", "workpiece", "variants", "paper", "tools"}
+_FOLDERS = ("plan", "offline")
+"""Folders beside those of the variants."""
+_PAPER_UNITS = {"_m": "m", "_n": "N", "_s": "s", "_percent": "%"}
+
+
+@dataclass(frozen=True)
+class Workpiece:
+    """Where the block is and how large: frame P at the centre of its top surface."""
+
+    position: tuple[float, float, float]
+    """p_BP_B [m]."""
+    size: tuple[float, float, float]
+    """Extent along x, y, z of P [m]."""
+    abc: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Orientation of P in B: A, B, C [rad]."""
+    work_offsets: Mapping[float, Vector] = field(default_factory=lambda: dict(PLAIN_OFFSETS))
+    """Origins of G54 (54) .. G59.3 (59.3) in P [m]; G54 is the origin of P unless it is named."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to run a scenario: its parameters come on top of those of the scenario."""
+
+    name: str
+    title: str
+    parameters: ComponentParameters
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A scenario file, with paths made absolute."""
+
+    file: Path
+    name: str
+    kind: str
+    title: str
+    system: Path
+    program: Path | None
+    workpiece: Workpiece | None
+    parameters: ComponentParameters
+    variants: tuple[Variant, ...]
+    paper: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """variant -> figure -> published value (SI)."""
+    reading: Setup = field(default_factory=Setup)
+    """How the program is read."""
+    tools: Mapping[int, EndMill] = field(default_factory=dict)
+    """The tools by T number; empty: the milling component's own does all."""
+    tool_titles: Mapping[int, str] = field(default_factory=dict)
+    """What those that have a title are called."""
+
+
+def load_scenario(path: str | Path) -> Scenario:
+    """Read and check a scenario file. ScenarioError or FileNotFoundError says what is wrong and what is possible."""
+    file = Path(path)
+    if not file.is_file():
+        beside = sorted(str(f) for f in file.parent.glob("*.toml")) if file.parent.is_dir() else []
+        raise FileNotFoundError(f"no scenario {file}; TOML files in that folder: {', '.join(beside) or 'none'}")
+    top = Entry.load(file).keys({"scenario"}, _SECTIONS - {"scenario"})
+    head = top["scenario"].keys({"name", "kind", "system"}, {"title", "program", *_READING})
+    kind = head["kind"].value
+    if kind not in KINDS:
+        raise head["kind"].fail(f"kind is {kind!r}; known kinds: {', '.join(KINDS)}, experiment")
+    milling = kind == "milling"
+    for key, there in (
+        ("program", "program" in head),
+        ("workpiece", "workpiece" in top),
+        ("variants", bool(top.get("variants", {}).value)),
+    ):
+        if milling and not there:
+            raise top.fail(f"a milling scenario needs a {key}; see cell/scenario.py or scenarios/groove.toml")
+    workpiece = _workpiece(top["workpiece"]) if "workpiece" in top else None
+    tools = dict(_tool(name, entry) for name, entry in top.get("tools", {}).items())
+    return Scenario(
+        file=file.resolve(),
+        name=head["name"].folder_name(),
+        kind=kind,
+        title=head.get("title", head["name"].value).text(),
+        system=head["system"].file(),
+        program=head["program"].file() if "program" in head else None,
+        workpiece=workpiece,
+        parameters=top.get("parameters", {}).parameters(),
+        variants=tuple(_variant(name, entry) for name, entry in top.get("variants", {}).items()),
+        paper={name: _figures(entry) for name, entry in top.get("paper", {}).items()},
+        reading=_reading(head, workpiece.work_offsets if workpiece else PLAIN_OFFSETS),
+        tools=tools,
+        tool_titles={int(name): entry["title"].text() for name, entry in top.get("tools", {}).items() if "title" in entry},
+    )
+
+
+def _workpiece(entry: Entry) -> Workpiece:
+    entry.keys({"position", "size"}, {"abc", "work_offsets", "zero"})
+    size = entry["size"].vector("m")
+    if min(size) <= 0.0:
+        raise entry["size"].fail(f"{entry['size'].value!r}; expected three positive lengths")
+    return Workpiece(entry["position"].vector("m"), size, entry.get("abc", [0, 0, 0]).vector("rad"), _work_offsets(entry, size))
+
+
+def _work_offsets(entry: Entry, size: Vector) -> dict[float, Vector]:
+    """`zero` and `work_offsets` as the reader of programs takes them."""
+    given = entry.get("work_offsets", {}).keys(set(), set(OFFSETS))
+    if "zero" in entry and "G54" in given:
+        raise entry["zero"].fail("is the same as work_offsets.G54, which is there, too; give one of them")
+    origins = {OFFSETS[name]: _place(value, size) for name, value in given.items()}
+    if "zero" in entry:
+        origins[54.0] = _place(entry["zero"], size)
+    return {**PLAIN_OFFSETS, **origins}
+
+
+def _place(entry: Entry, size: Vector) -> Vector:
+    """A point of P [m]: three lengths, or a place of the block by name."""
+    if isinstance(entry.value, str):
+        try:
+            return place_in_block(entry.value, size)
+        except ValueError as error:
+            raise entry.fail(f"{entry.value!r}: {error}; or three lengths from the centre of the top") from None
+    return entry.vector("m")
+
+
+def place_in_block(name: str, size: Vector) -> Vector:
+    """A place such as "front-left-top" in P [m], for a block of `size` [m]; front is -y, left -x, "corner" front-left-top.
+
+    ValueError lists the words.
+    """
+    point: list[float | None] = [None, None, None]
+    for word in name.split("-"):
+        if word not in _FACES:
+            raise ValueError(f"{word!r} is no place of a block; words, joined by '-': {', '.join(_FACES)}")
+        for axis, share in _FACES[word]:
+            if point[axis] is not None:
+                raise ValueError(f"two words for {'xyz'[axis]}; one of left, right, one of front, back, one of top, bottom")
+            point[axis] = share * size[axis]
+    x, y, z = (0.0 if c is None else c for c in point)
+    return x, y, z
+
+
+def _reading(head: Entry, offsets: Mapping[float, Vector]) -> Setup:
+    """The keys of [scenario] that say how the program is read."""
+    setup = Setup(work_offsets=offsets)
+    zero = offsets[54]
+    for key in ("start", "home"):
+        if key in head:
+            x, y, z = (c + o for c, o in zip(head[key].vector("m"), zero, strict=True))
+            setup = replace(setup, start=(x, y, z)) if key == "start" else replace(setup, home=(x, y, z))
+    dialect = head.get("dialect", setup.dialect)
+    if dialect.text() not in DIALECTS:
+        raise dialect.fail(f"{dialect.value!r}; known: {', '.join(DIALECTS)}")
+    feed, speed = (head[k].si(u) if k in head else None for k, u in (("feed", "m/s"), ("spindle_speed", "rad/s")))
+    for key, value in (("feed", feed), ("spindle_speed", speed)):
+        if value is not None and value <= 0.0:
+            raise head[key].fail(f"{head[key].value!r} is not positive")
+    block_delete, wear = head.get("block_delete", setup.block_delete).flag(), head.get("wear", setup.wear).flag()
+    return replace(setup, dialect=dialect.value, block_delete=block_delete, wear=wear, feed=feed, spindle_speed=speed)
+
+
+def _tool(name: str, entry: Entry) -> tuple[int, EndMill]:
+    """`[tools.1]`: T number and end mill."""
+    if not name.isdecimal() or int(name) < 1:
+        raise entry.fail("a tool is called by its T number, 1 or more, such as [tools.1]")
+    entry.keys({"diameter", "teeth", "helix", "cutting_length"}, {"title"})
+    for key in ("diameter", "cutting_length"):
+        if entry[key].si("m") <= 0.0:
+            raise entry[key].fail(f"{entry[key].value!r}; expected a positive length")
+    teeth = entry["teeth"].count(1)
+    if teeth > MAX_TEETH:
+        raise entry["teeth"].fail(f"expected a whole number from 1 to {MAX_TEETH}; found {teeth}")
+    return int(name), EndMill(entry["diameter"].si("m"), teeth, entry["helix"].si("rad"), entry["cutting_length"].si("m"))
+
+
+def _variant(name: str, entry: Entry) -> Variant:
+    entry.keys(set(), {"title", "parameters"})
+    if Entry(entry.content, name, entry.key).folder_name() in _FOLDERS:
+        raise entry.fail(f"a variant cannot be called {name!r}: the results have a folder of that name; taken: {', '.join(_FOLDERS)}")
+    return Variant(name, entry.get("title", name).text(), entry.get("parameters", {}).parameters())
+
+
+def _figures(entry: Entry) -> dict[str, float]:
+    """Published figures; the name ends in the unit they are kept in, as in summary.json."""
+    units = {key: next((u for suffix, u in _PAPER_UNITS.items() if key.endswith(suffix)), None) for key in entry.table().value}
+    for key in (k for k, unit in units.items() if unit is None):
+        raise entry[key].fail(f"the name of a figure ends in its unit, as in summary.json: {', '.join(_PAPER_UNITS)}")
+    return {key: entry[key].si(unit) for key, unit in units.items() if unit is not None}

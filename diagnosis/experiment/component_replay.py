@@ -1,0 +1,244 @@
+"""Components driven with measured inputs: simulations of one condition.
+
+The system is cut open wherever an output is measured: what is behind the cut gets the measured signal. Nothing that happens upstream of
+a cut, and no feedback through it, shows.
+
+Measured inputs scatter, and a component that is not linear makes an offset of that. So the same is done with signals that are
+right by construction (simulated ones with the scatter of the repeats), and what comes out of that is taken off.
+
+Changes by parameters are simulated for the component alone, and followed through connections that are not measured.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from robomill.diagnosis.catalogue import physical
+from robomill.diagnosis.experiment.playback import Tape
+from robomill.diagnosis.experiment.segments import array_of
+from robomill.diagnosis.experiment.simulation import Laboratory, Setting, decimate, refined
+from robomill.orchestration.assembly import run
+from robomill.orchestration.errors import OrchestrationError
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import FloatArray, Slave
+from robomill.orchestration.system.definition import Component, Connection, System
+
+TAPE = "tape:"
+HALF_A_TICK = 0.5e-9
+"""Times that lie closer together than this [s] are one: half a tick of the master's clock."""
+KNOWN = 1e-3
+"""Relative deviation up to which the signal of a component without inputs (a program) is taken as it is simulated."""
+NULLS = 3
+"""Repeats that the replay of right signals is made for."""
+
+
+class Bench:
+    """Replays of one condition. `measured`: its repeats at the grid, all channels of the laboratory, [n, channels] each."""
+
+    def __init__(self, laboratory: Laboratory, index: int, measured: Sequence[FloatArray]) -> None:
+        self.laboratory, self.index = laboratory, index
+        self.grid = laboratory.conditions[index].grid
+        self.measured = measured
+        self.channels = list(laboratory.channels)
+        self.system = laboratory.configured(index)
+        arrays = dict.fromkeys(array_of(c) for c in self.channels)
+        self.cut = {a: [i for i, c in enumerate(self.channels) if array_of(c) == a] for a in arrays}
+        seeds = range(1, len(measured) + 1)
+        mean = np.mean(measured, axis=0)
+        self.closed = [self._run(self._changed((), s)) for s in range(1, NULLS + 1 if laboratory.seeds else 2)]
+        self._ports = self.closed[0].ports
+        right = [self._matrix(r) for r in self.closed]
+        self._nominal = right[0]
+        self.scatter = np.var(np.stack(right), axis=0, ddof=min(1, len(right) - 1)).mean(axis=0)
+        """Variance of a simulation by its own noise, per channel; 0 where it has none."""
+        self.known = self._known(mean)
+        bias = np.mean(
+            [
+                z - self._matrix(self._open(z + x - mean, s))
+                for z, x, s in zip(itertools.cycle(right), measured[:NULLS], seeds, strict=False)
+            ],
+            axis=0,
+        )
+        self.residuals = [x - self._matrix(self._open(x, s)) - bias for x, s in zip(measured, seeds, strict=True)]
+        """Measured less replayed, per repeat, [n, channels]."""
+        self.coarse = self._coarse(bias)
+        self.base = self._open(mean, 1)
+        self.mean = mean
+        self._inputs = {c: self._sources(c) for c in (k.name for k in self.system.components)}
+        self._alone: dict[str, dict[str, FloatArray]] = {}
+
+    # Simulations
+
+    def _changed(self, changes: Setting, seed: int = 1) -> System:
+        system, nominal = self.system, self.laboratory.nominal
+        seeded = {**physical(dict(changes)), **dict.fromkeys(self.laboratory.seeds, float(seed))}
+        for (component, parameter), value in seeded.items():
+            system = system.with_parameters(component, {parameter: value + nominal.get((component, parameter), 0.0)})
+        return system
+
+    def _known(self, mean: FloatArray) -> npt.NDArray[np.bool_]:
+        """Channels of components that nothing goes into, and that are measured as they are simulated: noise of them is none."""
+        driven = {c.target.partition(".")[0] for c in self.system.connections}
+        small = np.sqrt(np.mean((mean - self._nominal) ** 2, axis=0)) <= KNOWN * np.sqrt(np.mean(self._nominal**2, axis=0))
+        return np.asarray([c.partition(".")[0] not in driven for c in self.channels] & small)
+
+    def _run(self, system: System, tapes: Sequence[Tape] = ()) -> Run:
+        slaves = {t.name: t for t in tapes}
+        others = self.laboratory.resolver
+
+        def resolve(source: str, name: str) -> Slave:
+            if source.startswith(TAPE):
+                return slaves[name]
+            if others is None:
+                raise LookupError(f"source {source!r}")
+            return others(source, name)
+
+        return run(system, None, stop=float(self.grid[-1]), resolver=resolve, convert=self.laboratory.convert)
+
+    def _coarse(self, bias: FloatArray) -> FloatArray | None:
+        """What would be left of signals that are right, but of a smaller communication step, [n, channels]."""
+        refinement = self.laboratory.refinement
+        if refinement is None:
+            return None
+        fine = self._matrix(self._run(refined(self._changed(()), refinement.divide, refinement.sampled)))
+        return np.asarray(fine - self._matrix(self._open(fine, 1)) - bias)
+
+    def _matrix(self, result: Run) -> FloatArray:
+        return np.stack([self._on_grid(result, c) for c in self.channels], axis=1)
+
+    def _open(self, signals: FloatArray, seed: int) -> Run:
+        """Every connection from a measured output carries `signals` [n, channels] instead."""
+        system = self._changed((), seed)
+        signals = np.where(self.known, self._nominal, signals)
+        used: dict[str, list[int]] = {}
+        for c in system.connections:
+            if array_of(c.source) in self.cut:
+                used.setdefault(c.source.partition(".")[0], []).extend(self.cut[array_of(c.source)])
+        tapes = [self._tape(f"measured_{name}", {self.channels[i]: signals[:, i] for i in sorted(set(at))}) for name, at in used.items()]
+        connections = [replace(c, source=f"measured_{c.source}") if array_of(c.source) in self.cut else c for c in system.connections]
+        parts = (*(Component(t.name, TAPE) for t in tapes), *system.components)
+        return self._run(replace(system, components=parts, connections=tuple(connections)), tapes)
+
+    def _tape(self, name: str, series: Mapping[str, FloatArray], adds: bool = False) -> Tape:
+        ports = [replace(self._ports[c], name=c.partition(".")[2]) for c in series]
+        return Tape(name, ports, {p.name: v for p, v in zip(ports, series.values(), strict=True)}, self.grid, adds)
+
+    def _sources(self, component: str) -> dict[str, FloatArray]:
+        """Columns that go into a component, as they are in the replay of the mean measured run."""
+        wanted = {array_of(c.source) for c in self.system.connections if c.target.partition(".")[0] == component}
+        found = {}
+        for name in self.base.columns:
+            if array_of(name) in wanted and not name.startswith("measured_"):
+                at = self.channels.index(name) if name in self.channels else -1
+                measured = at >= 0 and not self.known[at]
+                found[name] = self.mean[:, at] if measured else self._on_grid(self.base, name)
+        return found
+
+    def _on_grid(self, result: Run, column: str) -> FloatArray:
+        """A column at the times of the grid: reals on the line between samples, whole numbers and booleans as they last were."""
+        values = result.columns[column]
+        if result.ports[column].type == "real":
+            return np.interp(self.grid, result.t, values)
+        last = np.searchsorted(result.t, self.grid + HALF_A_TICK, side="right") - 1
+        return np.asarray(values[np.maximum(last, 0)], dtype=np.float64)
+
+    def alone(self, component: str, changes: Setting = (), shifts: Mapping[str, FloatArray] | None = None) -> dict[str, FloatArray]:
+        """Outputs of a component alone, driven as in the replay plus `shifts` (column -> change, [n]); column -> [n]."""
+        system = self._changed(changes)
+        by_source: dict[str, dict[str, FloatArray]] = {}
+        for name, values in self._inputs[component].items():
+            shift = shifts.get(name) if shifts else None
+            by_source.setdefault(name.partition(".")[0], {})[name] = values if shift is None else values + shift
+        tapes = [self._tape(source, series) for source, series in by_source.items() if source != component]
+        connections = [c for c in system.connections if c.target.partition(".")[0] == component]
+        parts = (*(Component(t.name, TAPE) for t in tapes), system.component(component))
+        result = self._run(replace(system, components=parts, connections=tuple(connections), stop_when=None), tapes)
+        prefix = component + "."
+        return {k: self._on_grid(result, k) for k in result.columns if k.startswith(prefix)}
+
+    def swapped(self, components: frozenset[str]) -> FloatArray:
+        """The closed loop with what is left of the replay added to the outputs of these components; all channels, [n, channels]."""
+        if not components:
+            return self._nominal
+        system = self._changed(())
+        left = np.mean(self.residuals, axis=0)
+        taken = {array_of(c.source) for c in system.connections}
+        inside = [i for i, c in enumerate(self.channels) if c.partition(".")[0] in components]
+        used: dict[str, list[int]] = {}
+        for i in inside:
+            if array_of(self.channels[i]) in taken:
+                used.setdefault(self.channels[i].partition(".")[0], []).append(i)
+        tapes = [self._tape(f"swapped_{name}", {self.channels[i]: left[:, i] for i in at}, adds=True) for name, at in used.items()]
+        through = {array_of(self.channels[i]) for at in used.values() for i in at}
+        connections = [replace(c, source=f"swapped_{c.source}") if array_of(c.source) in through else c for c in system.connections]
+        for array in through:
+            connections.append(Connection(array, f"swapped_{array}_in"))
+        parts = (*system.components, *(Component(t.name, TAPE) for t in tapes))
+        out = self._matrix(self._run(replace(system, components=parts, connections=tuple(connections)), tapes))
+        out[:, inside] += left[:, inside]
+        return out
+
+    # What it knows
+
+    def inputs(self, component: str) -> dict[str, FloatArray]:
+        """Columns that go into a component, [n] each: measured where they are, else as replayed."""
+        return self._inputs[component]
+
+    def signals(self) -> dict[str, FloatArray]:
+        """The mean measured run: column -> [n]."""
+        return {c: self.mean[:, i] for i, c in enumerate(self.channels)}
+
+    def unit(self, column: str) -> str:
+        """Of a column."""
+        return self._ports[column].unit or ""
+
+    def units(self, columns: Iterable[str]) -> dict[str, str]:
+        """Of columns."""
+        return {c: self.unit(c) for c in columns}
+
+    def times(self) -> FloatArray:
+        """Of the samples [s]."""
+        return self.grid
+
+    def step(self) -> float:
+        """Between samples [s]."""
+        return float(self.grid[1] - self.grid[0])
+
+    # Changes by parameters
+
+    def hidden(self) -> list[tuple[str, str]]:
+        """Connections that are not measured: (output array, component that takes it)."""
+        pairs = [(array_of(c.source), c.target.partition(".")[0]) for c in self.system.connections if array_of(c.source) not in self.cut]
+        return [(o, d) for o, d in dict.fromkeys(pairs) if o.partition(".")[0] != d]
+
+    def change(self, component: str, changes: Setting) -> dict[str, FloatArray] | None:
+        """Change of all outputs of a component by parameters; None where it cannot run."""
+        if component not in self._alone:
+            self._alone[component] = self.alone(component)
+        before = self._alone[component]
+        try:
+            after = self.alone(component, changes)
+        except OrchestrationError:
+            return None
+        return {k: after[k] - before[k] for k in after}
+
+    def follow(self, moved: Mapping[str, FloatArray], arrays: Sequence[str], target: str) -> dict[str, FloatArray]:
+        """Change of the outputs of `target` when these outputs of another component change as they do in `moved`."""
+        if target not in self._alone:
+            self._alone[target] = self.alone(target)
+        shifts = {k: v for k, v in moved.items() if array_of(k) in arrays}
+        after = self.alone(target, (), shifts)
+        return {k: after[k] - self._alone[target][k] for k in after}
+
+    def observed(self, moved: Mapping[str, FloatArray]) -> FloatArray:
+        """The measured channels among these changes, [n, channels]."""
+        out = np.zeros((len(self.grid), len(self.channels)))
+        for i, c in enumerate(self.channels):
+            if c in moved:
+                out[:, i] = moved[c]
+        return decimate(out, self.laboratory.decimation)

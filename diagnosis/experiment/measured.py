@@ -1,0 +1,131 @@
+"""Measured runs, sorted by condition and brought to the time grid of the simulation."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import FloatArray, PortData
+from robomill.orchestration.system.definition import System
+from robomill.orchestration.system.parameters import Convert
+
+ON_TIME, JITTER = 0.05, 0.25
+"""Parts of a communication step by which the stamps of a log may be apart (single ones, or all together: the latter): it was sampled at
+these points."""
+
+
+class DataError(ValueError):
+    """Runs that cannot be diagnosed; the text says why."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Repeats of the same thing: the same parameters set by the experimenter."""
+
+    name: str
+    parameters: Mapping[str, Mapping[str, Any]]
+    runs: tuple[Run, ...]
+    grid: FloatArray
+    """Communication points [s] of the simulation that all repeats cover, float64[n]."""
+    held_out: bool = False
+    system: System | None = None
+    """What makes it, where that is another system than the one that is diagnosed."""
+
+    def matrix(self, run: Run, channels: Sequence[str]) -> FloatArray:
+        """The channels of a repeat at the grid, float64[n, channels]; samples that are not finite are bridged linearly."""
+        columns = []
+        t = _without_jitter(run.t, float(self.grid[1] - self.grid[0]))
+        for name in channels:
+            values = run.columns[name]
+            good = np.isfinite(values)
+            columns.append(np.interp(self.grid, t[good], values[good]) if good.any() else np.zeros(len(self.grid)))
+        return np.stack(columns, axis=1)
+
+
+def in_units(run: Run, ports: Mapping[str, PortData], convert: Convert) -> Run:
+    """The run with every column in the unit of the port of the same name; DataError where that cannot be."""
+    columns, units = dict(run.columns), dict(run.ports)
+    for name in run.columns.keys() & ports.keys():
+        there, wanted = run.ports[name].unit, ports[name].unit
+        if not there:
+            units[name] = replace(run.ports[name], unit=wanted)
+        if not there or not wanted or there == wanted:
+            continue
+        try:
+            zero, one = convert(0.0, there, wanted), convert(1.0, there, wanted)
+        except ValueError as error:
+            raise DataError(f"{run.folder}: column {name} is in {there}, the system has it in {wanted}: {error}") from None
+        columns[name], units[name] = zero + (one - zero) * run.columns[name], replace(run.ports[name], unit=wanted)
+    return replace(run, columns=columns, ports=units)
+
+
+def sort_by_condition(runs: Sequence[Run], system: System, held_out: bool = False) -> list[Condition]:
+    """Conditions in the order in which they come, named by the label `condition` (or condition 1, 2, ...)."""
+    groups: dict[str, list[Run]] = {}
+    for run in runs:
+        # seeds are different in each repeat and say nothing about the condition
+        known = {c: {k: v for k, v in values.items() if k != "seed"} for c, values in known_parameters(run, system).items()}
+        label = str(run.info.get("labels", {}).get("condition", ""))
+        groups.setdefault(json.dumps([label, _content(known)], sort_keys=True, default=str), []).append(run)
+    made: list[Condition] = []
+    for i, members in enumerate(groups.values()):
+        name = str(members[0].info.get("labels", {}).get("condition", "")) or f"condition {i + 1}"
+        if any(c.name == name for c in made):
+            name = f"{name} ({i + 1})"
+        made.append(Condition(name, known_parameters(members[0], system), tuple(members), _grid(members, system.step), held_out))
+    return made
+
+
+def known_parameters(run: Run, system: System) -> dict[str, dict[str, Any]]:
+    """What the experimenter says the parameters of this run were; files relative to the run's folder made absolute."""
+    names = {c.name for c in system.components}
+    found: dict[str, dict[str, Any]] = {}
+    for component, values in run.info.get("parameters", {}).items():
+        if component in names and isinstance(values, Mapping):
+            found[component] = {k: _absolute(v, run.folder) for k, v in values.items()}
+    return found
+
+
+def _absolute(value: Any, folder: Path) -> Any:
+    if isinstance(value, str) and (folder / value).is_file():
+        return str((folder / value).resolve())
+    return value
+
+
+def _content(known: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Files by their bytes: each repeat may bring its own copy of a program."""
+    return {
+        c: {
+            k: hashlib.sha256(Path(v).read_bytes()).hexdigest() if isinstance(v, str) and Path(v).is_file() else v
+            for k, v in values.items()
+        }
+        for c, values in known.items()
+    }
+
+
+def _without_jitter(t: FloatArray, step: float) -> FloatArray:
+    """Time stamps [s] put on the communication points, if there is one for each, and it is near.
+
+    Between stamps that jitter, or that all are a small part of a step off since the log was started, interpolation would take a part of
+    what is as fast as a tooth.
+    """
+    points = np.round(t / step)
+    off = t / step - points
+    regular = np.all(np.diff(points) == 1.0) and np.quantile(np.abs(off - np.median(off)), 0.95) < ON_TIME and np.abs(off).max() < JITTER
+    return points * step if regular else t
+
+
+def _grid(runs: Sequence[Run], step: float) -> FloatArray:
+    start, end = max(float(r.t[0]) for r in runs), min(float(r.t[-1]) for r in runs)
+    first, last = math.ceil(max(start, 0.0) / step - 1e-6), math.floor(end / step + 1e-6)
+    if last - first < 20:
+        raise DataError(f"{runs[0].folder}: the repeats have {max(last - first, 0)} steps of {step:g} s in common; at least 20 are needed")
+    return np.asarray(np.arange(first, last + 1) * step)

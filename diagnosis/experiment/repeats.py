@@ -1,0 +1,32 @@
+"""Statistics over the repeats of a condition, without the noise that each has by itself."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robomill.orchestration.slaves.protocol import FloatArray
+
+RESAMPLES = 400
+"""Of the bootstrap over repeats."""
+
+
+def as_share(value: float) -> float:
+    """A part of what was measured: estimates of it scatter, it is neither below nothing nor above all."""
+    return min(max(float(value), 0.0), 1.0)
+
+
+def bootstrapped(values: FloatArray, count: int) -> list[float] | None:
+    """90 % interval from resampled repeats, of which there were `count`; None of a single one, which says nothing of its scatter."""
+    known = values[np.isfinite(values)]
+    return [float(q) for q in np.quantile(known, (0.05, 0.95))] if count > 1 and known.size else None
+
+
+def over_pairs(products: FloatArray, weights: FloatArray) -> FloatArray:
+    """Mean over pairs of different repeats of their products [repeats, repeats], for each row of weights; of a single repeat its square."""
+    if len(products) == 1:
+        return np.full(len(weights), products[0, 0])
+    off = products - np.diag(np.diag(products))
+    total = np.einsum("ri,ij,rj->r", weights, off, weights)
+    count = weights.sum(axis=1) ** 2 - (weights**2).sum(axis=1)
+    out: FloatArray = np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan)
+    return out

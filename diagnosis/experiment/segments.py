@@ -1,0 +1,62 @@
+"""The system cut open wherever an output is measured: which components stand between the cuts. Structure only."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from robomill.orchestration.slaves.protocol import base_name
+from robomill.orchestration.system.definition import System
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A measured output, and the components between it and the cuts before it."""
+
+    output: str
+    """Array or scalar, `component.port`."""
+    components: tuple[str, ...]
+    """That of the output first."""
+
+
+def segments(system: System, measured: Sequence[str]) -> list[Segment]:
+    """One for each measured output; a component is in it that reaches the output without passing a measured one.
+
+    Structure only: every input of a component is taken to act on every output.
+    """
+    before: dict[str, list[str]] = {}
+    for c in system.connections:
+        if array_of(c.source) not in measured:
+            before.setdefault(c.target.partition(".")[0], []).append(c.source.partition(".")[0])
+    found = []
+    for output in measured:
+        members = [output.partition(".")[0]]
+        for m in members:
+            members += [b for b in dict.fromkeys(before.get(m, ())) if b not in members]
+        found.append(Segment(output, tuple(members)))
+    return found
+
+
+def sets_alike(found: Sequence[Segment], components: Sequence[str]) -> list[tuple[str, ...]]:
+    """Components that are in the same segments, which no replay can tell apart; each component is in one set."""
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for c in components:
+        groups.setdefault(tuple(s.output for s in found if c in s.components), []).append(c)
+    return [tuple(g) for seen, g in groups.items() if seen]
+
+
+def structure(system: System, measured: Sequence[str]) -> dict[str, Any]:
+    """What the connections alone say, as it stands in diagnosis.json; `measured`: outputs, `component.port`."""
+    found = segments(system, measured)
+    sets = sets_alike(found, [c.name for c in system.components])
+    return {
+        "segments": [{"output": s.output, "components": list(s.components)} for s in found],
+        "alike": [list(s) for s in sets if len(s) > 1],
+    }
+
+
+def array_of(port: str) -> str:
+    """Array or scalar that a port (`component.port[1]`) is an element of."""
+    component, _, name = port.partition(".")
+    return f"{component}.{base_name(name)}"

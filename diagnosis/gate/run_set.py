@@ -1,0 +1,107 @@
+"""The runs that are given, as a set: each once, whole, and of the program that the nominal system plays.
+
+A diagnosis of runs that are copies of each other is sure of itself for no reason: copies have no noise between them, and a held-out run
+that was diagnosed confirms any answer.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from robomill.diagnosis.experiment.measured import Condition, DataError
+from robomill.diagnosis.gate.checks import Finding
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import FloatArray, base_name
+
+SHORT = 0.05
+"""Part of the longest repeat of a condition that may be missing in another: all are looked at only where the shortest has samples."""
+LATE = 0.3
+"""s; how late a clock may be (the largest of the catalogues): a program that is recorded late is the same program."""
+OTHER = 0.01
+"""Energy of what a recorded program differs from the one that is played, over that of its motion: a tenth in amplitude, where the same
+program recorded late differs by the rounding of the log."""
+ROUNDING = 2.0**-22
+"""Part of a number that single precision may round off, doubled: what moves by less stands still."""
+
+
+def check_each(runs: Sequence[Run], held_out: Sequence[Run]) -> None:
+    """DataError for a run that is there twice, is not finished, or is held out and diagnosed."""
+    for run in (*runs, *held_out):
+        if run.outcome != "finished":
+            raise DataError(
+                f"{run.folder}: the run is not finished (outcome: {run.outcome}); leave it out, or record it anew (robomill run --resume)"
+            )
+    for a, b in itertools.combinations((*runs, *held_out), 2):
+        same_folder = a.folder.is_dir() and b.folder.is_dir() and a.folder.samefile(b.folder)
+        if not same_folder and not _copies(a, b):
+            continue
+        mixed = any(a is r for r in runs) and any(b is h for h in held_out)
+        how = "the same folder" if same_folder else "the same signals, bit for bit, as far as both go"
+        if mixed:
+            raise DataError(
+                f"{b.folder} is held out, and {a.folder}, which is diagnosed, has {how}; a run cannot confirm what was found in it"
+            )
+        raise DataError(
+            f"{b.folder} has {how} as {a.folder}: a repeat has noise of its own (one of a simulation without noise says nothing new); "
+            "give one of them"
+        )
+
+
+def _copies(a: Run, b: Run) -> bool:
+    """Whether all columns that both have are equal, bit for bit, in all rows that both have."""
+    names = a.columns.keys() & b.columns.keys()
+    n = min(len(a), len(b))
+    if not names or not n or not np.array_equal(a.t[:n] - a.t[0], b.t[:n] - b.t[0]):
+        return False
+    return all(np.array_equal(a.columns[c][:n], b.columns[c][:n], equal_nan=True) for c in names)
+
+
+def check_spans(conditions: Sequence[Condition]) -> None:
+    """DataError for a repeat that is much shorter than the others of its condition."""
+    for c in conditions:
+        begin, end = min(float(r.t[0]) for r in c.runs), max(float(r.t[-1]) for r in c.runs)
+        for r in c.runs:
+            lost = max(float(r.t[0]) - begin, end - float(r.t[-1]))
+            if lost > SHORT * (end - begin):
+                raise DataError(
+                    f"{r.folder}: is cut short: it has {r.t[0]:.3f} to {r.t[-1]:.3f} s, the repeats of {c.name!r} together {begin:.3f} to "
+                    f"{end:.3f} s; leave it out, or all of them are only looked at for the time that it has"
+                )
+
+
+def other_program(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], played: Collection[str], step: float) -> list[Finding]:
+    """Channels of components that nothing goes into (`played`) which are not what they play; measured `x` and simulated `s`, [n, channels].
+
+    A program that is recorded late (`LATE`) is the same; `step` [s] is between the samples.
+    """
+    arrays: dict[str, list[int]] = {}
+    for i, name in enumerate(channels):
+        if name.partition(".")[0] in played:
+            arrays.setdefault(base_name(name), []).append(i)
+    found = []
+    for name, members in arrays.items():
+        a, b = x[:, members], s[:, members]
+        motion, size = float(((b - b.mean(axis=0)) ** 2).sum()), float((b**2).sum())
+        if motion < ROUNDING**2 * size:  # what does not move: its size
+            motion = size
+        reach = min(int(LATE / step) + 1, len(a) // 2)
+        off = min(_apart(a, b, k) for k in range(-reach, reach + 1))
+        if off > OTHER * motion:
+            unit = run.ports[channels[members[0]]].unit or ""
+            largest = float(np.abs(a - b).max())
+            text = (
+                f"is not what the nominal system plays: {run.folder.name} is {largest:.4g} {unit} off, at any delay up to {LATE:g} s; "
+                "another program, place or feed than [parameters] of its run.toml say?"
+            )
+            found.append(Finding(name, "program", largest, unit, text))
+    return found
+
+
+def _apart(a: FloatArray, b: FloatArray, shift: int) -> float:
+    """Energy of the difference with `a` taken `shift` samples later."""
+    n = len(a) - abs(shift)
+    first, second = (a[shift:], b[:n]) if shift >= 0 else (a[:n], b[-shift:])
+    return float(((first - second) ** 2).sum()) * len(a) / n

@@ -1,0 +1,228 @@
+"""What the search works on: whitened residuals, columns of the candidates, and all that is no effect.
+
+What repeats do is in the whitening (`noise`). What two systems that are the same but not quite leave is in nuisances: calibrated
+numbers within their tolerances, channels that are a part of a step late, own noise of single runs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, selects
+from robomill.diagnosis.experiment.measured import DataError
+from robomill.diagnosis.experiment.simulation import Laboratory
+from robomill.diagnosis.inference.estimation import Space
+from robomill.diagnosis.inference.noise import SPELL, Whitening, fast, own_noise, whitening
+from robomill.orchestration.slaves.protocol import FloatArray
+
+TRUST = 0.02
+"""Part of an effect of typical size that the models are not trusted to: the noise floor of each channel."""
+DEPENDENCE = 10.0
+"""Samples that are worth one: what two systems that are not quite the same leave is no noise, it goes in one direction for a while."""
+LATENESS = 0.2
+"""Communication steps that the channels of a component may be late: outputs hold for a step, and a step later others see them."""
+BEGINNING, SETTLING = 25, 0.1
+"""Communication steps at the beginning of a run that do not count, and the part of a run that they are at most: a simulation begins with
+its initial values, and settles."""
+SUDDEN, AROUND = 0.25, 10
+"""Communication steps, at random, that a sudden change may come early or late: what happens within a step is not modelled. Sudden is what
+is no straight line over so many steps before and after."""
+
+Changes = Mapping[Address, Sequence[FloatArray]]
+"""parameter -> change of the channels that it makes in each condition, [samples, channels]."""
+
+
+@dataclass
+class Evidence:
+    """Per condition: lists. Samples are of the channels that an effect changes (`active`)."""
+
+    space: Space
+    whitening: Whitening
+    active: npt.NDArray[np.bool_]
+    """Of all channels those that some effect changes. The others say nothing; the gate has looked at them."""
+    nominals: Sequence[Sequence[FloatArray]]
+    """Nominal simulations with different noise, [samples, channels]."""
+    sudden: list[FloatArray]
+    """Standard deviation that single runs have beyond the noise where a channel changes suddenly, [samples, channels]."""
+    residuals: list[list[FloatArray]]
+    """Per repeat: whitened measured minus nominal, in single-run units."""
+    columns: dict[Address, FloatArray]
+    """Whitened change per prior scale, for each parameter that changes anything."""
+    repeats: list[float]
+    """Repeats that the mean residual is worth, the scatter of the simulated mean and DEPENDENCE included."""
+    expected: FloatArray
+    """Energy that noise alone leaves in each sample of y, [n]: by channel and condition, from repeats and from simulations."""
+    scatter: FloatArray
+    """Variance of a whitened run that is not repeated, by channel."""
+    late: frozenset[Address]
+    """Latenesses that are no nuisance here: they would have to be larger than what the catalogue calls a late clock."""
+    halves: list[tuple[FloatArray, FloatArray]]
+    """What two independent means of nominal simulations are away from the mean of all, whitened."""
+
+    def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
+        """Whitened change of simulations of all conditions (all channels) against the nominal ones; None if one of them failed."""
+        return self._white(results, [n[0] for n in self.nominals])
+
+    def mean_signature(self, groups: Sequence[Sequence[FloatArray] | None]) -> FloatArray | None:
+        """The same of means over simulations with different noise."""
+        means = [None if g is None else np.asarray(np.mean(g, axis=0)) for g in groups]
+        return self._white(means, [np.asarray(np.mean(n[: len(g or n)], axis=0)) for n, g in zip(self.nominals, groups, strict=True)])
+
+    def _white(self, results: Sequence[FloatArray | None], base: Sequence[FloatArray]) -> FloatArray | None:
+        parts = []
+        for r, b, n, s in zip(results, base, self.repeats, self.sudden, strict=True):
+            if r is None:
+                return None
+            parts.append(self.whitening.apply(r[:, self.active] - b, n, s))
+        return np.concatenate(parts)
+
+
+def gather(
+    laboratory: Laboratory,
+    conditions: Sequence[str],
+    groups: Sequence[Sequence[FloatArray]],
+    nominals: Sequence[Sequence[FloatArray]],
+    changes: Changes,
+    sizes: Mapping[Address, float],
+    scales: Mapping[Address, float],
+    tolerances: Mapping[Address, float],
+    clocks: Sequence[Candidate] = (),
+    left: Sequence[Sequence[FloatArray]] = (),
+    like: Evidence | None = None,
+) -> Evidence:
+    """Evidence from the repeats and nominal simulations of each of these conditions, [samples, channels].
+
+    `changes` were simulated at `sizes` [unit of the parameter]; `scales` are the prior scales of the candidates' parameters,
+    `tolerances` the standard deviations of calibrated ones; `clocks` those among the candidates that are late clocks, or times of a
+    component. `left`: what a model leaves of each run, from which the noise is guessed where there are no repeats (else what the nominal
+    one leaves). `like`: channels, whitening and what is no nuisance are those of this one, so that energies can be compared. DataError if
+    no parameter changes anything.
+    """
+    active = _moved(changes) if like is None else like.active
+    groups = [[x[:, active] for x in g] for g in groups]
+    nominals = [[b[:, active] for b in group] for group in nominals]
+    changes = {a: [c[:, active] for c in change] for a, change in changes.items()}
+    begin = min(math.ceil(BEGINNING / laboratory.decimation), int(SETTLING * min(len(x) for g in groups for x in g)))
+    means = [np.asarray(np.mean(group, axis=0)) for group in nominals]
+    over = [[x[:, active] for x in g] for g in left] or [[x - m for x in g] for g, m in zip(groups, means, strict=True)]
+    w = _whitening(groups, nominals, changes, begin, over) if like is None else like.whitening
+    # the mean of so many simulations scatters too
+    counts = [len(g) * len(m) / (len(g) + len(m)) if len(m) > 1 else float(len(g)) for g, m in zip(groups, nominals, strict=True)]
+    # change of each channel in a communication step
+    rates = [np.gradient(m, axis=0) / laboratory.decimation for m in means]
+    span = max(1, round(AROUND / laboratory.decimation))
+    sudden = [SUDDEN / laboratory.decimation * _bend(m, span) * np.sqrt(n) for m, n in zip(means, counts, strict=True)]
+    residuals = [[w.apply(x - m, 1.0, s) for x in g] for g, m, s in zip(groups, means, sudden, strict=True)]
+    halves = [
+        (w.apply(np.mean(g[::2], axis=0) - m, 1.0, s), w.apply(np.mean(g[1::2] or g, axis=0) - m, 1.0, s))
+        for g, m, s in zip(nominals, means, sudden, strict=True)
+    ]
+    counts = [n / DEPENDENCE for n in counts]
+
+    def white(change: Sequence[FloatArray]) -> FloatArray:
+        return np.concatenate([w.apply(c, n, s) for c, n, s in zip(change, counts, sudden, strict=True)])
+
+    y = np.concatenate([np.sqrt(n) * np.mean(r, axis=0) for n, r in zip(counts, residuals, strict=True)])
+    blocks, start = {}, 0
+    for name, mean in zip(conditions, means, strict=True):
+        blocks[name] = slice(start, start + mean.size)
+        start += mean.size
+    raw = {a: white(change) for a, change in changes.items()}
+    columns = {a: raw[a] * (scales[a] / sizes[a]) for a in scales if a in raw}
+    nuisances = {a: raw[a] * (tolerances[a] / sizes[a]) for a in tolerances if a in raw}
+    names = [c for c, on in zip(laboratory.channels, active, strict=True) if on]
+    for component in dict.fromkeys(name.partition(".")[0] for name in names):
+        here = np.array([name.partition(".")[0] == component for name in names])
+        nuisances[LOGGING, f"lag {component}.*"] = white([-LATENESS * rate * here for rate in rates])
+    # of a single run, the whitened fast part says how much of the noise is floor, which is not seen
+    alone = [
+        _variance([w.apply(fast(x), 1.0, s) for x in g], len(names)) if w.guessed else np.ones(len(names))
+        for g, s in zip(over, sudden, strict=True)
+    ]
+    spell = max(1, round(SPELL / laboratory.decimation))
+    own, expected = [], np.zeros(y.size)
+    for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
+        simulated = [w.apply(x - means[i], 1.0, sudden[i]) for x in nominals[i]]
+        single = alone[i] if like is None else like.scatter
+        level = counts[i] * (
+            (_scatter(group, len(names)) if len(group) > 1 else single) + (_scatter(simulated, len(names)) if len(simulated) > 1 else 0.0)
+        )
+        expected[block].reshape(-1, len(names))[:] = level
+        column = own_noise([group, simulated], len(names), spell)
+        own.append(np.zeros((y.size, column.shape[1])))
+        own[-1][block] = column / np.sqrt(DEPENDENCE)
+    doubtful = [*nuisances, *((LOGGING, f"noise {i + 1}") for i in range(sum(o.shape[1] for o in own)))]
+    space = Space(y, blocks, np.concatenate([np.stack(list(nuisances.values()), axis=1), *own], axis=1), doubtful)
+    late = _late(space, clocks, names, LATENESS * laboratory.system.step) if like is None else like.late
+    space = space.less(late)
+    space.find_alike(columns, scales)
+    return Evidence(space, w, active, nominals, sudden, residuals, columns, counts, expected, np.mean(alone, axis=0), late, halves)
+
+
+def _late(space: Space, clocks: Sequence[Candidate], channels: Sequence[str], size: float) -> frozenset[Address]:
+    """Components that the nominal system would have to take for late by more than a late clock of the catalogue is: that is no nuisance.
+
+    `size`: one deviation of lateness [s]. Without this a clock that is most of a step late would be explained for nothing, and something
+    else be named for the rest. Where there is no clock for a component, the delays that it has itself take its place.
+    """
+    shown = {name.partition(".")[0] for name in channels}
+    smallest: dict[str, float] = {}
+    delays: dict[str, float] = {}
+    for c in clocks:
+        if c.component in shown:
+            delays[c.component] = min(delays.get(c.component, np.inf), c.minimum)
+        for pattern in (p.partition(" ")[2] for p in c.parameters if c.component == LOGGING):
+            for component in {name.partition(".")[0] for name in channels if selects(pattern, name)}:
+                smallest[component] = min(smallest.get(component, np.inf), c.minimum)
+    smallest = delays | smallest
+    moved = dict(zip(space.names, size * np.abs(space.moved(space.y)), strict=True))
+    return frozenset(a for component, least in smallest.items() if moved[a := (LOGGING, f"lag {component}.*")] > least)
+
+
+def _bend(x: FloatArray, span: int) -> FloatArray:
+    """How far each sample is, per sample of distance, from the straight line between two that are up to `span` samples before and after it.
+
+    The largest of all distances. What changes steadily is only late, if anything.
+    """
+    away = np.zeros_like(x)
+    for k in range(1, min(span, (len(x) - 1) // 2) + 1):
+        away[k:-k] = np.maximum(away[k:-k], np.abs(x[k:-k] - 0.5 * (x[: -2 * k] + x[2 * k :])) / k)
+    return away
+
+
+def _moved(changes: Changes) -> npt.NDArray[np.bool_]:
+    """Which channels any parameter changes; DataError if there is none."""
+    moved = np.array([np.any([np.any(c, axis=0) for c in change], axis=0) for change in changes.values()])
+    if not moved.any():
+        raise DataError("no parameter of the catalogue changes any of the measured channels: there is nothing to diagnose with")
+    return np.asarray(moved.any(axis=0))
+
+
+def _whitening(
+    groups: Sequence[Sequence[FloatArray]],
+    nominals: Sequence[Sequence[FloatArray]],
+    changes: Changes,
+    begin: int,
+    left: Sequence[Sequence[FloatArray]],
+) -> Whitening:
+    """From the repeats, above a floor of TRUST of what effects of typical size do to a channel."""
+    rms = np.array([np.sqrt(np.mean(np.concatenate([c * c for c in change]), axis=0)) for change in changes.values()])
+    floor = np.array([TRUST * np.median(r[r > 1e-3 * r.max()]) if r.max() > 0.0 else 0.0 for r in rms.T])
+    least = np.where(floor > 0.0, 0.0, 1e-9 + 1e-6 * np.abs(np.concatenate([n[0] for n in nominals])).max(axis=0))
+    return whitening(groups, floor + least, begin, left)
+
+
+def _scatter(group: Sequence[FloatArray], channels: int) -> FloatArray:
+    """Variance of the mean of these whitened repeats, by channel."""
+    runs = np.stack(group).reshape(len(group), -1, channels)
+    return np.asarray(runs.var(axis=0, ddof=1).mean(axis=0) / len(runs))
+
+
+def _variance(group: Sequence[FloatArray], channels: int) -> FloatArray:
+    """Mean square of whitened runs about zero, by channel."""
+    return np.asarray((np.stack(group).reshape(-1, channels) ** 2).mean(axis=0))

@@ -1,0 +1,380 @@
+"""The search for the effects that explain the gap: screening, refinement on real simulations, pairs and triples."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from robomill.diagnosis.catalogue import LOGGING, Catalogue, Nuisance
+from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
+from robomill.diagnosis.inference.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
+from robomill.diagnosis.inference.evidence import DEPENDENCE
+from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Screening
+from robomill.orchestration.slaves.protocol import FloatArray
+
+POLISH, POLISHED = 6, 8
+"""Simulations with different noise at the best values of a model, and how many models of each size get them."""
+SHARPENED, ROUGH = 2, 1.15
+"""How many models of each size are fitted with slopes of their own place, if they leave more than this times noise."""
+SHARPER, BETTER = 5, 0.99
+"""How often at most, and the part of the energy that must not be left for it to go on."""
+PROMISING = 12.0
+"""Gain in evidence [nats] that columns must promise for a further effect to be looked at."""
+SUBSTANTIAL = 0.05
+"""Part of what is left beyond noise that another effect must explain."""
+FAULT = 0.67
+"""The same for a fault of the log. It can be modelled exactly: what is left of something else is no reason to reject a log."""
+PARTS = 6
+"""Parts of each condition for the test whether an effect is the same all along."""
+TOLD = 0.1
+"""Part of the gain that must be where the other parts say how large an effect is, for that to be a test."""
+FAR, NEARBY = 50.0, 0.4
+"""Log of the odds against a model, beside the best of its size, from which it is not looked at more closely; or that part of the gain."""
+SINGLES, BASES, EXTENSIONS = 10, 3, 4
+"""How many single candidates are refined, how many of them grow, and by how many partners each."""
+HIDDEN = 0.1
+"""Part of a gap without the tolerances like it that a candidate leaves, which is looked at though with them it seems to be of no use."""
+GUESSES = 4
+"""How often noise is guessed anew from what the best model leaves: once more than a model has effects, at most."""
+LARGEST, GROWN = 3, 4
+"""Effects of the largest models, and how often models are grown: once more where the best one loses an effect that is too small."""
+
+
+class Search:
+    """Fits on the first `len(groups)` conditions of the simulator's laboratory; `groups` are their measured repeats."""
+
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        simulator: Simulator,
+        groups: Sequence[Sequence[FloatArray]],
+        nuisances: Sequence[Nuisance],
+        left: Sequence[Sequence[FloatArray]] = (),
+    ) -> None:
+        """`left`: what a model leaves of each run, from which noise is guessed where nothing was repeated."""
+        self.nuisances = nuisances
+        self.catalogue, self.simulator, self.groups = catalogue, simulator, groups
+        screening = Screening(catalogue, simulator, groups, nuisances, left)
+        self.evidence, self.candidates, self.starts = screening.evidence, screening.candidates, screening.starts
+
+    def nominal(self) -> Fit:
+        """No effect."""
+        s = self.evidence.space
+        return Fit((), {}, {}, 0.0, s.energy, True, np.zeros_like(s.y), np.zeros((s.y.size, 0)))
+
+    def screen(self, bases: Sequence[Fit]) -> list[Fit]:
+        """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion."""
+        space = self.evidence.space
+        order = list(dict.fromkeys(a for c in self.candidates for a in c.addresses))
+        stacked = np.stack([self.evidence.columns[a] for a in order], axis=1)
+        place = {a: i for i, a in enumerate(order)}
+        found: dict[frozenset[str], Fit] = {}
+        for base in bases:
+            assert base.signature is not None
+            assert base.columns is not None
+            scales, _, _ = scaled_bounds(base.model)
+            best = np.array([base.values[a] for c in base.model for a in c.addresses]) / (scales if len(scales) else 1.0)
+            target = space.y - base.signature + base.columns @ best
+            gram = space.gram(np.column_stack([base.columns, stacked, target]))
+            k = len(best)
+            for c in self.candidates:
+                model = (*base.model, c)
+                key = frozenset(m.name for m in model)
+                if c in base.model or key in found or any(set(c.addresses) & set(m.addresses) for m in base.model):
+                    continue
+                there = self.starts.get(c.addresses[0])
+                if there is not None:
+                    columns = np.concatenate([base.columns, there.column[:, None]], axis=1)
+                    found[key] = quadratic_fit(model, space.y, base.signature + there.signature, columns, np.append(best, there.x), space)
+                    continue
+                own = space.without([a for m in model for a in m.addresses])
+                products = own.within(gram, [*range(k), *(k + place[a] for a in c.addresses), k + len(order)])
+                found[key] = solved(model, products, space, own)
+        return list(found.values())
+
+    def refine(self, fits: Sequence[Fit], rounds: int = 5) -> list[Fit]:
+        """Gauss-Newton on real simulations, all models together (one simulation of each per round)."""
+        space = self.evidence.space
+        states = []
+        for f in fits:
+            addresses = [a for c in f.model for a in c.addresses]
+            there = [self.starts.get(a) for a in addresses]
+            columns = np.stack([self.evidence.columns[a] if t is None else t.column for a, t in zip(addresses, there, strict=True)], axis=1)
+            beginning: FloatArray = sum((t.signature for t in there if t is not None), np.zeros_like(space.y))
+            states.append(_State(f, columns, np.array([0.0 if t is None else t.x for t in there]), beginning))
+        for _ in range(rounds):
+            active = [s for s in states if not s.settled]
+            if not active:
+                break
+            n = len(self.groups)
+            results = self.simulator.many([(i, self.simulator.seeded(setting(s.fit.values))) for s in active for i in range(n)], "fits")
+            for k, s in enumerate(active):
+                signature = self.evidence.signature(results[k * n : (k + 1) * n])
+                s.update(signature, space)
+        return [s.best for s in states]
+
+    def mean_signature(self, changes: Setting) -> FloatArray | None:
+        """Whitened change that these settings make, as a mean over noise; None where the system cannot run."""
+        return self.evidence.mean_signature(self.simulator.repeated(range(len(self.groups)), changes, POLISH, "fits"))
+
+    def polish(self, fits: Sequence[Fit], promised: Sequence[Fit]) -> list[Fit]:
+        """The best of `fits` again, with simulations that are means over noise; a single one scatters as a measured run does.
+
+        `promised`: the same models as columns have them. Where an effect takes the noise out, a single simulation looks worse than it is.
+        """
+        if not self.simulator.laboratory.seeds:
+            return list(fits)
+        polished = []
+        best = max((f.log_evidence for f in fits), default=0.0)
+        hopes = {f.name: max(f.log_evidence, p.log_evidence) for f, p in zip(fits, promised, strict=True)}
+        near = [f for f in fits if hopes[f.name] > best - max(FAR, NEARBY * best)]
+        for f in sorted(near, key=lambda f: -hopes[f.name])[:POLISHED]:
+            signature = self.mean_signature(setting(f.values))
+            if signature is None:
+                continue
+            assert f.columns is not None
+            polished.append(self._about(f, signature, f.columns))
+        return polished
+
+    def _about(self, fit: Fit, signature: FloatArray, columns: FloatArray) -> Fit:
+        """The best fit near the values of another one, where the signature and its slopes are these."""
+        scales, _, _ = scaled_bounds(fit.model)
+        addresses = [a for c in fit.model for a in c.addresses]
+        x = np.array([fit.values[a] for a in addresses]) / scales
+        better = quadratic_fit(fit.model, self.evidence.space.y, signature, columns, x, self.evidence.space)
+        move = np.array([better.values[a] for a in addresses]) / scales - x
+        better.exact, better.columns, better.signature = True, columns, signature + columns @ move
+        return better
+
+    def sharpen(self, fit: Fit) -> Fit:
+        """The fit again with the slopes of the signature where it is: those of the way there miss an effect that turns with its size."""
+        space = self.evidence.space
+        addresses = [a for c in fit.model for a in c.addresses]
+        own = space.without(addresses)
+        scales, _, high = scaled_bounds(fit.model)
+
+        def energy(signature: FloatArray) -> float:
+            return float(own.dot(space.y - signature, space.y - signature))
+
+        here = self.mean_signature(setting(fit.values))
+        for _ in range(SHARPER):
+            moved = []
+            for a, scale, bound in zip(addresses, scales, high, strict=True):
+                step = max(fit.deviations[a], 0.05 * abs(fit.values[a]))
+                moved.append((a, step if fit.values[a] + step < bound * scale else -step))
+            settings = [setting(fit.values), *(setting({**fit.values, a: fit.values[a] + step}) for a, step in moved)]
+            n = len(self.groups)
+            results = self.simulator.many([(i, self.simulator.seeded(changes)) for changes in settings for i in range(n)], "fits")
+            signatures = [self.evidence.signature(results[k * n : (k + 1) * n]) for k in range(len(settings))]
+            known = [x for x in signatures if x is not None]
+            if here is None or len(known) < len(signatures):
+                break
+            slopes = [(x - known[0]) * (scale / step) for x, scale, (_, step) in zip(known[1:], scales, moved, strict=True)]
+            trial = self._about(fit, here, np.stack(slopes, axis=1))
+            there = self.mean_signature(setting(trial.values))
+            if there is None or energy(there) > BETTER * energy(here):
+                break
+            assert trial.columns is not None
+            fit, here = self._about(trial, there, trial.columns), there
+        return fit
+
+    def _sharpened(self, fits: Sequence[Fit]) -> list[Fit]:
+        """The same, the best of them sharper where they leave more than noise."""
+        noise = float(self.evidence.expected.sum())
+        best = sorted(fits, key=_evidence, reverse=True)
+        return [self.sharpen(f) if k < SHARPENED and f.energy > ROUGH * noise else f for k, f in enumerate(best)]
+
+    def run(self) -> list[Fit]:
+        """All models looked at on real simulations, the nominal one first."""
+        space = self.evidence.space
+        fits = [self.nominal()]
+        screened = sorted(self.screen(fits), key=_evidence, reverse=True)
+        self.screened = screened
+        gain = space.energy - min((f.energy for f in screened), default=space.energy)
+        chosen = [f for f in screened if space.energy - f.energy > WORTH * gain][:SINGLES] or screened[:SINGLES]
+        chosen += [f for f in screened if f not in chosen and self._hidden(f)]
+        level = self._sharpened(self.polish(self.refine(chosen), chosen))
+        fits += level
+        bases = self._best(level, BASES)
+        for _ in range(GROWN):
+            if not bases or len(bases[0].model) == LARGEST:
+                break
+            best = max(f.log_evidence for f in fits)
+            grown = sorted(self.screen(bases), key=_evidence, reverse=True)
+            promising = [f for f in grown if f.log_evidence > best + PROMISING][: EXTENSIONS * len(bases)]
+            hidden = {frozenset(f.model) for f in grown if f not in promising and self._hidden(f)}
+            promising += [f for f in grown if frozenset(f.model) in hidden]
+            if not promising:
+                break
+            level = [f for f in self._sharpened(self.polish(self.refine(promising), promising)) if self._worth(f, fits)]
+            level = [f for f in level if frozenset(f.model) not in hidden or f.log_evidence > best + PROMISING]
+            smaller = self._smaller(level, fits)
+            again = {frozenset(f.model) for f in smaller}
+            fits = [f for f in fits if frozenset(f.model) not in again] + level + smaller
+            bases = self._best(smaller, 1) if any(f is max(fits, key=_evidence) for f in smaller) else self._best(level, 1)
+        fits = [f for f in fits if f.large_enough()]
+        for f in sorted(fits[1:], key=_evidence, reverse=True)[:3]:
+            f.predictive = {name: part.predicted for name, part in leave_one_out(f, space).items()}
+        return fits
+
+    def _hidden(self, fit: Fit) -> bool:
+        """Whether the last effect of a model explains nearly all of a large gap that tolerances explain better, as far as columns can tell.
+
+        Against a gap that is hundreds of times the noise no column is exact enough; a simulation is.
+        """
+        space = self.evidence.space
+        own, before = space.without(list(fit.values)), space.without([a for c in fit.model[:-1] for a in c.addresses])
+        return own is not before and own.energy > LARGE * float(self.evidence.expected.sum()) and fit.energy < HIDDEN * own.energy
+
+    def _best(self, level: Sequence[Fit], count: int) -> list[Fit]:
+        return sorted(level, key=_evidence, reverse=True)[:count]
+
+    def _smaller(self, level: Sequence[Fit], known: Sequence[Fit]) -> list[Fit]:
+        """Models that are left of others when effects too small to count are out, where they beat all that is known of them.
+
+        A strong effect that its own column misses may come as the partner of what stood in for it.
+        """
+        found: list[Fit] = []
+        left = [f for f in level if not f.large_enough()]
+        while left:
+            fit = left.pop()
+            model = tuple(c for c in fit.model if c.large_enough(fit.values))
+            if not model:
+                continue
+            assert fit.columns is not None
+            addresses = [a for c in fit.model for a in c.addresses]
+            kept = [i for i, a in enumerate(addresses) if any(a in c.addresses for c in model)]
+            values = {addresses[i]: fit.values[addresses[i]] for i in kept}
+            signature = self.mean_signature(setting(values))
+            if signature is None:
+                continue
+            trial = Fit(model, values, {a: fit.deviations[a] for a in values}, 0.0, 0.0)
+            better = self.sharpen(self._about(trial, signature, fit.columns[:, kept]))
+            same = [f for f in (*known, *found) if set(f.model) == set(model)]
+            if all(better.log_evidence > f.log_evidence for f in same):
+                found = [f for f in found if f not in same] + [better]
+                left += [better] if not better.large_enough() else []
+        return found
+
+    def _worth(self, fit: Fit, fits: Sequence[Fit]) -> bool:
+        """Whether the effects of a model explain enough of what is left without one of them.
+
+        What is left of a strong effect that is modelled a little otherwise would else be given to one small effect after the other.
+        """
+        noise = float(self.evidence.expected.sum())
+
+        def part(known: Fit) -> float:
+            return FAULT if any(c.component == LOGGING for c in fit.model if c not in known.model) else SUBSTANTIAL
+
+        without = [f for f in fits if set(f.model) < set(fit.model)]
+        return all(f.energy > noise and fit.energy - noise < (1.0 - part(f)) * (f.energy - noise) for f in without)
+
+    def kept(self, fit: Fit) -> float:
+        """Part of the gain in evidence that stays when parts of the time are predicted from the others: an effect is the same all along.
+
+        1 where that cannot be told, because the effect shows in one part only.
+        """
+        space, channels = self.evidence.space, int(self.evidence.active.sum())
+        parts: dict[str, slice] = {}
+        for name, block in space.blocks.items():
+            rows = (block.stop - block.start) // channels
+            edges = block.start + channels * np.linspace(0, rows, PARTS + 1).astype(int)
+            parts |= {f"{name}, part {i + 1}": slice(int(a), int(b)) for i, (a, b) in enumerate(itertools.pairwise(edges))}
+        every = leave_one_out(fit, space.divided(parts)).values()
+        told = [part for part in every if part.determined]
+        gain = sum(p.fitted for p in told)
+        return sum(p.predicted for p in told) / gain if gain > TOLD * sum(p.fitted for p in every) else 1.0
+
+    def gap(self, fit: Fit, *, calibrated: bool = True) -> tuple[float, float]:
+        """G: mean over pairs of repeats of r_a' W r_b with the model taken out, and its deviation by noise.
+
+        `calibrated`: the nuisances are taken out too. Without repeats: energy less its expectation. In single-run units,
+        summed over the conditions.
+        """
+        space = self.evidence.space
+        assert fit.signature is not None
+        explained = fit.signature
+        if calibrated:
+            explained = explained + space.without(list(fit.values)).explained(space.y - fit.signature)
+        total, variance = 0.0, 0.0
+        e = self.evidence
+        for (_, block), residuals, weight, (one, other) in zip(space.blocks.items(), e.residuals, e.repeats, e.halves, strict=True):
+            left = np.stack(residuals) - explained[block] / np.sqrt(weight)
+            n, size = left.shape
+            a, b = left - one, left - other  # independent simulations on both sides: their scatter does not count as a gap
+            products, same = float(a.sum(axis=0) @ b.sum(axis=0)), float((a * b).sum())
+            total += (products - same) / (n * (n - 1)) if n > 1 else same - size
+            variance += 2.0 * size / (weight * DEPENDENCE) ** 2 if n > 1 else 2.0 * size
+        return total, float(np.sqrt(variance)) * 1.5
+
+
+def searched(
+    catalogue: Catalogue, simulator: Simulator, groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
+) -> tuple[Search, list[Fit]]:
+    """A search and the models that it has looked at.
+
+    Where nothing was repeated, noise is what the best model leaves: guessed from what the nominal one leaves, and again from what is left
+    of the best one, until that is the same model. What is measured itself says nothing of noise: it moves.
+    """
+    search = Search(catalogue, simulator, groups, nuisances)
+    fits = search.run()
+    for _ in range(GUESSES if search.evidence.whitening.guessed else 0):
+        best = max(fits, key=_evidence)
+        simulated = simulator.repeated(range(len(groups)), setting(best.values), POLISH, "noise")
+        if any(s is None for s in simulated):
+            break
+        left = [[x - np.mean(s, axis=0) for x in g] for g, s in zip(groups, simulated, strict=True) if s is not None]
+        search = Search(catalogue, simulator, groups, nuisances, left)
+        fits = search.run()
+        if set(max(fits, key=_evidence).model) == set(best.model):
+            break
+    return search, fits
+
+
+def likely_count(catalogue: Catalogue, nuisances: Sequence[Nuisance], conditions: int) -> int:
+    """About how many simulations a search takes that ends with single effects; more where effects are combined."""
+    addresses = {a for c in catalogue.candidates for a in c.addresses} | {n.address for n in nuisances}
+    return conditions * (NOMINAL + len(addresses) + 2 * SINGLES + POLISH * POLISHED)
+
+
+def _evidence(fit: Fit) -> float:
+    return fit.log_evidence
+
+
+class _State:
+    """One model under refinement."""
+
+    def __init__(self, fit: Fit, columns: FloatArray, x: FloatArray, signature: FloatArray) -> None:
+        self.fit, self.columns, self.x, self.signature = fit, columns, x, signature
+        self.scales, _, _ = scaled_bounds(fit.model)
+        self.best, self.settled = fit, False
+        self.energy = np.inf
+
+    def update(self, signature: FloatArray | None, space: Space) -> None:
+        """Take the simulation at the fit's values into account, fit again."""
+        addresses = [a for c in self.fit.model for a in c.addresses]
+        new = np.array([self.fit.values[a] for a in addresses]) / self.scales
+        if signature is None:  # the system cannot run there: half of the way
+            middle = 0.5 * (self.x + new)
+            self.fit.values.update({a: float(v * s) for a, v, s in zip(addresses, middle, self.scales, strict=True)})
+            return
+        move = new - self.x
+        length = float(move @ move)
+        if length > 0.0:
+            self.columns = self.columns + np.outer(signature - self.signature - self.columns @ move, move) / length
+        left = space.y - signature
+        energy = float(space.without(addresses).dot(left, left))
+        fit = quadratic_fit(self.fit.model, space.y, signature, self.columns, new, space)
+        if energy < self.energy:
+            # its evidence is that of the quadratic about these values, at their real energy
+            self.energy = energy
+            spread = fit.deviations
+            values = dict(self.fit.values)
+            evidence = fit.log_evidence - 0.5 * max(energy - fit.energy, 0.0)
+            self.best = Fit(self.fit.model, values, spread, evidence, energy, True, signature, self.columns)
+        step = np.array([fit.values[a] for a in addresses]) / self.scales - new
+        width = np.array([fit.deviations[a] for a in addresses]) / self.scales
+        self.settled = bool(np.all(np.abs(step) < np.maximum(0.3 * width, 0.002 * np.abs(new))))
+        self.x, self.signature, self.fit = new, signature, fit

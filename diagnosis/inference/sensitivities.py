@@ -1,0 +1,235 @@
+"""What each candidate does by itself: simulated at its prior scale, and at other sizes where that does not say enough."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
+from robomill.diagnosis.experiment.simulation import Simulator, setting
+from robomill.diagnosis.inference.estimation import Space
+from robomill.diagnosis.inference.evidence import gather
+from robomill.orchestration.slaves.protocol import FloatArray
+
+BENT = 0.9
+"""Cosine of the columns at two sizes below which an effect is not taken as proportional to its size."""
+TURNED = 0.7
+"""Cosine below which many sizes are tried."""
+SMALLER, NOTED = 0.2, 8.0
+"""Part of its prior scale below which an effect that seems to explain this much [nats] is tried at sizes in between, too."""
+WORTH = 0.2
+"""Part of the best candidate's gain (as columns have it) from which a candidate is looked at on more simulations."""
+LARGE, LOST = 10.0, 0.5
+"""Energy over that of noise, and the part of it that the best candidate leaves, from which effects that turn are tried at EVENLY sizes."""
+EVENLY = 64
+"""Sizes up to the largest one: in a loop that begins to swing, a delay must be right to a part of the period."""
+NOMINAL = 8
+"""Simulations of the nominal system with different noise, of each condition."""
+TOLERANCES = 3.0
+"""Standard deviations of a calibrated number that its column is simulated at."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """A size from which an effect is fitted [prior scales], its signature, and the change of that per prior scale."""
+
+    x: float
+    signature: FloatArray
+    column: FloatArray
+
+
+class Screening:
+    """Evidence, the candidates that change anything, and where their fits start.
+
+    A column is the change of the whitened channels per prior scale. What is not proportional to its size has a column from another
+    size, or a start.
+    """
+
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        simulator: Simulator,
+        groups: Sequence[Sequence[FloatArray]],
+        nuisances: Sequence[Nuisance],
+        left: Sequence[Sequence[FloatArray]] = (),
+    ) -> None:
+        """`groups`: measured repeats [samples, channels] of each of the first conditions of the simulator's laboratory.
+
+        `left`: what a model leaves of them, from which noise is guessed where nothing was repeated.
+        """
+        self.simulator, self.conditions = simulator, range(len(groups))
+        self.scales = {a: c.prior.scale for c in catalogue.candidates for a in c.addresses}
+        nominals = [b for b in simulator.repeated(self.conditions, (), NOMINAL, "nominal") if b is not None]
+        unknown = {n.address: n.scale for n in nuisances}
+        sizes = {**{a: TOLERANCES * s for a, s in unknown.items()}, **self.scales}
+        changes = changed(simulator, self.conditions, sizes, nominals)
+        # a limit does nothing until it is reached
+        single = {c.addresses[0]: c for c in catalogue.candidates if len(c.parameters) == 1}
+        largest = {a: c.maximum for a, c in single.items() if a not in changes}
+        changes |= changed(simulator, self.conditions, largest, nominals)
+        sizes |= {a: s for a, s in largest.items() if a in changes}
+        names = [simulator.laboratory.conditions[i].name for i in self.conditions]
+        clocks = [c for c in catalogue.candidates if c.unit == "s" and (c.component != LOGGING or c.parameters[0].startswith("lag "))]
+        self.evidence = gather(simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks, left)
+        self.single = {a: c for a, c in single.items() if a in self.evidence.columns}
+        self.starts: dict[Address, Start] = {}
+        self._try_other_sizes()
+        self.candidates = [c for c in catalogue.candidates if all(a in self.evidence.columns for a in c.addresses)]
+
+    def _try_other_sizes(self) -> None:
+        """Columns from a smaller size, where one fits better, and starts from the best of many sizes for effects that turn with theirs.
+
+        A delay of 50 ms does not look like one of 25 ms, twice.
+        """
+        columns, space, single = self.evidence.columns, self.evidence.space, self.single
+        smaller = {a: _smaller(c) for a, c in single.items()}
+        # the first place of an effect tells for the others whether they are to be tried, too
+        places: dict[str, list[Address]] = {}
+        for a, c in single.items():
+            places.setdefault(c.effect, []).append(a)
+        other: dict[Address, FloatArray] = {}
+        for some in ([p[0] for p in places.values()], [a for p in places.values() for a in p[1:]]):
+            wanted = [a for a in some if _bends(places[single[a].effect][0], other, columns)]
+            tried = self._signatures({a: [smaller[a]] for a in wanted})
+            other |= {a: tried[a, smaller[a]] / smaller[a] for a in wanted if (a, smaller[a]) in tried}
+        alike = {a: _cosine(column, columns[a]) for a, column in other.items()}
+        for a, cosine in alike.items():
+            if cosine < BENT:
+                self._take_if_better(a, other[a])
+        turned = [a for a, cosine in alike.items() if cosine < TURNED]
+        sizes = {**self._much_smaller(), **{a: _sizes(single[a]) for a in turned}}
+        # which nuisances these are like at one size says nothing of another
+        space.find_alike({a: np.zeros_like(columns[a]) for a in sizes}, self.scales)
+        self._start_from(sizes)
+        if space.energy > LARGE * float(self.evidence.expected.sum()) and self._least() > LOST * space.energy:
+            self._start_from({a: _evenly(single[a]) for a in turned})
+        space.find_alike({a: self.starts[a].column if a in self.starts else columns[a] for a in {**alike, **sizes}}, self.scales)
+
+    def _start_from(self, sizes: Mapping[Address, Sequence[float]]) -> None:
+        """The best of these sizes [prior scales], and between the last that does nothing and the next one."""
+        tried = self._signatures(sizes)
+        tried |= self._signatures({a: _where_it_begins([(x, tried[a, x]) for x in xs if (a, x) in tried]) for a, xs in sizes.items()})
+        for a in sizes:
+            found = sorted(((x, signature) for (b, x), signature in tried.items() if b == a), key=lambda pair: pair[0])
+            if len(found) < 2:
+                continue
+            own = self.evidence.space.without([a])
+            energies = own.energies(own.y[:, None] - np.stack([f for _, f in found], axis=1))
+            i = int(np.argmin(energies))
+            _, j = min((energies[k], k) for k in (i - 1, i + 1) if 0 <= k < len(found))
+            (x, signature), (near, neighbour) = found[i], found[j]
+            if energies[i] < self._energy(a, self.evidence.space.energy):
+                self.starts[a] = Start(x, signature, (signature - neighbour) / (x - near))
+
+    def _energy(self, address: Address, otherwise: float) -> float:
+        """What is left where the fit of an effect starts."""
+        start, own = self.starts.get(address), self.evidence.space.without([address])
+        return otherwise if start is None else float(own.dot(own.y - start.signature, own.y - start.signature))
+
+    def _least(self) -> float:
+        """Energy that the best candidate leaves, by columns or where its fit starts."""
+        left = [self.evidence.space.energy]
+        for a, c in self.single.items():
+            own = self.evidence.space.without([a])
+            left.append(self._energy(a, own.energy - _gain(own, self.evidence.columns[a], c)))
+        return min(left)
+
+    def _much_smaller(self) -> dict[Address, list[float]]:
+        """Sizes between where an effect fits and where it was simulated, if these are far apart: large, it may hide how it begins."""
+        found, gains = {}, {}
+        for a, c in self.single.items():
+            own, column = self.evidence.space.without([a]), self.evidence.columns[a]
+            x = float(own.dot(column, own.y) / (own.dot(column, column) + 1e-300))
+            gains[a] = self.evidence.space.energy - own.energy + _gain(own, column, c)
+            if abs(x) < SMALLER and 0.5 * gains[a] > NOTED:
+                found[a] = [x * 1.6**k for k in range(math.ceil(math.log(SMALLER / abs(x), 1.6)) + 1)]
+        best = max(gains.values(), default=0.0)
+        return {a: sizes for a, sizes in found.items() if gains[a] > WORTH * best}
+
+    def _take_if_better(self, address: Address, column: FloatArray) -> None:
+        """Another column, if it takes away more energy."""
+        own, known = self.evidence.space.without([address]), self.evidence.columns[address]
+        if _gain(own, column, self.single[address]) > _gain(own, known, self.single[address]):
+            self.evidence.columns[address] = column
+
+    def _signatures(self, sizes: Mapping[Address, Sequence[float]]) -> dict[tuple[Address, float], FloatArray]:
+        """Signatures at sizes [prior scales]: (address, size) -> whitened change; without those that cannot run."""
+        n = len(self.conditions)
+        keys = [(a, x) for a, xs in sizes.items() for x in xs]
+        tasks = [(i, self.simulator.seeded(setting({a: x * self.scales[a]}))) for a, x in keys for i in self.conditions]
+        results = self.simulator.many(tasks, "effects at other sizes")
+        found = {key: self.evidence.signature(results[k * n : (k + 1) * n]) for k, key in enumerate(keys)}
+        return {key: signature for key, signature in found.items() if signature is not None}
+
+
+def changed(
+    simulator: Simulator,
+    conditions: Sequence[int],
+    sizes: Mapping[Address, float],
+    nominals: Sequence[Sequence[FloatArray]],
+    doing: str = "effects",
+) -> dict[Address, list[FloatArray]]:
+    """What simulations of these conditions with one parameter at its size [unit] differ by from the first of the nominal ones.
+
+    Per condition, [samples, channels]; without parameters that change nothing, or with which a condition cannot run.
+    """
+    results = iter(simulator.many([(i, simulator.seeded(setting({a: s}))) for a, s in sizes.items() for i in conditions], doing))
+    changes = {}
+    for a in sizes:
+        change = [r - group[0] for r, group in zip([next(results) for _ in conditions], nominals, strict=True) if r is not None]
+        if len(change) == len(conditions) and any(np.any(c) for c in change):
+            changes[a] = change
+    return changes
+
+
+def _smaller(candidate: Candidate) -> float:
+    """A size to compare with the prior scale [prior scales]: half way down to where the effect begins to count, on a logarithmic scale.
+
+    A path that is 3 ms late looks nothing like one that is 50 ms late, and a little like one that is 7 ms late.
+    """
+    if candidate.prior.kind == "normal":
+        return -0.5
+    return min(math.exp(-candidate.prior.spread), math.sqrt(candidate.minimum / candidate.prior.scale))
+
+
+def _sizes(candidate: Candidate) -> list[float]:
+    """Sizes to start from [prior scales], in order: a quarter apart from each other, closer to a bound that is near."""
+    scale, largest = candidate.prior.scale, candidate.maximum
+    sizes = [scale * math.exp(0.25 * k) for k in range(-10, 7)]
+    if largest < sizes[-1]:
+        sizes = [x for x in sizes if x <= scale] + [largest - (largest - scale) * math.exp(-0.35 * k) for k in range(1, 9)]
+    found = [x / scale for x in sizes if candidate.minimum <= x <= largest]
+    return [-x for x in reversed(found)] + found if candidate.both_signs else found
+
+
+def _evenly(candidate: Candidate) -> list[float]:
+    """Sizes up to the largest one [prior scales]."""
+    low = -candidate.maximum if candidate.both_signs else 0.0
+    return [float(x) / candidate.prior.scale for x in np.linspace(low, candidate.maximum, EVENLY + 1)[1:-1] if abs(x) >= candidate.minimum]
+
+
+def _where_it_begins(found: Sequence[tuple[float, FloatArray]]) -> list[float]:
+    """Sizes between the last one that does nothing and the first one that does something: a limit may cut off everything from there."""
+    for (x, signature), (after, following) in itertools.pairwise(found):
+        if not np.any(signature) and np.any(following):
+            return [x + (after - x) * k / 8 for k in range(1, 8)]
+    return []
+
+
+def _bends(first: Address, other: Mapping[Address, FloatArray], columns: Mapping[Address, FloatArray]) -> bool:
+    """Whether the column at another size is another one, or not known yet."""
+    return first not in other or _cosine(other[first], columns[first]) < BENT
+
+
+def _cosine(a: FloatArray, b: FloatArray) -> float:
+    return float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-300))
+
+
+def _gain(space: Space, column: FloatArray, candidate: Candidate) -> float:
+    """Energy that the column takes away at its best size."""
+    product, energy = float(space.dot(column, space.y)), float(space.dot(column, column))
+    return product * product / (energy + 1e-300) if product > 0.0 or candidate.both_signs else 0.0

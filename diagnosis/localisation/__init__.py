@@ -1,0 +1,1 @@
+"""Where the gap lies: replay attribution, swaps, the place inside a component."""

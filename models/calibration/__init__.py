@@ -1,0 +1,1 @@
+"""Parameters from measurements: sensor identification, the validation loads of paper 000."""

@@ -1,0 +1,1 @@
+"""The components: each module declares one `MODEL`, of which the FMU is built."""

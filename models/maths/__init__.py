@@ -1,0 +1,1 @@
+"""Mathematics that gives the same bits everywhere: elementary functions, frames, filters, noise."""

@@ -1,0 +1,1 @@
+"""What a model is: declared variables, units, parameter files, tables, compiled code."""

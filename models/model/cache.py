@@ -1,0 +1,141 @@
+"""Where compiled code is kept: folders per user, named after the sources that the code was made from.
+
+Numba's own disk cache notices an edit in the file of the compiled function, not one in a function
+or a constant that it uses from another file. Here the name of the folder is a hash of every file
+that the model is made from (`source_files`) and of the parameter files, so any edit makes a new folder.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import os
+import shutil
+import sys
+import sysconfig
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+KEPT = 20
+"""Folders of former sources that stay: a handful of components, other branches, other processes."""
+PACKAGE = Path(__file__).parents[1]
+# builds side by side: CPython 3.11 counts the depth of its trees for all threads together, and then finds it wrong
+_PARSING = threading.Lock()
+
+
+def user_folder() -> Path:
+    """The per-user cache folder of this project: $ROBOMILL_CACHE_DIR or what the platform has for that purpose."""
+    chosen = os.environ.get("ROBOMILL_CACHE_DIR")
+    if chosen:
+        return Path(chosen)
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or str(Path.home() / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        base = str(Path.home() / "Library" / "Caches")
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "robomill"
+
+
+@contextmanager
+def compiled_code(*functions: Callable[..., Any]) -> Iterator[None]:
+    """While active, functions that get `njit(cache=True)` are kept in the folder of their sources.
+
+    Inside an FMU nothing is done: its package stands in a folder of its own, named after its
+    content, and Numba keeps the code beside it.
+    """
+    if __name__ != "robomill.models.model.cache":
+        yield
+        return
+    import numba
+
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    folder = user_folder() / "numba" / _key(functions, numba.__version__)
+    with suppress(OSError):  # a home that cannot be written to: Numba's own place, at worst a compilation per process
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+        prune(folder.parent, folder.name)
+        config.CACHE_DIR = str(folder)
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before
+
+
+def prune(folder: Path, current: str, kept: int = KEPT) -> None:
+    """Remove the subfolders of `folder` that were used longest ago, all but `kept` and `current`."""
+    with suppress(OSError):
+        others = sorted((f for f in folder.iterdir() if f.is_dir() and f.name != current), key=lambda f: f.stat().st_mtime, reverse=True)
+        for old in others[kept:]:
+            shutil.rmtree(old, ignore_errors=True)
+
+
+def source_files(module: str) -> dict[str, Path]:
+    """Module name -> source file of `module` and of all that it imports, also inside functions and through others.
+
+    Followed are `robomill`, the top-level package of `module` itself and everything that is not installed as a
+    library. Of a package that is only passed through there is the `__init__`, but not what that imports.
+    ModuleNotFoundError if one of them does not exist.
+    """
+    own = {"robomill", module.partition(".")[0]}
+    found: dict[str, Path] = {}
+    passed: set[str] = set()
+    waiting = [module]
+    while waiting:
+        name = waiting.pop()
+        if name in found:
+            continue
+        file = _file(name)
+        if file is None:
+            raise ModuleNotFoundError(f"no source file of module {name!r}, which {module!r} imports")
+        found[name] = file
+        parents = name.split(".")[:-1]
+        passed |= {".".join(parents[: k + 1]) for k in range(len(parents))}
+        with _PARSING:
+            tree = ast.parse(file.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                waiting += [alias.name for alias in node.names if _followed(alias.name, own)]
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level and _followed(node.module, own):
+                waiting.append(node.module)
+                waiting += [n for alias in node.names if _file(n := f"{node.module}.{alias.name}")]
+    found |= {name: file for name in passed - found.keys() if (file := _file(name)) is not None}
+    return dict(sorted(found.items()))
+
+
+def _followed(module: str, own: set[str]) -> bool:
+    """Whether a module is one of `own`, or a source file that is not part of Python or of an installed library."""
+    top = module.partition(".")[0]
+    if top in own:
+        return True
+    file = None if top in sys.stdlib_module_names else _file(top)
+    return file is not None and not any(Path(sysconfig.get_path(kind)) in file.parents for kind in ("purelib", "platlib", "stdlib"))
+
+
+@cache
+def _file(module: str) -> Path | None:
+    """Source file of a module, None if there is no such module or it has none (built in, extension, namespace)."""
+    with suppress(ImportError, AttributeError, ValueError):
+        spec = importlib.util.find_spec(module)
+        if spec is not None and spec.origin is not None and spec.origin.endswith(".py"):
+            return Path(spec.origin)
+    return None
+
+
+def _key(functions: tuple[Callable[..., Any], ...], numba_version: str) -> str:
+    """Hash of the sources of `functions`, of the parameter files and of the compiler's version."""
+    files = {*PACKAGE.rglob("*.toml"), *(Path(f.__code__.co_filename) for f in functions)}
+    for function in functions:
+        with suppress(ModuleNotFoundError):  # __main__, an interactive session
+            files |= set(source_files(function.__module__).values())
+    digest = hashlib.sha256(f"{numba_version} {sys.version}".encode())
+    for file in sorted(f for f in files if f.is_file()):
+        digest.update(f"{file}\0".encode())
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()[:20]

@@ -1,0 +1,78 @@
+"""How `init` and `step` read a table: one number at a time, at its address, and never outside of the table."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+
+from robomill.models.model.declaration import COMPILER_OPTIONS, kernel
+
+
+def number_at(address: int) -> float:
+    """The float64 at an address. Compiled it is a load instruction; in plain Python ctypes does it."""
+    return np.float64(ctypes.c_double.from_address(int(address)).value)
+
+
+@kernel
+def cell(address: int, rows: int, columns: int, row: int, column: int) -> float:
+    """The number in a row and column, counted from zero, of the table of (rows, columns) numbers at an address.
+
+    A record has the first two as `<table>_at` and `<table>_rows`. IndexError outside of the table.
+    """
+    if not (0 <= row < rows and 0 <= column < columns):
+        raise IndexError("outside of the table")
+    return number_at(address + 8 * (row * columns + column))
+
+
+@kernel
+def row_at(address: int, rows: int, columns: int, time: float, guess: int) -> int:
+    """The last row whose number in column 0, which increases from row to row, is not above `time`; row 0 if there is none.
+
+    Found by steps that double from row `guess` on, and bisection: the guess itself costs two looks, the row after it four, any
+    other a logarithm of their distance. The result does not depend on the guess. `rows` is at least one.
+    """
+    low, high = 0, rows - 1  # the row wanted is in low..high
+    near = min(max(guess, 0), high)
+    if cell(address, rows, columns, near, 0) <= time:
+        low = near
+        step = 1
+        while low + step <= high and cell(address, rows, columns, low + step, 0) <= time:
+            low += step
+            step += step
+        high = min(high, low + step - 1)
+    else:
+        high = max(near - 1, 0)
+    while low < high:
+        middle = (low + high + 1) // 2
+        if cell(address, rows, columns, middle, 0) <= time:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+try:
+    from numba import types
+    from numba.extending import intrinsic, overload
+except ImportError:
+    pass
+else:
+    OPTIONS: Any = COMPILER_OPTIONS
+
+    @intrinsic
+    def _load(typing_context: Any, address: Any) -> Any:
+        """A load instruction."""
+
+        def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.load(builder.inttoptr(arguments[0], context.get_value_type(signature.return_type).as_pointer()))
+
+        return types.float64(types.int64), code
+
+    @overload(number_at, jit_options=OPTIONS)
+    def _number_at(address: int) -> Any:
+        def compiled(address: int) -> Any:
+            return _load(address)  # type: ignore[call-arg]  # Numba gives the context
+
+        return compiled

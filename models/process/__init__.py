@@ -1,0 +1,1 @@
+"""The cutting process: cutting forces, tools, the dexel workpiece."""

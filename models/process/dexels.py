@@ -1,0 +1,381 @@
+"""The workpiece that is really cut: one top height per cell (z-dexels), a flat end mill's cut, what its edges meet.
+
+The block stands in frame P: origin at the centre of the nominal top surface, z up. It is divided into nx x ny equal
+cells; cell (ix, iy) has its centre at ((ix + 1/2) dx - Lx/2, (iy + 1/2) dy - Ly/2) and its height in
+`height[iy * nx + ix]`. A cell that the cutter covers in part is lowered in part (by the fraction of it that the wall
+leaves, measured from the stock's top), so heights are area means and a wall between two cells is known to a fraction
+of a cell. Engagement read by linear interpolation is then smooth in the position of the tool.
+
+All functions are kernels on the caller's arrays; lengths in m. Tool axis parallel to z of P.
+"""
+
+from __future__ import annotations
+
+import math
+
+from robomill.models.model.declaration import FloatArray, kernel
+
+CAPACITY = 2**18
+"""Cells that the height field holds (2 MB)."""
+
+RING = 2.0
+"""Engagement is read this many cells outside the cutter, clear of what it has cut: half a cell of partial cover and the
+diagonal (1.41) of the cells between which is interpolated."""
+
+LEAST_DEPTH = 1e-9
+"""Material standing less than this above the tip [m] is the roundoff of a floor already cut."""
+
+_PROBES = 9
+"""Points across the diameter at which the floor under the cutter is probed (69 within the disc)."""
+
+
+@kernel
+def cells(length: float, spacing: float) -> int:
+    """Number of cells (2 or more) of at most `spacing` [m] along a block edge [m]; they fill it exactly."""
+    count = math.floor(length / spacing)
+    if count * spacing < length * (1.0 - 1e-12):
+        count += 1
+    return count if count > 2 else 2
+
+
+@kernel
+def finest_spacing(length: float, width: float, capacity: int) -> float:
+    """Finest spacing [m], rounded up to a micrometre, with which a block of length x width needs no more than `capacity` cells."""
+    spacing = math.floor(1e6 * math.sqrt(length * width / capacity)) * 1e-6
+    while spacing <= 0.0 or cells(length, spacing) * cells(width, spacing) > capacity:
+        spacing += 1e-6
+    return spacing
+
+
+@kernel
+def fill(height: FloatArray, count: int, top: float) -> None:
+    """Set the first `count` cells to the height `top` of the stock and the unused rest to zero."""
+    for k in range(len(height)):
+        height[k] = top if k < count else 0.0
+
+
+@kernel
+def touches(
+    nx: int, ny: int, dx: float, dy: float, top: float, xa: float, ya: float, za: float, xb: float, yb: float, zb: float, reach: float
+) -> bool:
+    """Whether a cutter of radius `reach` moving from a to b can meet the block, by bounding boxes; `top` includes any gap in z."""
+    hx = 0.5 * nx * dx + reach
+    hy = 0.5 * ny * dy + reach
+    if za >= top and zb >= top:
+        return False
+    if (xa > hx and xb > hx) or (xa < -hx and xb < -hx):
+        return False
+    return not ((ya > hy and yb > hy) or (ya < -hy and yb < -hy))
+
+
+@kernel
+def cut(
+    height: FloatArray,
+    nx: int,
+    ny: int,
+    dx: float,
+    dy: float,
+    top: float,
+    bottom: float,
+    xa: float,
+    ya: float,
+    za: float,
+    xb: float,
+    yb: float,
+    zb: float,
+    radius: float,
+    cut_at_a: bool,
+) -> float:
+    """Lower the cells that a flat end mill sweeps on the straight way of its tip from a to b; the volume removed [m3].
+
+    `cut_at_a`: the block has already been cut with the tool at a (the end of the last step), which saves most of the
+    work while the tool does not go down. A slanted way is cut in pieces of a cell, each at its lower end.
+    """
+    length = math.sqrt((xb - xa) * (xb - xa) + (yb - ya) * (yb - ya))
+    pieces = 1
+    if za != zb:
+        pieces = math.floor(length / (dx if dx < dy else dy)) + 1
+    removed = 0.0
+    done = cut_at_a
+    for i in range(pieces):
+        t0 = i / pieces
+        t1 = (i + 1) / pieces
+        removed += _cut_piece(
+            height,
+            nx,
+            ny,
+            dx,
+            dy,
+            top,
+            bottom,
+            xa + t0 * (xb - xa),
+            ya + t0 * (yb - ya),
+            za + t0 * (zb - za),
+            xa + t1 * (xb - xa) if i + 1 < pieces else xb,
+            ya + t1 * (yb - ya) if i + 1 < pieces else yb,
+            za + t1 * (zb - za) if i + 1 < pieces else zb,
+            radius,
+            done,
+        )
+        done = True
+    return removed * dx * dy
+
+
+@kernel
+def _cut_piece(
+    height: FloatArray,
+    nx: int,
+    ny: int,
+    dx: float,
+    dy: float,
+    top: float,
+    bottom: float,
+    xa: float,
+    ya: float,
+    za: float,
+    xb: float,
+    yb: float,
+    zb: float,
+    radius: float,
+    done: bool,
+) -> float:
+    """Cut the stadium a-b at the lower of both heights; the sum of the heights removed [m]."""
+    z = za if za < zb else zb
+    if z >= top:
+        return 0.0
+    z = max(z, bottom)
+    idle = done and zb >= za  # what was covered at a needs no second visit
+    half = 0.5 * (dx if dx > dy else dy)
+    outer = radius + half
+    inner = radius - half
+    inner = max(inner, 0.0)
+    x0 = 0.5 * dx - 0.5 * nx * dx
+    y0 = 0.5 * dy - 0.5 * ny * dy
+    ux = xb - xa
+    uy = yb - ya
+    length2 = ux * ux + uy * uy
+    if length2 < 1e-30:
+        ux, uy, length2 = 0.0, 0.0, 0.0
+    length = math.sqrt(length2)
+    removed = 0.0
+    first_row = math.ceil(((ya if ya < yb else yb) - outer - y0) / dy)
+    last_row = math.floor(((ya if ya > yb else yb) + outer - y0) / dy)
+    first_row = max(first_row, 0)
+    last_row = min(last_row, ny - 1)
+    for iy in range(first_row, last_row + 1):
+        y = y0 + iy * dy
+        va = y - ya
+        vb = y - yb
+        # the row's interval of the stadium of radius `outer`: the extremes of both discs and of the tangents between them
+        low = 1e30
+        high = -1e30
+        r2 = outer * outer - va * va
+        if r2 >= 0.0:
+            r = math.sqrt(r2)
+            low = xa - r
+            high = xa + r
+        r2 = outer * outer - vb * vb
+        if r2 >= 0.0:
+            r = math.sqrt(r2)
+            low = min(low, xb - r)
+            high = max(high, xb + r)
+        if uy != 0.0:
+            side = outer / length
+            for _ in range(2):
+                t = (va - side * ux) / uy
+                if t >= 0.0 and t <= 1.0:
+                    x = xa + t * ux - side * uy
+                    low = min(low, x)
+                    high = max(high, x)
+                side = -side
+        if low > high:
+            continue
+        first = math.ceil((low - x0) / dx) if low > x0 else 0
+        last = math.floor((high - x0) / dx) if high < x0 + nx * dx else nx - 1
+        last = min(last, nx - 1)
+        # the core: cells wholly covered both at a and at b
+        core_first = last + 1
+        core_last = last
+        ra = inner * inner - va * va
+        rb = inner * inner - vb * vb
+        if ra > 0.0 and rb > 0.0:
+            ra = math.sqrt(ra)
+            rb = math.sqrt(rb)
+            low = xa - ra if xa - ra > xb - rb else xb - rb
+            high = xa + ra if xa + ra < xb + rb else xb + rb
+            if low <= high:
+                core_first = math.ceil((low - x0) / dx) if low > x0 else 0
+                core_last = math.floor((high - x0) / dx) if high < x0 + nx * dx else nx - 1
+                core_last = min(core_last, last)
+                if core_first > core_last:
+                    core_first = last + 1
+                    core_last = last
+        row = iy * nx
+        ix = first
+        while ix <= last:
+            if ix == core_first:
+                if not idle:
+                    for k in range(row + core_first, row + core_last + 1):
+                        if height[k] > z:
+                            removed += height[k] - z
+                            height[k] = z
+                ix = core_last + 1
+                continue
+            # partly covered, or not covered all the way from a to b: distance of the centre from the way of the axis
+            vx = x0 + ix * dx - xa
+            t = 0.0
+            if length2 > 0.0:
+                t = (vx * ux + va * uy) / length2
+                t = min(t, 1.0)
+            if t <= 0.0:
+                if idle:
+                    ix += 1
+                    continue
+                t = 0.0
+            wx = vx - t * ux
+            wy = va - t * uy
+            cover = (outer - math.sqrt(wx * wx + wy * wy)) / (outer - inner)
+            if cover > 0.0:
+                lowered = z
+                if cover < 1.0:
+                    lowered = z + (1.0 - cover) * (top - z)
+                k = row + ix
+                if height[k] > lowered:
+                    removed += height[k] - lowered
+                    height[k] = lowered
+            ix += 1
+    return removed
+
+
+@kernel
+def covered_depth(
+    height: FloatArray, nx: int, ny: int, dx: float, dy: float, bottom: float, x: float, y: float, z: float, radius: float
+) -> float:
+    """How far material stands above the tip [m] in the cells that a tool of that radius at (x, y, z) wholly covers; 0 if it is clear."""
+    half = 0.5 * (dx if dx > dy else dy)
+    inner = radius - half
+    depth = 0.0
+    if inner <= 0.0:
+        return depth
+    x0 = 0.5 * dx - 0.5 * nx * dx
+    y0 = 0.5 * dy - 0.5 * ny * dy
+    first_row = max(math.ceil((y - inner - y0) / dy), 0)
+    last_row = min(math.floor((y + inner - y0) / dy), ny - 1)
+    for iy in range(first_row, last_row + 1):
+        v = y0 + iy * dy - y
+        r = math.sqrt(max(inner * inner - v * v, 0.0))
+        first = max(math.ceil((x - r - x0) / dx), 0)
+        last = min(math.floor((x + r - x0) / dx), nx - 1)
+        for ix in range(first, last + 1):
+            top = height[iy * nx + ix]
+            if top > bottom and top - z > LEAST_DEPTH:
+                depth = max(depth, top - z)
+    return depth
+
+
+@kernel
+def height_at(height: FloatArray, nx: int, ny: int, dx: float, dy: float, x: float, y: float) -> float:
+    """Height [m] at a point by bilinear interpolation between cell centres; outside the block that of the nearest edge."""
+    u = x / dx + 0.5 * nx - 0.5
+    v = y / dy + 0.5 * ny - 0.5
+    if u < 0.0:
+        u = 0.0
+    elif u > nx - 1.0:
+        u = nx - 1.0
+    if v < 0.0:
+        v = 0.0
+    elif v > ny - 1.0:
+        v = ny - 1.0
+    ix = math.floor(u)
+    iy = math.floor(v)
+    ix = min(ix, nx - 2)
+    iy = min(iy, ny - 2)
+    k = iy * nx + ix
+    u -= ix
+    v -= iy
+    result: float = (1.0 - v) * ((1.0 - u) * height[k] + u * height[k + 1]) + v * ((1.0 - u) * height[k + nx] + u * height[k + nx + 1])
+    return result
+
+
+@kernel
+def footprint(nx: int, ny: int, dx: float, dy: float, x: float, y: float) -> float:
+    """1 inside the block, 0 outside, linear over one cell across its side faces."""
+    u = (0.5 * nx * dx - abs(x)) / dx + 0.5
+    v = (0.5 * ny * dy - abs(y)) / dy + 0.5
+    if u <= 0.0 or v <= 0.0:
+        return 0.0
+    u = min(u, 1.0)
+    v = min(v, 1.0)
+    return u * v
+
+
+@kernel
+def engagement(
+    height: FloatArray,
+    nx: int,
+    ny: int,
+    dx: float,
+    dy: float,
+    x: float,
+    y: float,
+    z: float,
+    radius: float,
+    ux: float,
+    uy: float,
+    low: float,
+    bins: int,
+    sines: FloatArray,
+    cosines: FloatArray,
+    depth: FloatArray,
+) -> float:
+    """Height of the material above the tip [m] that the edges meet in each of `bins` angular bins of 0..pi; returns the largest.
+
+    0 in bins where the material reaches no higher than `low` [m] above the tip (the bottom of a block that is cut through).
+
+    (ux, uy) is the feed direction; `sines`, `cosines` belong to the middle of the bins, clockwise from the left of the feed.
+    The material in front of the edge at phi is looked up ahead of it along the feed, at the same distance from the path,
+    on a ring RING cells wider than the cutter. So the bounds of a slot are exact (the rear half never cuts) and those of
+    a wall beside the path are right to a fraction of a cell. The edge itself must be inside the block.
+    """
+    spacing = dx if dx > dy else dy
+    ring = radius + RING * spacing
+    largest = 0.0
+    for b in range(bins):
+        depth[b] = 0.0
+        left = radius * cosines[b]
+        ahead = radius * sines[b]
+        inside = footprint(nx, ny, dx, dy, x + ahead * ux - left * uy, y + ahead * uy + left * ux)
+        if inside > 0.0:
+            ahead = math.sqrt(ring * ring - left * left)
+            a = (height_at(height, nx, ny, dx, dy, x + ahead * ux - left * uy, y + ahead * uy + left * ux) - z) * inside
+            if a > low + LEAST_DEPTH:
+                depth[b] = a
+                largest = max(largest, a)
+    return largest
+
+
+@kernel
+def contact(
+    height: FloatArray, nx: int, ny: int, dx: float, dy: float, x: float, y: float, z: float, radius: float, bottom: float, zone: float
+) -> float:
+    """Share of the cutter's end face that stands on material, 0..1: 1 where the floor reaches the tip, 0 where it is `zone` [m] lower."""
+    hits = 0.0
+    points = 0
+    step = 2.0 * radius / _PROBES
+    middle = _PROBES // 2
+    for i in range(_PROBES):
+        px = (i - middle) * step
+        for j in range(_PROBES):
+            py = (j - middle) * step
+            if px * px + py * py > radius * radius:
+                continue
+            points += 1
+            inside = footprint(nx, ny, dx, dy, x + px, y + py)
+            if inside > 0.0:
+                floor = height_at(height, nx, ny, dx, dy, x + px, y + py)
+                if floor > bottom:
+                    near = 1.0 + (floor - z) / zone
+                    near = min(near, 1.0)
+                    if near > 0.0:
+                        hits += near * inside
+    return hits / points

@@ -1,0 +1,1 @@
+"""The robot: kinematics, virtual joints, rigid-body dynamics."""

@@ -1,0 +1,1 @@
+"""The master: one communication step after the other, in Python and compiled."""

@@ -1,0 +1,165 @@
+"""The loop of the compiled master for iterated coupling: what `iteration` does, on tables of addresses (see `chunks`)."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+
+from robomill.orchestration.loop import acceleration, compiled
+from robomill.orchestration.loop.compiled import (
+    DONE,
+    FAILED,
+    LIMIT,
+    OPTIONS,
+    STOPPED,
+    STUCK,
+    TICK,
+    UNCONVERGED,
+    UNSAVED,
+    VIOLATED,
+    begin,
+    finish,
+    intrinsic,
+    load_i64,
+    njit,
+    operate,
+    pointer,
+)
+
+# Columns of the table of stages: components that are stepped once, or a loop (then it has members and unknowns)
+FIRST, END, MEMBERS, MEMBERS_END, UNKNOWNS, UNKNOWNS_END = range(6)
+# Columns of the table of states, one row per member of a loop (see `native.Rollback`)
+OWNER, SAVE, BACK, KEPT, SIZE, WORST_STATUS = range(6)
+# Columns of the table of unknowns: position on the bus, number of the array
+PLACE, ARRAY = range(2)
+# Rows of the scratch, one column per unknown
+X, G, SCALE, SIZES, LARGEST = range(5)
+
+_raw_memcpy: Callable[..., Any] = cgutils.raw_memcpy
+_compare: Callable[..., tuple[float, int]] = njit(**OPTIONS)(acceleration.compare)
+_improve: Callable[..., None] = njit(**OPTIONS)(acceleration.improve)
+
+
+@intrinsic
+def _call_state(context: Any, function: Any, owner: Any, state: Any) -> Any:
+    """`function(owner, state)`, like fmi2GetFMUstate and fmi2SetFMUstate; returns its status."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        byte = ir.IntType(8)
+        kind = ir.FunctionType(ir.IntType(32), [ir.PointerType(byte), ir.PointerType(byte)])
+        return builder.call(pointer(builder, args[0], kind), [pointer(builder, args[1], byte), pointer(builder, args[2], byte)])
+
+    return types.int32(types.int64, types.int64, types.int64), generate
+
+
+@intrinsic
+def _copy(context: Any, to: Any, source: Any, size: Any) -> Any:
+    """`size` bytes from one address to another."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        byte = ir.IntType(8)
+        _raw_memcpy(builder, pointer(builder, args[0], byte), pointer(builder, args[1], byte), args[2], 1)
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64), generate
+
+
+@njit(inline="always", **OPTIONS)
+def _save(states: Any, m: int) -> int:
+    """Keep the state of a member; returns the status."""
+    if states[m, SAVE] != 0:
+        return int(_call_state(states[m, SAVE], states[m, OWNER], states[m, KEPT]))
+    _copy(states[m, KEPT], states[m, OWNER], states[m, SIZE])
+    return 0
+
+
+@njit(inline="always", **OPTIONS)
+def _back(states: Any, m: int) -> int:
+    """Go back to the state of a member that is kept; returns the status."""
+    if states[m, BACK] != 0:
+        kept = load_i64(states[m, KEPT]) if states[m, KEPT] != 0 else 0
+        return int(_call_state(states[m, BACK], states[m, OWNER], kept))
+    _copy(states[m, OWNER], states[m, KEPT], states[m, SIZE])
+    return 0
+
+
+def _advance(
+    steps: int, ticks: Any, rates: bool, watched: int, ops: Any, clocks: Any, places: Any, bus: Any, low: Any, high: Any,
+    columns: Any, report: Any, called: Any, stages: Any, states: Any, unknowns: Any, method: int, most: int, accept: bool,
+    tolerance: float, relaxation: float, scratch: Any, history: Any, factor: Any, found: Any,
+) -> int:  # fmt: skip
+    """As `compiled.advance`. `most` is max_iterations; `history` and `factor` belong to a `Work`.
+
+    Outcomes UNSAVED and STUCK name a member whose state could not be kept, or put back, in the place of the operation;
+    UNCONVERGED a stage, and `found` is [residual, unknown] then.
+    """
+    n, h = len(low), ticks[1] / TICK
+    x, g, scale, sizes, largest = scratch[X], scratch[G], scratch[SCALE], scratch[SIZES], scratch[LARGEST]
+    for k in range(steps):
+        now = ticks[0] + (ticks[2] + k) * ticks[1]
+        t = now / TICK
+        for i in range(n):
+            bus[n + i] = bus[i]
+        begin(rates, clocks, now)
+        all_rounds, all_residual = 0, 0.0
+        for s in range(len(stages)):
+            first, end = stages[s, MEMBERS], stages[s, MEMBERS_END]
+            base, count = stages[s, UNKNOWNS], stages[s, UNKNOWNS_END] - stages[s, UNKNOWNS]
+            looped = end > first
+            for m in range(first, end):
+                status = _save(states, m)
+                if status < 0 or status > states[m, WORST_STATUS]:
+                    report[0], report[1], report[2] = UNSAVED, m, status
+                    return k
+            for i in range(count):
+                x[i] = bus[unknowns[base + i, PLACE]]
+            for rounds in range(1, most + 1 if looped else 2):
+                for o in range(stages[s, FIRST], stages[s, END]):
+                    status = operate(ops, o, rates, clocks, bus, n, places, called, t, h)
+                    if status < 0 or status > ops[o, LIMIT]:
+                        report[0], report[1], report[2] = FAILED, o, status
+                        return k
+                if not looped:
+                    break
+                for i in range(count):
+                    g[i] = bus[unknowns[base + i, PLACE]]
+                residual, worst = _compare(count, x, g, unknowns[base:, ARRAY], largest, sizes)
+                if worst < 0 or residual <= tolerance or rounds == most:
+                    if worst >= 0 and residual > tolerance and not accept:
+                        report[0], report[1], report[2] = UNCONVERGED, s, 0
+                        found[0], found[1] = residual, worst
+                        return k
+                    all_rounds, all_residual = max(all_rounds, rounds), max(all_residual, residual)
+                    break
+                if rounds == 1:
+                    for i in range(count):
+                        scale[i] = sizes[i]
+                _improve(method, relaxation, rounds, count, x, g, scale, history, factor)
+                for m in range(first, end):
+                    status = _back(states, m)
+                    if status < 0 or status > states[m, WORST_STATUS]:
+                        report[0], report[1], report[2] = STUCK, m, status
+                        return k
+                for i in range(count):
+                    bus[unknowns[base + i, PLACE]] = x[i]
+        bus[n - 2], bus[n - 1] = all_rounds, all_residual
+        if not finish(rates, clocks, now + ticks[1], k, bus, low, high, columns):
+            report[0] = VIOLATED
+            return k
+        if watched >= 0 and bus[watched] != 0.0:
+            report[0] = STOPPED
+            return k + 1
+    report[0] = DONE
+    return steps
+
+
+# Numba looks whether this file has changed, but not those that it takes functions from: they are in the name of what it keeps
+_SOURCES = b"".join(Path(str(module.__file__)).read_bytes() for module in (acceleration, compiled))
+_advance.__qualname__ = f"advance_{zlib.crc32(_SOURCES):08x}"
+advance: Callable[..., int] = njit(cache=True, nogil=True, **OPTIONS)(_advance)

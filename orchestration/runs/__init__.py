@@ -1,0 +1,1 @@
+"""Runs on disk and in memory: written step by step, read, resumed, watched over."""

@@ -1,0 +1,285 @@
+"""Runs on disk, simulated or measured: a folder with `run.toml` and `signals.parquet` (or .csv).
+
+The one place that reads them. A run that is still being written is read from its stream as far as that goes; one whose
+process was killed, to the last row that it had (`flight`).
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+
+from robomill.orchestration.errors import ResultsError, unknown
+from robomill.orchestration.runs import flight
+from robomill.orchestration.runs.lock import is_locked
+from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
+from robomill.orchestration.system.toml_text import parse
+
+_ROWS_PER_GROUP = 50_000
+RUN, SIGNALS, LIVE, CSV = "run.toml", "signals.parquet", "signals.arrow", "signals.csv"
+CHECKPOINT = "checkpoint.zip"
+ASIDE = "before-"  # the signals of a run while it is being taken up again
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run in memory: time, one float64 array per column, and what is known about them."""
+
+    folder: Path
+    t: FloatArray
+    """Time [s], increasing."""
+    columns: Mapping[str, FloatArray] = field(repr=False)
+    """Values by `component.port` element; booleans are 0.0 and 1.0."""
+    ports: Mapping[str, PortData] = field(repr=False)
+    """The port of each column; `PortData.name` is without the component."""
+    info: Mapping[str, Any] = field(repr=False)
+    """run.toml as it is."""
+
+    @property
+    def outcome(self) -> str:
+        """`finished`, `interrupted`, `failed`, or `running`: still being written, or its process was killed (`info["message"]`)."""
+        return str(self.info.get("outcome", "finished"))
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the components that have columns."""
+        return tuple(dict.fromkeys(name.partition(".")[0] for name in self.columns))
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and bool(self._members(name))
+
+    def __getitem__(self, name: str) -> FloatArray:
+        """A column, float64[n], or a whole array, float64[n, elements] or [n, rows, columns].
+
+        KeyError says which names come close and what there is.
+        """
+        members = self._members(name)
+        if not members:
+            raise KeyError(unknown("column", name, dict.fromkeys(base_name(n) for n in self.columns)))
+        if members == [name]:
+            return self.columns[name]
+        shape = [int(i) for i in members[-1][len(name) + 1 : -1].split(",")]
+        stacked = np.stack([self.columns[m] for m in members], axis=1)
+        # an array of which only some elements were recorded has no shape: its elements stay in one row
+        complete = [f"{name}[{','.join(str(i + 1) for i in index)}]" for index in np.ndindex(*shape)]
+        return stacked.reshape(-1, *shape) if complete == members else stacked
+
+    def unit(self, name: str) -> str:
+        """Unit of a column or array; "" where it is not known."""
+        members = self._members(name)
+        if not members:
+            raise KeyError(unknown("column", name, dict.fromkeys(base_name(n) for n in self.columns)))
+        return self.ports[members[0]].unit or ""
+
+    def _members(self, name: str) -> list[str]:
+        return [name] if name in self.columns else [n for n in self.columns if base_name(n) == name]
+
+    @staticmethod
+    def load(folder: str | Path) -> Run:
+        """Read a run folder. ResultsError says what is missing or wrong."""
+        return load(Path(folder))
+
+
+def load(folder: Path) -> Run:
+    """See `Run.load`."""
+    if not folder.is_dir():
+        raise ResultsError(f"no run folder {folder}")
+    info = read_info(folder)
+    if info.get("outcome") == "running" and not is_locked(folder):
+        info["message"] = flight.ended(flight.called(folder))
+    table = _read_table(folder)
+    if table.num_columns == 0 or "t" not in table.column_names:
+        raise ResultsError(f"{folder}: the signals have no column 't' (time in s); they have {', '.join(table.column_names[:20])}")
+    described = info.get("columns", {})
+    columns: dict[str, FloatArray] = {}
+    ports: dict[str, PortData] = {}
+    for f in table.schema:
+        if f.name == "t":
+            continue
+        said = {**{k.decode(): v.decode() for k, v in (f.metadata or {}).items()}, **described.get(f.name, {})}
+        name = described.get(f.name, {}).get("port", f.name)
+        columns[name] = _values(table, f.name, folder)
+        ports[name] = _port(name, said)
+    t = _values(table, "t", folder)
+    if not np.all(np.diff(t) > 0.0):
+        raise ResultsError(f"{folder}: time does not increase after t = {t[:-1][np.diff(t) <= 0.0][0]:.9g} s")
+    return Run(folder, t, columns, ports, info)
+
+
+def check_vacant(folders: Iterable[Path]) -> None:
+    """ResultsError that names all of these folders that hold a run: nobody has asked for overwriting.
+
+    One that failed before its first step was done counts as none: there is nothing that could be lost.
+    """
+    held = {folder: [n for n in (RUN, SIGNALS, LIVE) if (folder / n).exists()] for folder in folders if not _came_to_nothing(folder)}
+    found = [f"{folder} already holds a run ({', '.join(names)})" for folder, names in held.items() if names]
+    if found:
+        raise ResultsError(
+            "\n".join(found) + "; choose another folder, or allow overwriting (overwrite = True; --overwrite), "
+            "or resume (resume = True; --resume), which keeps what is finished"
+        )
+
+
+def _came_to_nothing(folder: Path) -> bool:
+    if not ((folder / RUN).is_file() and (folder / SIGNALS).is_file() and read_info(folder).get("outcome") == "failed"):
+        return False
+    try:
+        return bool(pyarrow.parquet.read_metadata(folder / SIGNALS).num_rows <= 1)  # the first row is that of the start
+    except (pa.ArrowInvalid, OSError):
+        return False
+
+
+def read_info(folder: Path) -> dict[str, Any]:
+    """run.toml as it is. ResultsError if there is none or it is not valid."""
+    file = folder / RUN
+    if not file.is_file():
+        held = ", ".join(sorted(f.name for f in folder.iterdir())[:20])
+        raise ResultsError(f"{folder} is not a run: there is no {RUN} in it; it holds {held or 'nothing'}")
+    try:
+        return parse(file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ResultsError(f"{file}: not valid TOML: {error}") from None
+
+
+def _read_table(folder: Path) -> pa.Table:
+    try:
+        if (folder / SIGNALS).is_file():
+            return pyarrow.parquet.read_table(folder / SIGNALS)
+        if (folder / LIVE).is_file():
+            return pa.Table.from_batches(list(_all_rows(folder, late=not is_locked(folder))), _schema(folder / LIVE))
+        if (folder / CSV).is_file():
+            return pyarrow.csv.read_csv(folder / CSV)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise ResultsError(f"{folder}: the signals cannot be read: {error}") from None
+    raise ResultsError(f"{folder}: there is no {SIGNALS}, {LIVE} or {CSV} in it")
+
+
+def _schema(file: Path) -> pa.Schema:
+    with pa.OSFile(str(file)) as source:
+        return pa.ipc.open_stream(source).schema
+
+
+def _batches(source: Any) -> Iterator[pa.RecordBatch]:
+    """The complete chunks of a stream; what comes after them was not finished."""
+    reader = pa.ipc.open_stream(source)
+    while True:
+        try:
+            yield reader.read_next_batch()
+        except (StopIteration, pa.ArrowInvalid, OSError):
+            return
+
+
+def _all_rows(folder: Path, late: bool) -> Iterator[pa.RecordBatch]:
+    """The rows of a stream; the `late` ones, too, which were in memory when the writing of it ended."""
+    schema, first, last = _schema(folder / LIVE), math.nan, math.nan
+    with pa.OSFile(str(folder / LIVE)) as source:
+        for batch in _batches(source):
+            if len(batch):
+                first = batch.column("t")[0].as_py() if math.isnan(first) else first
+                last = batch.column("t")[-1].as_py()
+            yield batch
+    rows = flight.late_rows(folder, first, last) if late else None
+    if rows is not None and rows.shape[1] == len(schema):
+        yield pa.record_batch([pa.array(cast(c, f.type)) for c, f in zip(rows.T, schema, strict=True)], schema=schema)
+
+
+def cast(column: FloatArray, kind: pa.DataType) -> Any:
+    """Values as they stand in memory in the type of a column."""
+    if kind == pa.float64():
+        return np.ascontiguousarray(column)
+    return column != 0.0 if kind == pa.bool_() else np.rint(column).astype(np.int64)
+
+
+def _values(table: pa.Table, name: str, folder: Path) -> FloatArray:
+    column = table.column(name)
+    if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type) or pa.types.is_boolean(column.type)):
+        raise ResultsError(f"{folder}: column {name!r} holds no numbers but {column.type}")
+    values = column.to_numpy(zero_copy_only=False)
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _port(name: str, said: Mapping[str, Any]) -> PortData:
+    dependencies = str(said.get("dependencies", ""))  # "*" = unknown; a measured signal has none
+    return PortData(
+        name=name.partition(".")[2],
+        causality="output",
+        type=str(said.get("type", "real")),
+        unit=said.get("unit") or None,
+        minimum=float(said["minimum"]) if "minimum" in said else None,
+        maximum=float(said["maximum"]) if "maximum" in said else None,
+        description=str(said.get("description", "")),
+        dependencies=None if dependencies == "*" else tuple(dependencies.split()),
+    )
+
+
+def finalise(folder: Path) -> None:
+    """Turn the stream of a run that is over (or was killed) into `signals.parquet`. The stream goes only when that is complete."""
+    live, part = folder / LIVE, folder / (SIGNALS + ".part")
+    if not live.is_file():
+        return
+    schema = _schema(live)
+    # Dictionaries of real numbers, which hardly ever repeat, took eight times as long and made the file half as large again.
+    reals = [f.name for f in schema if pa.types.is_floating(f.type)]
+    others = [f.name for f in schema if not pa.types.is_floating(f.type)]
+    options: dict[str, Any] = {"compression": "zstd", "use_dictionary": others or False, "use_byte_stream_split": reals or False}
+    with pyarrow.parquet.ParquetWriter(part, schema, **options) as writer:
+        rows: list[pa.RecordBatch] = []
+        for batch in _all_rows(folder, late=True):
+            rows.append(batch)
+            if sum(len(r) for r in rows) >= _ROWS_PER_GROUP:
+                writer.write_table(pa.Table.from_batches(rows, schema))
+                rows.clear()
+        writer.write_table(pa.Table.from_batches(rows, schema))
+    part.replace(folder / SIGNALS)
+    live.unlink()
+    flight.remove(folder)
+
+
+def set_aside(folder: Path, rows: int) -> Path:
+    """Rename the signals of a run that is to go on after `rows` rows; returns the file, which `rows_of` reads.
+
+    If that was done before and came to nothing, the renamed file is still the one. ResultsError if it has fewer rows.
+    """
+    aside = next((folder / (ASIDE + n) for n in (SIGNALS, LIVE) if (folder / (ASIDE + n)).is_file()), None)
+    file = aside or next((folder / n for n in (SIGNALS, LIVE) if (folder / n).is_file()), None)
+    if file is None:
+        raise ResultsError(f"{folder}: there is no {SIGNALS} or {LIVE} in it")
+    held = sum(len(b) for b in rows_of(file))
+    if held < rows:
+        raise ResultsError(f"{folder}: {file.name} holds {held} rows, the checkpoint was made after {rows}: run it anew without resuming")
+    if aside is None:
+        aside = file.replace(folder / (ASIDE + file.name))
+    for name in (SIGNALS, LIVE):
+        (folder / name).unlink(missing_ok=True)
+    return aside
+
+
+def rows_of(file: Path) -> Iterator[pa.RecordBatch]:
+    """The complete chunks of a file of signals."""
+    try:
+        if file.suffix == Path(SIGNALS).suffix:
+            with pyarrow.parquet.ParquetFile(file) as table:
+                yield from table.iter_batches()
+        else:
+            with pa.OSFile(str(file)) as source:
+                yield from _batches(source)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise ResultsError(f"{file}: the signals cannot be read: {error}") from None
+
+
+def write_csv(folder: Path) -> Path:
+    """Write `signals.csv` (all digits) beside the signals of a run, and return its path."""
+    pyarrow.csv.write_csv(_read_table(folder), folder / CSV)
+    return folder / CSV

@@ -1,0 +1,1 @@
+"""A system as data: system files, written values, connections, feedthrough and algebraic loops."""
