@@ -87,7 +87,7 @@ def test_folders_used_longest_ago_are_removed(tmp_path: Path) -> None:
 def test_sources_are_those_imported_directly_through_others_and_inside_functions() -> None:
     files = source_files("robomill.models.components.milling_force")
     assert {
-        "models",
+        "robomill.models",
         "robomill.models.components.milling_force",
         "robomill.models.process.dexels",
         "robomill.models.maths.elementary",
