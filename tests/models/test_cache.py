@@ -96,7 +96,7 @@ def test_sources_are_those_imported_directly_through_others_and_inside_functions
     } <= set(files)
     assert "robomill.models.components.sensor_chain" not in files
     assert not [name for name in files if name.startswith(("numba", "numpy", "tests"))]
-    with pytest.raises(ModuleNotFoundError, match=r"no source file of module 'models\.nothing'"):
+    with pytest.raises(ModuleNotFoundError, match=r"no source file of module 'robomill\.models\.nothing'"):
         source_files("robomill.models.nothing")
 
 
