@@ -3,7 +3,7 @@
 C libraries differ in the last bit of sin, exp and their like, and a closed loop makes two
 trajectories of it. These are written in plain arithmetic (IEEE 754 operations and sqrt only), so
 plain Python, Numba and a native FMU on any platform agree exactly. Error below one unit in the
-last place for sin, cos, exp, log, atan; a few for the rest (tests/models/test_elementary.py).
+last place for sin, cos, exp, log, atan; a few for the rest (tests/models/maths/test_elementary.py).
 Polynomial coefficients: the classic minimax sets of the public-domain-like fdlibm (Sun, 1993).
 """
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +15,9 @@ from robomill.blind.figures import figures
 from robomill.blind.generate import _subject as subject
 from robomill.blind.generate import plans
 from robomill.blind.prediction import Named, Prediction
+from tests import ROOT
 
-CATALOGUE = Path(__file__).parents[2] / "scenarios" / "catalogue.toml"
+CATALOGUE = ROOT / "scenarios" / "catalogue.toml"
 LAG = ("lag sensor.*", "force sensor")
 CEILING = {"other cut": {"tool tip": 0.9, "force": 0.8}, "other place": {"tool tip": 0.8, "force": 0.7}}
 

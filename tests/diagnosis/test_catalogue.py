@@ -12,9 +12,9 @@ from robomill.cell.binding import convert
 from robomill.diagnosis.catalogue import LOGGING, Catalogue, CatalogueError, Prior, Tolerance, physical
 from robomill.fmus.components import COMPONENTS
 from robomill.orchestration.system.definition import System
+from tests import SCENARIOS
 from tests.tolerances import physics
 
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
 ENTRY = """
 [[effect]]
 name = "lag"

@@ -1,1 +1,1 @@
-"""Tests of the orchestration: system files, wiring, master, FMUs, results."""
+"""Tests of the orchestration: slaves, system files, runs, the master, packages."""

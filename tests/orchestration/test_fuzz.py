@@ -19,7 +19,7 @@ from robomill.orchestration.ssp.export import export
 from robomill.orchestration.system.definition import Component, Connection, System
 from tests.orchestration import c_fmu, c_fmu3
 from tests.orchestration.damage import KINDS, session
-from tests.orchestration.test_ssp_foreign import MAPPING, NESTED, VALUES, package
+from tests.orchestration.ssp.test_ssp_foreign import MAPPING, NESTED, VALUES, package
 
 LIMIT = 30.0  # s for one case
 SYSTEM = """\

@@ -28,12 +28,13 @@ from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import PortData
 from robomill.orchestration.system.definition import System
 from robomill.report import units
+from tests import ROOT
 from tests.diagnosis import axis, demo
 
 STIFF = {"masses": {"stiffness_error[2]": -0.08}}
 FAST: dict[str, Any] = {"step": 1e-4, "pace": 50.0, "seconds": 0.08}
 SLOW: dict[str, Any] = {"step": 10.0, "pace": 4e-4, "seconds": 10000.0}
-DATA = Path(__file__).parents[2] / "data" / "kuka_kr300_recordings"
+DATA = ROOT / "data" / "kuka_kr300_recordings"
 RUBBING = {"coulomb": 1.0}
 
 

@@ -17,8 +17,8 @@ from robomill.cli import main
 from robomill.orchestration.assembly import run as record
 from robomill.orchestration.runs.lock import FolderLock
 from robomill.orchestration.runs.run import Run
+from tests import SCENARIOS
 from tests.orchestration.mocks import resolver, source, system
-from tests.robomill.conftest import SCENARIOS
 
 PROGRAM = "G21 G90 G17 G54\nT1 M6\nS13000 M3\nG0 X-20. Y0. Z2.\nG1 Z-5. F1500.\nX20.\nM30\n"
 

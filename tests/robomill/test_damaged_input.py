@@ -19,8 +19,8 @@ from robomill.logs.mapping import load_mapping
 from robomill.logs.reading import LogError
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.system.definition import System
+from tests import ROOT
 
-ROOT = Path(__file__).parents[2]
 READERS: list[tuple[str, Callable[[Path], object]]] = [
     ("scenarios/groove.toml", load_scenario),
     ("scenarios/milling_cell.toml", lambda f: System.load(f, convert)),

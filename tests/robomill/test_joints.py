@@ -26,8 +26,9 @@ from robomill.models.model.declaration import FloatArray, record
 from robomill.models.robot.kinematics import tool_pose
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import base_name
+from tests import ROOT
 
-CATALOGUE = Path(__file__).parents[2] / "scenarios" / "catalogue.toml"
+CATALOGUE = ROOT / "scenarios" / "catalogue.toml"
 CUT = Condition("cut", POSITIONS[0], 180.0, 4e-3, 0.06, reversals=True)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +12,9 @@ from robomill.logs.importing import import_log
 from robomill.orchestration.runs.run import Run
 from robomill.real_gap import Problem, Recording, fit, select, simulate
 from robomill.real_gap_report import LINK_EFFECTS, lag_between, link_hypotheses, torque_clock, whitened
+from tests import ROOT
 
-DATA = Path(__file__).parents[2] / "data" / "kuka_kr300_recordings"
+DATA = ROOT / "data" / "kuka_kr300_recordings"
 CATALOGUE = Catalogue.load(DATA / "catalogue.toml")
 OFFERED = [c for c in CATALOGUE.candidates if c.effect not in (*LINK_EFFECTS, "torque_ripple", "torque_lag")]
 TRUTH = {"friction_viscous[1]": 2000.0, "friction_coulomb[1]": 300.0, "friction_coulomb[4]": 80.0, "payload_mass_error": 25.0}

@@ -16,8 +16,9 @@ from robomill.diagnosis.engine import diagnose
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.system.definition import System
+from tests import ROOT
 
-CELL = System.load(Path(__file__).parents[2] / "scenarios" / "milling_cell.toml", convert)
+CELL = System.load(ROOT / "scenarios" / "milling_cell.toml", convert)
 NOISE = 7e-6  # m
 HEIGHT = "compliance.p_BT_B[3]"
 EFFECT = """

@@ -1,0 +1,1 @@
+"""Tests of measured and simulated runs."""

@@ -1,0 +1,1 @@
+"""Tests of the answer: verdict, closure, the next run, what is adopted."""

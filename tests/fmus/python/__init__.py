@@ -1,0 +1,1 @@
+"""Tests of FMUs that run in the Python of their importer."""

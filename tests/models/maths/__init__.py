@@ -1,0 +1,1 @@
+"""Tests of elementary functions, frames, filters, random numbers."""

@@ -1,0 +1,1 @@
+"""Tests of what a model is: declaration, parameters, units, tables, compile cache."""

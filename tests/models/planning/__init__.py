@@ -1,0 +1,1 @@
+"""Tests of the way from a part program to a trajectory."""

@@ -1,0 +1,1 @@
+"""Tests of chip, force and workpiece."""

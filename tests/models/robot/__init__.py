@@ -1,0 +1,1 @@
+"""Tests of kinematics, virtual joints, dynamics."""

@@ -1,0 +1,1 @@
+"""Tests of recorded runs, and of runs that are cut off."""

@@ -1,0 +1,1 @@
+"""Tests of system files, parameters and wiring."""
