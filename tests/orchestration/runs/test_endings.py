@@ -18,6 +18,7 @@ from robomill.orchestration.runs.lock import LOCK, FolderLock
 from robomill.orchestration.runs.run import Run, read_info
 from robomill.orchestration.slaves.protocol import PortData
 from robomill.orchestration.system.definition import Component, Recording, System
+from tests import ROOT
 from tests.orchestration import c_fmu
 from tests.orchestration.mocks import Mock, resolver, source, system
 
@@ -34,7 +35,6 @@ SCRIPT = """
 import sys
 from robomill.orchestration.assembly import run
 from robomill.orchestration.system.definition import Component, Connection, Recording, System
-from tests import ROOT
 files, folder, loop, every = sys.argv[1:]
 good, bad = files.split("|")
 parts = Component("good", good), Component("bad", bad, {"gain": 3.0})
