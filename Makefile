@@ -25,16 +25,17 @@ build: $(READY) ## write every FMU to dist/
 	$(BIN)/robomill build
 
 golden: $(READY) ## write the golden results anew; review the diff
-	$(BIN)/python -m tests.golden.regenerate
+	$(BIN)/python -m tests.fmus.regenerate
 
-figures: $(READY) ## the studies and pictures of docs/validation.md
+figures: $(READY) ## the studies and pictures of docs/validation.md and docs/rate_control.md
 	$(BIN)/python docs/studies.py
+	$(BIN)/python docs/rate_studies.py
 
 bench: $(READY) ## masters side by side on the same FMUs: docs/benchmarks (those of others, as far as they are installed)
 	$(BIN)/python -m benchmarks
 
 diagnose-real: $(READY) ## the gap between model and robot on the KR 300 recordings: docs/real_gap.md
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m robomill.real_gap_report
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m robomill.real_gap
 
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "robomill needs Python 3.11 or newer; set PYTHON=/path/to/python3.11")'

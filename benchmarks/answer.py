@@ -16,7 +16,7 @@ class Answer:
     wall: float
     """Seconds that the steps took, setting up and closing not included."""
     cpu: float
-    """The same, of CPU time of all threads [s]."""
+    """CPU time of all threads [s] that the steps took."""
     setup: float = 0.0
     """Seconds from nothing (FMUs not unpacked) to the first step."""
     closing: float = 0.0
@@ -37,7 +37,7 @@ def clocks() -> tuple[float, float]:
 
 
 def peak_memory() -> float:
-    """Of this process [MB]. Linux: not ru_maxrss, which begins with that of the parent."""
+    """Largest memory of this process so far [MB]. Linux: not ru_maxrss, which begins with that of the parent."""
     status = Path("/proc/self/status")
     if status.exists():
         return next(float(line.split()[1]) / 1024 for line in status.read_text().splitlines() if line.startswith("VmHWM"))

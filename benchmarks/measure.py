@@ -49,12 +49,12 @@ class Row:
     wall: Spread = field(default_factory=Spread)
     """Microseconds per macro step, one per round."""
     cpu: Spread = field(default_factory=Spread)
-    """The same, of CPU time."""
+    """Microseconds of CPU time per macro step, one per round."""
     closing: Spread = field(default_factory=Spread)
     difference: float = 0.0
     """Largest difference from the reference, of any output after the last step, relative to the largest output."""
     recorded: float | None = None
-    """The same between the last row of the results, read back, and the outputs; None: not read back."""
+    """Largest difference of the last row of the results, read back, from the outputs, relative likewise; None: not read back."""
 
 
 @dataclass

@@ -20,7 +20,7 @@ class Variable:
     reference: int
     type: str
     value: Any = None
-    """Of a parameter."""
+    """Value of a parameter."""
 
 
 @dataclass(frozen=True)

@@ -186,7 +186,7 @@ class FmpyBuffers(Fmpy):
         return [self._prepared(slave, "Set", t, chosen, positions, places) for t, positions in by_type(chosen)]
 
     def gets(self, slave: Any, m: Member) -> list[Any]:
-        """The same for the outputs."""
+        """What gets the outputs, as `sets` does for the inputs."""
         places = np.arange(m.first, m.first + len(m.outputs))
         return [self._prepared(slave, "Get", t, m.outputs, positions, places) for t, positions in by_type(m.outputs)]
 

@@ -20,9 +20,9 @@ from benchmarks.runners import Runner
 DOCS = Path(__file__).parent.parent / "docs" / "benchmarks"
 STEPS = 300_000
 KINDS = {"none": 0, "memory": 1, "memory as it fills": 3, "disk": 2}
-"""Of the C loop: what it is told."""
+"""Kinds of recording of the C loop, and the number that it is told."""
 OURS = {"none": "none", "memory": "memory as it fills", "disk": "disk"}
-"""Of ours: which C loop does the same."""
+"""Kinds of recording of ours, and which C loop does the same."""
 
 
 def ratio(answers: Sequence[Answer], others: Sequence[Answer]) -> str:

@@ -123,7 +123,7 @@ def problems(points: Sequence[Point | Start], what: str) -> str:
 
 
 def setup_table(points: Sequence[Point], what: str) -> str:
-    """The same for the time to set up."""
+    """Table of the time to set up, by size and contender."""
     sizes = sorted({p.x for p in points})
     lines = [f"| {what} | " + " | ".join(f"{x:,.0f}".replace(",", " ") for x in sizes) + " |", "|---" * (len(sizes) + 1) + "|"]
     for name in dict.fromkeys(p.name for p in points):
@@ -222,7 +222,7 @@ def machine() -> str:
 
 
 def versions() -> str:
-    """Of the peers that are there."""
+    """Versions of the peers that are there."""
     found = []
     for package in PACKAGES:
         try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def bound(key: str, tier: str) -> Bound | None:
     return T0.get(key, BOUNDS.get(key)) if tier == "T0" else BOUNDS.get(key)
 
 
-def met(key: str, figure: Mapping[str, Any], tier: str) -> bool | None:
-    """Whether a figure is accepted; None where nothing is asked for, or there were no cases."""
+def met(key: str, value: float | None, tier: str) -> bool | None:
+    """Whether the value of a figure is accepted; None where nothing is asked for, or there were no cases."""
     asked = bound(key, tier)
-    return None if asked is None or figure["value"] is None else asked.holds(float(figure["value"]))
+    return None if asked is None or value is None else asked.holds(value)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from robomill.blind.effects import EVEN
 from robomill.blind.outside import Columns
 from robomill.models.model.declaration import FloatArray
 
@@ -55,7 +56,7 @@ def _sign(random: np.random.Generator, array: str) -> BadLog:
 
 
 def _unit(random: np.random.Generator, array: str) -> BadLog:
-    factor = {"compliance.p_BT_B": 1e3, "drive.q_motor": 180.0 / math.pi}.get(array, 1e-3 if random.random() < 0.5 else 1.0 / 9.81)
+    factor = {"compliance.p_BT_B": 1e3, "drive.q_motor": 180.0 / math.pi}.get(array, 1e-3 if random.random() < EVEN else 1.0 / 9.81)
 
     def apply(columns: Columns, t: FloatArray) -> None:
         for name in _members(columns, array):
@@ -102,7 +103,7 @@ def _filter(random: np.random.Generator, array: str) -> BadLog:
     return BadLog("filter", array, float(cutoff), "Hz", apply)
 
 
-KINDS: Mapping[str, Any] = {"lag": _lag, "sign": _sign, "unit": _unit, "permuted": _permuted, "constant": _constant, "filter": _filter}
+LOG_FAULTS: Mapping[str, Any] = {"lag": _lag, "sign": _sign, "unit": _unit, "permuted": _permuted, "constant": _constant, "filter": _filter}
 _NOISY = ("compliance.p_BT_B", "sensor.f_T_T", "drive.q_motor")
 """Arrays in which a lag or a filter shows at all."""
 
@@ -112,5 +113,5 @@ def draw(kind: str, tier: str, random: np.random.Generator) -> BadLog:
     arrays: tuple[str, ...] = _NOISY if kind in ("lag", "filter") else VECTORS
     if tier == "T0":
         arrays = arrays[1:]
-    fault: BadLog = KINDS[kind](random, arrays[int(random.integers(len(arrays)))])
+    fault: BadLog = LOG_FAULTS[kind](random, arrays[int(random.integers(len(arrays)))])
     return fault

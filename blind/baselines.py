@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from robomill.blind.case import Case
-from robomill.blind.conditions import Condition, from_truth
+from robomill.blind.conditions import Condition
 from robomill.blind.effects import EFFECTS
 from robomill.blind.signatures import STRIDE, Library, floor, library
 from robomill.blind.workers import Progress
@@ -38,6 +38,9 @@ Baseline = Callable[[Library, FloatArray], Guess]
 """(library, whitened mean residual) -> guess."""
 NULL_LIMIT = 2.5
 """Whitened rms of the worst column below which there is no gap: twelve machines without effects stayed below it (`FLOOR`)."""
+NO_ENERGY, NO_LENGTH = 1e-12, 1e-9
+"""Whitened energy, and length, of a signature up to which it is round-off: such an effect changes nothing here, and nothing is divided
+by it. Both are far below the energy of one sample of noise, 1."""
 
 
 def _worst(lib: Library, r: FloatArray) -> float:
@@ -84,7 +87,7 @@ def fit_all(lib: Library, r: FloatArray) -> Guess:
 def _criterion(lib: Library, r: FloatArray, penalty: float) -> Guess:
     n = len(r)
     energy = np.einsum("ij,ij->i", lib.matrix, lib.matrix)
-    gain = np.divide((lib.matrix @ r) ** 2, energy, out=np.zeros(len(energy)), where=energy > 1e-12)
+    gain = np.divide((lib.matrix @ r) ** 2, energy, out=np.zeros(len(energy)), where=energy > NO_ENERGY)
     best = int(gain.argmax())
     total = float(r @ r)
     score = n * np.log(max(total - float(gain[best]), 1e-300) / total) + penalty
@@ -104,7 +107,7 @@ def bic(lib: Library, r: FloatArray) -> Guess:
 def lasso(lib: Library, r: FloatArray, share: float = 0.3, rounds: int = 100) -> Guess:
     """Sparse regression of the residual on the signatures (coordinate descent); penalty = `share` of the one that gives zero."""
     scale = np.sqrt(np.einsum("ij,ij->i", lib.matrix, lib.matrix))
-    usable = scale > 1e-9
+    usable = scale > NO_LENGTH
     A = np.where(usable[:, None], lib.matrix / np.where(usable, scale, 1.0)[:, None], 0.0)
     gram, b = A @ A.T, A @ r
     if _worst(lib, r) < NULL_LIMIT:
@@ -133,7 +136,7 @@ def baseline_guesses(folder: Path, cases: Sequence[Case], tier: str, progress: P
     for i, c in enumerate(cases):
         if progress is not None:
             progress("baselines", i, len(cases))
-        condition = from_truth(c.truth["conditions"][0])
+        condition = c.truth.conditions[0]
         lib = library(condition, folder / "oracle").for_tier(tier)
         r = residual(folder / "cases" / f"{c.number:04d}", condition, lib.columns)
         for name, baseline in BASELINES.items():

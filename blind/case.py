@@ -8,13 +8,12 @@ Isolable: no other catalogue candidate and no clock of the log explains the chan
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from robomill.blind.prediction import Named, Prediction
+from robomill.blind.truth import Truth
 
 DETECTABLE = 3.0
 """Oracle ratio from which a case counts as detectable."""
@@ -22,7 +21,7 @@ CATALOGUE = ("single", "double", "triple")
 """Kinds of cases with effects of the catalogue."""
 REAL = (*CATALOGUE, "outside")
 """Kinds of cases with something real and a good log."""
-KINDS = ("null", *REAL, "bad_log")
+CASE_KINDS = ("null", *REAL, "bad_log")
 
 Confusable = Callable[[int, int], Sequence[str]]
 """(number of the case, index of its effect) -> other candidates (`component.parameter`) that the data cannot tell from that effect."""
@@ -33,14 +32,18 @@ class Case:
     """Truth and prediction of one case."""
 
     number: int
-    kind: str
-    truth: Mapping[str, Any]
+    truth: Truth
     prediction: Prediction
+
+    @property
+    def kind(self) -> str:
+        """One of `CASE_KINDS`."""
+        return self.truth.kind
 
     @property
     def effects(self) -> tuple[Named, ...]:
         """True catalogue effects."""
-        return tuple(Named.of(e["component"], e["parameter"]) for e in self.truth["effects"])
+        return tuple(e.named for e in self.truth.effects)
 
     @property
     def keys(self) -> set[str]:
@@ -50,22 +53,22 @@ class Case:
     @property
     def ratio(self) -> float:
         """Oracle ratio of all that is in it."""
-        return float(self.truth["detectability"])
+        return self.truth.detectability
 
     @property
     def detectable(self) -> bool:
         """By the oracle: something in it; of a bad log its fault (a channel that stands still has no noise, which is always seen)."""
-        if self.kind == "bad_log":
-            fault = self.truth["bad_log"]
-            return fault["kind"] == "constant" or float(fault.get("detectability", math.inf)) >= DETECTABLE
+        if (fault := self.truth.bad_log) is not None:
+            return fault.kind == "constant" or fault.detectability is None or fault.detectability >= DETECTABLE
         return self.ratio >= DETECTABLE
 
     def effect_detectable(self, i: int) -> bool:
         """Whether effect `i` is, by itself."""
-        return float(self.truth["effects"][i].get("detectability", self.truth["detectability"])) >= DETECTABLE
+        own = self.truth.effects[i].detectability
+        return (self.ratio if own is None else own) >= DETECTABLE
 
 
-def load_cases(folder: Path, truths: Mapping[int, Mapping[str, Any]]) -> list[Case]:
+def load_cases(folder: Path, truths: Mapping[int, Truth]) -> list[Case]:
     """Truths with their predictions; one that is missing or unreadable has the verdict `missing`."""
     cases = []
     for number, truth in sorted(truths.items()):
@@ -74,7 +77,7 @@ def load_cases(folder: Path, truths: Mapping[int, Mapping[str, Any]]) -> list[Ca
             prediction = Prediction.read(json.loads(file.read_text(encoding="utf-8")))
         except (OSError, ValueError):
             prediction = Prediction("missing")
-        cases.append(Case(number, str(truth["kind"]), truth, prediction))
+        cases.append(Case(number, truth, prediction))
     return cases
 
 

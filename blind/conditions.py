@@ -105,6 +105,9 @@ _TRAINING = (
     Condition("training", POSITIONS[3], 0.0, 3e-3, 0.04),
 )
 """Few on purpose: nominal runs and signatures of one serve many cases."""
+MIDDLE_DEPTH = 4e-3
+"""Depth [m] in the middle of those of the training: a cut up to it is made 1 mm deeper in the other condition, one beyond it 1 mm
+shallower, so that all are between the shallowest and the deepest of the training."""
 
 
 def draw(random: np.random.Generator) -> tuple[Condition, Condition, Condition]:
@@ -114,7 +117,7 @@ def draw(random: np.random.Generator) -> tuple[Condition, Condition, Condition]:
     other_cut = replace(
         main,
         name="other cut",
-        depth=main.depth - 1e-3 if main.depth > 4e-3 else main.depth + 1e-3,
+        depth=main.depth - 1e-3 if main.depth > MIDDLE_DEPTH else main.depth + 1e-3,
         feed=0.07 - main.feed,
         turn=TURNS[(TURNS.index(main.turn) + 1) % len(TURNS)],
         mirrored=not main.mirrored,
@@ -122,8 +125,3 @@ def draw(random: np.random.Generator) -> tuple[Condition, Condition, Condition]:
     place = POSITIONS[(POSITIONS.index(main.position) + 1 + number % 3) % len(POSITIONS)]
     other_place = replace(main, name="other place", position=place, mode=0, warm_up_time=1800.0)
     return main, other_cut, other_place
-
-
-def from_truth(values: dict[str, Any]) -> Condition:
-    """A condition as it stands in a sealed truth."""
-    return Condition(**{**values, "position": tuple(values["position"])})

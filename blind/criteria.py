@@ -6,7 +6,7 @@ from robomill.blind.case import Case
 from robomill.blind.prediction import Named
 
 AXES = ("x", "y", "z")
-CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+WRENCH_CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
 def component_right(c: Case) -> bool:
@@ -27,7 +27,7 @@ def location_right(c: Case) -> bool:
 def location_names(true: Named) -> tuple[str, ...]:
     """What an element of an effect may be called."""
     if true.effect == "sensor_gain_error_axis":
-        return (CHANNELS[true.index - 1],)
+        return (WRENCH_CHANNELS[true.index - 1],)
     if true.effect == "geometry_error":
         return (("link arm", "forearm")[true.index - 1],)
     if true.effect in ("base_compliance", "zero_drift", "misalignment", "frame_error"):
@@ -58,7 +58,7 @@ def set_holds_truth(c: Case) -> bool:
 
 def estimate(c: Case) -> tuple[float, bool | None] | None:
     """Relative error of the parameter, and whether its interval covers the truth (None: none given); None if no value is given."""
-    true, value = c.effects[0], float(c.truth["effects"][0]["value"])
+    true, value = c.effects[0], c.truth.effects[0].value
     for name, said in c.prediction.claimed[0].parameters.items():
         if Named.of(true.component, name) == true and said.get("value") is not None:
             interval = said.get("interval")

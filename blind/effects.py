@@ -10,6 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+EVEN = 0.5
+"""Probability of one of two things that are as likely as each other."""
+ARM = 3
+"""Axes A1 to A3, which carry the arm; those behind them are the wrist's."""
+
 
 @dataclass(frozen=True)
 class Effect:
@@ -26,6 +31,10 @@ class Effect:
     """Whether the sign is drawn, too."""
     wrist: float = 1.0
     """Factor on the range for A4..A6."""
+
+    def factor(self, index: int) -> float:
+        """On the range, at element `index` (from 1, 0 = scalar)."""
+        return self.wrist if index > ARM else 1.0
 
 
 @dataclass(frozen=True)
@@ -102,8 +111,7 @@ BY_KEY = {f"{e.component}.{e.name}": e for e in EFFECTS}
 def draw(effect: Effect, random: np.random.Generator) -> Instance:
     """An instance: element uniform, magnitude log-uniform over the range, sign even where the effect has one."""
     index = int(random.integers(1, effect.size + 1)) if effect.size else 0
-    factor = effect.wrist if effect.size == 6 and index > 3 else 1.0
-    value = factor * effect.low * (effect.high / effect.low) ** random.random()
-    if effect.signed and random.random() < 0.5:
+    value = effect.factor(index) * effect.low * (effect.high / effect.low) ** random.random()
+    if effect.signed and random.random() < EVEN:
         value = -value
     return Instance(effect, index, float(value))

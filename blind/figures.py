@@ -81,12 +81,12 @@ def ambiguity(cases: Cases, separates: Separates | None = None) -> dict[str, Fig
 
 
 def _separated(cases: Sequence[Case], separates: Separates) -> list[bool]:
-    """Of each case, whether the recommended run tells the truth from the likeliest wrong candidate; no run: no."""
+    """Whether the recommended run tells the truth from the likeliest wrong candidate, for each case; no run: no."""
     found = []
     for c in cases:
         wrong = [e.values for e in c.prediction.listed if not e.is_exactly(c.effects[0])][:1]
         recommended = c.prediction.next_run
-        if wrong and "machine" in c.truth:  # version 1 of the generator did not keep it
+        if wrong and c.truth.machine is not None:
             found.append(recommended is not None and separates(c.number, recommended, wrong))
     return found
 
@@ -144,7 +144,7 @@ def _closure(c: Case, tier: str, squared_gaps: SquaredGaps) -> tuple[float, floa
     as it is claimed.
     """
     array, quantity = GAP_ARRAY[tier]
-    ceilings = {name: float(v[quantity]) for name, v in c.truth.get("ceiling", {}).items() if v[quantity] >= CLOSABLE}
+    ceilings = {name: v[quantity] for name, v in c.truth.ceiling.items() if v[quantity] >= CLOSABLE}
     if not ceilings:
         return None
     gaps = squared_gaps(c.number, c.prediction.claimed_values)
@@ -169,7 +169,7 @@ def calibration(cases: Cases) -> Figure:
 
 
 def cpu_time(cases: Cases) -> dict[str, Figure]:
-    """Of a diagnosis [s]."""
+    """CPU time of a diagnosis [s]: median and nine tenths."""
     times = [c.prediction.cpu for c in cases.all if c.prediction.cpu is not None]
     return {"cpu_time_median": quantile(times), "cpu_time_p90": quantile(times, 0.9)}
 

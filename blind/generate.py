@@ -12,7 +12,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +22,27 @@ import pyarrow.parquet
 
 from robomill.blind import bad_logs, outside
 from robomill.blind.conditions import Condition, draw, known, planned
-from robomill.blind.effects import BY_KEY, EFFECTS, Instance
+from robomill.blind.effects import BY_KEY, EFFECTS, EVEN, Instance
 from robomill.blind.effects import draw as draw_effect
 from robomill.blind.outside import Changes, Columns
-from robomill.blind.sealing import hashes
+from robomill.blind.sealing import Benchmark, hashes
 from robomill.blind.signatures import ARRAYS, floor
+from robomill.blind.truth import TrueEffect, TrueFault, TrueOutside, Truth
 from robomill.blind.workers import Progress, work
-from robomill.blind.world import NOISE, STEP, SYSTEM, TRACKER, Machine, draw_machine, jittered, measure, nominal, simulate, simulate_nominal
+from robomill.blind.world import (
+    NOISE,
+    STEP,
+    SYSTEM,
+    TRACKER,
+    Machine,
+    draw_machine,
+    jittered,
+    measure,
+    nominal,
+    nominal_system,
+    simulate,
+    simulate_nominal,
+)
 from robomill.models.model.declaration import FloatArray
 from robomill.orchestration.errors import RunError
 from robomill.orchestration.runs.recorder import SCHEMA, frame_of
@@ -36,14 +50,16 @@ from robomill.orchestration.runs.run import RUN, SIGNALS
 from robomill.orchestration.slaves.protocol import PortData
 from robomill.orchestration.system.toml_text import dump
 
-VERSION = 2
-"""Of the generator: numbers change only with it."""
+GENERATOR_VERSION = 2
+"""Version of the generator: numbers change only with it."""
 TIERS = ("T0", "T1")
 PROPORTIONS: Mapping[str, float] = {"null": 0.20, "single": 0.38, "double": 0.15, "triple": 0.04, "outside": 0.15, "bad_log": 0.08}
-"""Of DIAGNOSIS.md."""
+"""Share of the cases of each kind, as DIAGNOSIS.md has them."""
 REPEATS, HELD_REPEATS, OTHER_REPEATS = 6, 2, 2
 WINDOW = 125
 """Rows of the windows (0.5 s) in which detectability is looked at."""
+ATTEMPTS = 5
+"""Machines that are drawn for a case at most: one on which the program cannot be run is rare, five in a row are an error."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +76,12 @@ def plans(cases: int, seed: int) -> list[Plan]:
     """Kinds in the proportions, effects and kinds in turn from a shuffled list, all in random order: the number says nothing."""
     if cases < 1:
         raise ValueError(f"--cases {cases}: expected at least 1")
-    random = np.random.default_rng([VERSION, seed])
+    random = np.random.default_rng([GENERATOR_VERSION, seed])
     exact = {kind: share * cases for kind, share in PROPORTIONS.items()}
     counts = {kind: int(value) for kind, value in exact.items()}
     for kind in sorted(exact, key=lambda k: counts[k] - exact[k])[: cases - sum(counts.values())]:
         counts[kind] += 1
-    effects, kinds, faults = _Deck([*BY_KEY], random), _Deck([*outside.KINDS], random), _Deck([*bad_logs.KINDS], random)
+    effects, kinds, faults = _Deck([*BY_KEY], random), _Deck([*outside.OUTSIDE_BY_NAME], random), _Deck([*bad_logs.LOG_FAULTS], random)
     subjects: list[tuple[str, tuple[str, ...]]] = [("null", ())] * counts["null"]
     subjects += [("single", (effects.next(),)) for _ in range(counts["single"])]
     for kind, size in (("double", 2), ("triple", 3)):
@@ -88,8 +104,8 @@ class _Deck:
         return self._left.pop()
 
 
-def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progress | None = None, workers: int | None = 1) -> dict[str, Any]:
-    """Make a benchmark in `folder` and return what benchmark.json says. Cases that are complete are kept, so it can be interrupted.
+def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progress | None = None, workers: int | None = 1) -> Benchmark:
+    """Make a benchmark in `folder`. Cases that are complete are kept, so it can be interrupted.
 
     With more than one of `workers` (None: all cores) the cases are made in processes of their own; the bits are the same.
 
@@ -99,7 +115,7 @@ def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progres
         raise ValueError(f"tier {tier!r}: expected one of {', '.join(TIERS)}")
     every = plans(cases, seed)
     folder = Path(folder)
-    what = {"schema": "robomill-blind/1", "version": VERSION, "cases": cases, "seed": seed, "tier": tier}
+    what: dict[str, Any] = {"schema": "robomill-blind/1", "version": GENERATOR_VERSION, "cases": cases, "seed": seed, "tier": tier}
     head = folder / "request.json"
     if head.is_file():
         if json.loads(head.read_text(encoding="utf-8")) != what:
@@ -115,8 +131,8 @@ def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progres
     manifest = hashes(folder / "sealed", exclude=("manifest.json",))
     text = json.dumps(manifest, indent=0, sort_keys=True) + "\n"
     write(folder / "sealed" / "manifest.json", text)
-    result = {**what, "truth": hashlib.sha256(text.encode()).hexdigest(), "files": hashes(folder / "cases")}
-    write(folder / "benchmark.json", json.dumps(result, indent=0, sort_keys=True) + "\n")
+    result = Benchmark(**what, truth=hashlib.sha256(text.encode()).hexdigest(), files=hashes(folder / "cases"))
+    write(folder / "benchmark.json", json.dumps(asdict(result), indent=0, sort_keys=True) + "\n")
     return result
 
 
@@ -128,12 +144,12 @@ def write(file: Path, text: str) -> None:
 
 
 def make_case(folder: Path, plan: Plan, seed: int, tier: str) -> None:
-    """Simulate, write and seal one case. A machine on which the program cannot be run (RunError) is drawn anew, at most four times."""
-    for attempt in range(5):
+    """Simulate, write and seal one case. A machine on which the program cannot be run (RunError) is drawn anew, ATTEMPTS in all."""
+    for attempt in range(ATTEMPTS):
         try:
-            _attempt(folder, plan, tier, np.random.default_rng([VERSION, seed, plan.number, attempt]))
+            _attempt(folder, plan, tier, np.random.default_rng([GENERATOR_VERSION, seed, plan.number, attempt]))
         except RunError:
-            if attempt == 4:
+            if attempt == ATTEMPTS - 1:
                 raise
         else:
             return
@@ -148,7 +164,7 @@ def _attempt(folder: Path, plan: Plan, tier: str, random: np.random.Generator) -
     shutil.rmtree(place, ignore_errors=True)
     (place / "runs").mkdir(parents=True)
     shutil.copyfile(SYSTEM, place / "system.toml")
-    parameters, others = switched_on(truth["effects"])
+    parameters, others = switched_on(truth.effects)
     everything = outside.merged([changes, *others])
     for c, count, held in (
         (conditions[0], REPEATS + HELD_REPEATS, False),
@@ -166,34 +182,32 @@ def _attempt(folder: Path, plan: Plan, tier: str, random: np.random.Generator) -
             name = c.name.replace(" ", "-") + ("-held" if held_out and not held else "")
             labels = {"condition": c.name, "repeat": number, "held_out": held_out, "tier": tier, "kind": "milling"}
             write_run(place / "runs" / f"{name}-{number}", stamped, columns, ports, c, labels)
-    truth |= {"case": plan.number, "tier": tier, "machine": machine.parameters, "conditions": [vars(c) for c in conditions]}
-    _oracle(folder / "sealed" / f"{plan.number:04d}", truth, conditions, machine, (parameters, everything), fault)
-    write(folder / "sealed" / f"{plan.number:04d}.json", json.dumps(truth, indent=1) + "\n")
+    truth = replace(truth, case=plan.number, tier=tier, machine=machine.parameters, conditions=conditions)
+    truth = _oracle(folder / "sealed" / f"{plan.number:04d}", truth, machine, (parameters, everything), fault)
+    write(folder / "sealed" / f"{plan.number:04d}.json", json.dumps(truth.content, indent=1) + "\n")
 
 
-def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[dict[str, Any], Changes, bad_logs.BadLog | None]:
+def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[Truth, Changes, bad_logs.BadLog | None]:
     """Truth, out-of-catalogue changes and fault of the log of a case."""
-    truth: dict[str, Any] = {"kind": plan.kind, "effects": []}
+    truth = Truth(plan.kind)
     effects: list[Instance] = []
     changes, fault = Changes(), None
     if plan.kind in ("single", "double", "triple"):
         effects = [draw_effect(BY_KEY[key], random) for key in plan.subject]
     elif plan.kind == "outside":
-        kind = outside.KINDS[plan.subject[0]]
+        kind = outside.OUTSIDE_BY_NAME[plan.subject[0]]
         value, changes = kind.draw(random)
-        truth["outside"] = {"name": kind.name, "component": kind.component, "value": value, "unit": kind.unit}
+        truth = replace(truth, outside=TrueOutside(kind.name, kind.component, value, kind.unit))
     elif plan.kind == "bad_log":
         fault = bad_logs.draw(plan.subject[0], tier, random)
-        truth["bad_log"] = {"kind": fault.kind, "channel": fault.channel, "value": fault.value, "unit": fault.unit}
-        if random.random() < 0.5:  # a bad log with something real in it must be stopped just the same
+        truth = replace(truth, bad_log=TrueFault(fault.kind, fault.channel, fault.value, fault.unit))
+        if random.random() < EVEN:  # a bad log with something real in it must be stopped just the same
             effects = [draw_effect(EFFECTS[int(random.integers(len(EFFECTS)))], random)]
-    formulations = [_formulation(e, random) for e in effects]
-    truth["effects"] = [
-        {"component": e.effect.component, "effect": e.effect.name, "parameter": e.parameter, "index": e.index, "value": e.value}
-        | {"unit": e.effect.unit, "formulation": how}
-        for e, how in zip(effects, formulations, strict=True)
+    true = [
+        TrueEffect(e.effect.component, e.effect.name, e.parameter, e.index, e.value, e.effect.unit, _formulation(e, random))
+        for e in effects
     ]
-    return truth, changes, fault
+    return replace(truth, effects=tuple(true)), changes, fault
 
 
 _OTHER = {"gear_hysteresis": "bouc_wen", "friction_coulomb": "dahl"}
@@ -202,28 +216,23 @@ _OTHER = {"gear_hysteresis": "bouc_wen", "friction_coulomb": "dahl"}
 
 def _formulation(e: Instance, random: np.random.Generator) -> str:
     """How an effect is made: by its `parameter`, or otherwise."""
-    return _OTHER.get(e.effect.name, "parameter") if random.random() < 0.5 else "parameter"
+    return _OTHER.get(e.effect.name, "parameter") if random.random() < EVEN else "parameter"
 
 
-def switched_on(effects: Sequence[Mapping[str, Any]]) -> tuple[list[Instance], list[Changes]]:
+def switched_on(effects: Sequence[TrueEffect]) -> tuple[list[Instance], list[Changes]]:
     """Effects as they stand in a truth: those that are switched on by their parameter, and the changes that make the others."""
     parameters: list[Instance] = []
     changes: list[Changes] = []
     for e in effects:
-        instance = instance_of(e)
-        if e["formulation"] == "bouc_wen":
+        instance = e.instance
+        if e.formulation == "bouc_wen":
             torque = (94.0, 94.0, 94.0, 20.0, 18.0, 11.0)[instance.index - 1]
             changes.append(outside.bouc_wen(instance.index - 1, instance.value, torque))
-        elif e["formulation"] == "dahl":
+        elif e.formulation == "dahl":
             changes.append(outside.dahl(instance.index - 1, instance.value))
         else:
             parameters.append(instance)
     return parameters, changes
-
-
-def instance_of(e: Mapping[str, Any]) -> Instance:
-    """An effect of a truth."""
-    return Instance(BY_KEY[f"{e['component']}.{e['effect']}"], int(e["index"]), float(e["value"]))
 
 
 def write_run(
@@ -240,7 +249,7 @@ def write_run(
         "message": "",
         "kind": "measured",
         "program": "program",
-        "robot": "KUKA KR 300 R2500 ultra",
+        "robot": nominal_system().labels["robot"],
         "tool": "end mill D16 z3",
         "workpiece": "AW-2017",
         "system": "milling_cell",
@@ -262,40 +271,42 @@ def write_run(
 
 def _oracle(
     sealed: Path,
-    truth: dict[str, Any],
-    conditions: Sequence[Condition],
+    truth: Truth,
     machine: Machine,
     world: tuple[Sequence[Instance], Changes],
     fault: bad_logs.BadLog | None,
-) -> None:
-    """What only the generator can know, put into the truth: how far effects and fault stand out, and what adopting the truth would close.
+) -> Truth:
+    """The truth with what only the generator can know: how far effects and fault stand out, and what adopting the truth would close.
 
     `<condition>.npy` in `sealed`: float32[n, 6], noise-free minus nominal, tool tip [m] and compensated force [N].
     """
     sealed.mkdir(parents=True, exist_ok=True)
-    main, tier, usual = conditions[0], truth["tier"], nominal(conditions[0]).columns
+    main, tier, usual = truth.conditions[0], truth.tier, nominal(truth.conditions[0]).columns
     t, with_them, _ = simulate(main, machine, *world, None)
     _, without, _ = simulate(main, machine, (), Changes(), None)
     groups = detectability(with_them, without, usual, tier)
-    truth |= {"detectability": max(groups.values()), "detectability_by_array": groups}
-    for e in truth["effects"]:
+    effects = []
+    for e in truth.effects:
         alone = with_them
-        if len(truth["effects"]) > 1:
+        if len(truth.effects) > 1:
             parameters, changes = switched_on([e])
             _, alone, _ = simulate(main, machine, parameters, outside.merged(changes), None)
-        e["detectability"] = max(detectability(alone, without, usual, tier).values())
-    if fault is not None:
+        effects.append(replace(e, detectability=max(detectability(alone, without, usual, tier).values())))
+    bad_log = truth.bad_log
+    if fault is not None and bad_log is not None:
         logged = {name: values.copy() for name, values in with_them.items()}
         fault.apply(logged, t)
-        truth["bad_log"]["detectability"] = max(detectability(logged, with_them, usual, tier).values())
-    truth["ceiling"] = {}
-    for c in conditions[1:]:
+        bad_log = replace(bad_log, detectability=max(detectability(logged, with_them, usual, tier).values()))
+    ceiling = {}
+    for c in truth.conditions[1:]:
         _, clean, _ = simulate(c, machine, *world, None)
         gap = difference(clean, nominal(c).columns)
         np.save(sealed / f"{c.name.replace(' ', '-')}.npy", gap.astype(np.float32))
-        if truth["effects"]:
-            after = difference(clean, simulate_nominal(c, [instance_of(e) for e in truth["effects"]]).columns)
-            truth["ceiling"][c.name] = {"tool tip": closure(gap[:, :3], after[:, :3]), "force": closure(gap[:, 3:], after[:, 3:])}
+        if effects:
+            after = difference(clean, simulate_nominal(c, [e.instance for e in effects]).columns)
+            ceiling[c.name] = {"tool tip": closure(gap[:, :3], after[:, :3]), "force": closure(gap[:, 3:], after[:, 3:])}
+    largest = max(groups.values())
+    return replace(truth, effects=tuple(effects), bad_log=bad_log, detectability=largest, detectability_by_array=groups, ceiling=ceiling)
 
 
 def difference(a: Mapping[str, FloatArray], b: Mapping[str, FloatArray]) -> FloatArray:

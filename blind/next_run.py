@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from typing import Any
 
 import numpy as np
 
@@ -12,17 +11,18 @@ from robomill.blind import outside
 from robomill.blind.generate import detectability, switched_on
 from robomill.blind.outside import Changes, Columns
 from robomill.blind.prediction import LOGGING, ComponentValues
+from robomill.blind.truth import Truth
 from robomill.blind.world import Machine, simulate_menu
 
 
-def separates(truth: Mapping[str, Any], kind: str, wrong: Sequence[ComponentValues], tier: str, limit: float) -> bool:
+def separates(truth: Truth, kind: str, wrong: Sequence[ComponentValues], tier: str, limit: float) -> bool:
     """Whether the run `kind` of the menu tells the effects of a truth from each of the other answers, on the same machine.
 
     It does where, in some window of 0.5 s, what they do differs by `limit` times what machines without effects leave.
     LookupError: no such run; OrchestrationError: it cannot be made.
     """
-    machine = Machine(truth["machine"])
-    parameters, others = switched_on(truth["effects"])
+    machine = Machine(truth.machine or {})
+    parameters, others = switched_on(truth.effects)
     _, true = simulate_menu(kind, machine, parameters, outside.merged(others), {})
     return all(max(detectability(_said(kind, machine, values), true, true, tier).values()) >= limit for values in wrong)
 

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from robomill.blind.case import DETECTABLE, Confusable
-from robomill.blind.conditions import from_truth
 from robomill.blind.figures import Separates, SquaredGaps
-from robomill.blind.generate import difference, instance_of
+from robomill.blind.generate import difference
 from robomill.blind.next_run import separates
 from robomill.blind.prediction import ComponentValues
 from robomill.blind.signatures import clocks, confusable, features, library
+from robomill.blind.truth import Truth
 from robomill.blind.world import nominal, simulate_adopted, simulate_nominal
 from robomill.models.model.declaration import FloatArray
 from robomill.orchestration.errors import OrchestrationError
 
-Truths = Mapping[int, Mapping[str, Any]]
+Truths = Mapping[int, Truth]
 """By number of the case."""
 COLUMNS = {"T1": slice(0, 3), "T0": slice(3, 6)}
 """Tier -> columns of a sealed gap that count."""
@@ -30,7 +30,7 @@ def oracle_confusable(folder: Path, truths: Truths, tier: str) -> Confusable:
 
     def found(number: int, i: int) -> list[str]:
         truth = truths[number]
-        condition, true = from_truth(truth["conditions"][0]), instance_of(truth["effects"][i])
+        condition, true = truth.conditions[0], truth.effects[i].instance
         lib = library(condition, folder / "oracle").for_tier(tier)
         rows, reference = lib.matrix.shape[1] // len(lib.columns), nominal(condition)
         change = features(simulate_nominal(condition, [true]).columns, reference.columns, lib.columns, rows)
@@ -45,7 +45,7 @@ def oracle_gaps(folder: Path, truths: Truths, tier: str) -> SquaredGaps:
 
     def found(number: int, adopted: ComponentValues) -> dict[str, tuple[float, float]]:
         result = {}
-        for c in [from_truth(c) for c in truths[number]["conditions"]][1:]:
+        for c in truths[number].conditions[1:]:
             before = sealed_gap(folder, number, c.name)[:, columns]
             try:
                 step = difference(simulate_adopted(c, adopted).columns, nominal(c).columns)[:, columns]

@@ -19,6 +19,11 @@ from robomill.models.model.declaration import FloatArray
 _START = {v.name: v.start_values for v in DRIVE.variables if v.causality == "parameter" and v.kind != "table"}
 GEAR = np.asarray(_START["gear_ratio"])
 
+MOVES = 1e-6
+"""Angle [rad] in a step beyond which an axis moves in a sense of its own; what is less is noise of an axis that rests."""
+CHIPS = 20.0
+"""Force [N] on one axis beyond which the tool makes chips: with less the tool is in the air, or only rubs."""
+
 Columns = dict[str, FloatArray]
 After = Callable[[Columns, FloatArray, float], None]
 """(recorded columns by element name, true times [s], step [s]): changes the columns in place."""
@@ -150,7 +155,7 @@ def _ringing(value: float, random: np.random.Generator) -> Changes:
         state = [0.0, 0.0, 0.0]  # sense of the last motion, time and sign of the last reversal
 
         def link(t: float, h: float, u: FloatArray) -> FloatArray:
-            if last and abs(u[i] - last[0]) > 1e-6:
+            if last and abs(u[i] - last[0]) > MOVES:
                 sense = math.copysign(1.0, u[i] - last[0])
                 if state[0] not in (0.0, sense):
                     state[1], state[2] = t, sense
@@ -224,7 +229,7 @@ def _grain(value: float, random: np.random.Generator) -> Changes:
 
 def _packing(value: float, random: np.random.Generator) -> Changes:
     def gain(t: float, h: float, f: FloatArray, memory: list[float]) -> FloatArray:
-        if float(np.abs(f).max()) > 20.0:
+        if float(np.abs(f).max()) > CHIPS:
             memory[0] += h
         else:
             memory[0] *= math.exp(-h / 0.05)
@@ -321,4 +326,4 @@ def merged(changes: list[Changes]) -> Changes:
     return Changes(**found, after=after if afters else None)
 
 
-KINDS: Mapping[str, Outside] = {o.name: o for o in OUTSIDE}
+OUTSIDE_BY_NAME: Mapping[str, Outside] = {o.name: o for o in OUTSIDE}

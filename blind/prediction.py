@@ -12,7 +12,7 @@ from typing import Any
 
 LOGGING = "logging"
 """Component that stands for the log itself."""
-LISTED = 0.01
+IN_THE_SET = 0.01
 """Probability from which a candidate belongs to the set of an ambiguous answer."""
 CLAIMED = 0.5
 """Probability from which a candidate counts as claimed (the first one always does)."""
@@ -146,7 +146,7 @@ class Prediction:
     @property
     def listed(self) -> tuple[Candidate, ...]:
         """Members of the set of an ambiguous answer."""
-        return tuple(c for c in self.which if c.probability >= LISTED)
+        return tuple(c for c in self.which if c.probability >= IN_THE_SET)
 
     @property
     def component(self) -> str | None:

@@ -8,13 +8,31 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+from robomill.blind.truth import Truth
 
 
 class BenchmarkError(ValueError):
     """A benchmark folder that cannot be used; says what is wrong and what to do."""
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """All of benchmark.json."""
+
+    schema: str
+    version: int
+    """Version of the generator."""
+    cases: int
+    seed: int
+    tier: str
+    truth: str
+    """Hash of the manifest of the truth."""
+    files: Mapping[str, str]
+    """File below `cases` -> its hash."""
 
 
 def hashes(folder: Path, exclude: Sequence[str] = ()) -> dict[str, str]:
@@ -33,23 +51,29 @@ def freeze_predictions(folder: Path) -> tuple[dict[str, str], bool]:
     return current, True
 
 
-def unseal(folder: Path) -> tuple[dict[str, Any], dict[int, dict[str, Any]]]:
+def unseal(folder: Path) -> tuple[Benchmark, dict[int, Truth]]:
     """benchmark.json and the truths by case. BenchmarkError if cases or truth are not those that were made."""
     file = folder / "benchmark.json"
     if not file.is_file():
         raise BenchmarkError(
             f"{folder} holds no finished benchmark (no benchmark.json); make one with: robomill blind make {folder} --cases N"
         )
-    head: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    try:
+        head = Benchmark(**json.loads(file.read_text(encoding="utf-8")))
+    except TypeError as error:
+        raise BenchmarkError(f"{file} has other keys than this version writes: {error}") from error
     sealed = folder / "sealed"
     manifest = sealed / "manifest.json"
-    if not manifest.is_file() or hashlib.sha256(manifest.read_bytes()).hexdigest() != head["truth"]:
+    if not manifest.is_file() or hashlib.sha256(manifest.read_bytes()).hexdigest() != head.truth:
         raise BenchmarkError(f"{manifest} is not the one whose hash is in benchmark.json: the truth was changed or is not here")
     listed = json.loads(manifest.read_text(encoding="utf-8"))
     if hashes(sealed, exclude=("manifest.json",)) != listed:
         raise BenchmarkError(f"{sealed}: files differ from manifest.json: the truth was changed")
-    changed = sorted(k for k, v in hashes(folder / "cases").items() if head["files"].get(k, v) != v)
+    changed = sorted(k for k, v in hashes(folder / "cases").items() if head.files.get(k, v) != v)
     if changed:
         raise BenchmarkError(f"{folder / 'cases'}: changed since it was made: {', '.join(changed[:5])}")
-    truths = {int(name[:4]): json.loads((sealed / name).read_text(encoding="utf-8")) for name in listed if name.endswith(".json")}
-    return head, truths
+    files = [sealed / name for name in listed if name.endswith(".json")]
+    try:
+        return head, {int(f.name[:4]): Truth.read(json.loads(f.read_text(encoding="utf-8"))) for f in files}
+    except TypeError as error:
+        raise BenchmarkError(f"{sealed}: truths with other keys than this version writes: {error}") from error

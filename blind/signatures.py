@@ -68,8 +68,7 @@ def candidates() -> tuple[Instance, ...]:
     found: list[Instance] = []
     for e in EFFECTS:
         for index in range(1, e.size + 1) if e.size else (0,):
-            factor = e.wrist if e.size == 6 and index > 3 else 1.0
-            found.append(Instance(e, index, factor * float(np.sqrt(e.low * e.high))))
+            found.append(Instance(e, index, e.factor(index) * float(np.sqrt(e.low * e.high))))
     return tuple(found)
 
 

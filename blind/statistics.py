@@ -1,20 +1,27 @@
-"""Estimates from a finite number of cases: each with its count and a 95 % interval, as plain JSON."""
+"""Estimates from a finite number of cases: each with its count and a 95 % interval, as score.json has it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-Figure = dict[str, Any]
-"""`value` and `interval` (both None where there are too few cases), and `count`."""
 Z = 1.959963984540054
 """Quantile of the normal distribution at 0.975."""
-RESAMPLES = 1000
-"""Of the bootstrap."""
+CASE_RESAMPLES = 1000
+"""How often the bootstrap draws cases anew."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """An estimate; value and 95 % interval are None where there are too few cases."""
+
+    value: float | None
+    count: int
+    interval: Sequence[float] | None
 
 
 def wilson(hits: int, count: int, z: float = Z) -> tuple[float, float]:
@@ -30,27 +37,27 @@ def wilson(hits: int, count: int, z: float = Z) -> tuple[float, float]:
 def proportion(outcomes: Sequence[bool]) -> Figure:
     """Share of hits with its Wilson interval."""
     hits, n = sum(outcomes), len(outcomes)
-    return {"value": hits / n if n else None, "count": n, "interval": list(wilson(hits, n)) if n else None}
+    return Figure(hits / n, n, wilson(hits, n)) if n else Figure(None, 0, None)
 
 
 def quantile(values: Sequence[float], q: float = 0.5) -> Figure:
     """Quantile (the median, unless told) with the distribution-free interval from order statistics."""
     n = len(values)
     if n == 0:
-        return {"value": None, "count": 0, "interval": None}
+        return Figure(None, 0, None)
     ordered = np.sort(np.asarray(values, dtype=np.float64))
     below = np.cumsum([math.comb(n, k) * q**k * (1.0 - q) ** (n - k) for k in range(n + 1)])  # P(at most k values below the quantile)
     low, high = int(np.searchsorted(below, 0.025)), int(np.searchsorted(below, 0.975))
-    interval = [float(ordered[low - 1]) if low >= 1 else -math.inf, float(ordered[high]) if high < n else math.inf]
+    interval = float(ordered[low - 1]) if low >= 1 else -math.inf, float(ordered[high]) if high < n else math.inf
     known = all(math.isfinite(v) for v in interval)
-    return {"value": float(np.quantile(ordered, q)), "count": n, "interval": interval if known else None}
+    return Figure(float(np.quantile(ordered, q)), n, interval if known else None)
 
 
 def expected_calibration_error(probabilities: Sequence[float], right: Sequence[bool], bins: int = 10) -> Figure:
     """|mean probability - share of right answers|, averaged over equal bins of probability; bootstrap interval with a fixed seed."""
     p, y = np.asarray(probabilities, dtype=np.float64), np.asarray(right, dtype=np.float64)
     if len(p) == 0:
-        return {"value": None, "count": 0, "interval": None}
+        return Figure(None, 0, None)
     place = np.minimum((p * bins).astype(int), bins - 1)
 
     def error(rows: npt.NDArray[np.int64]) -> float:
@@ -62,6 +69,5 @@ def expected_calibration_error(probabilities: Sequence[float], right: Sequence[b
         return total
 
     random = np.random.default_rng(0)
-    resampled = [error(random.integers(0, len(p), len(p))) for _ in range(RESAMPLES)]
-    interval = [float(v) for v in np.quantile(resampled, (0.025, 0.975))]
-    return {"value": error(np.arange(len(p))), "count": len(p), "interval": interval}
+    resampled = [error(random.integers(0, len(p), len(p))) for _ in range(CASE_RESAMPLES)]
+    return Figure(error(np.arange(len(p))), len(p), [float(v) for v in np.quantile(resampled, (0.025, 0.975))])

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from robomill.blind.case import REAL, Case, Cases
 from robomill.blind.criteria import component_right, effect_in_top
+from robomill.blind.results import EffectCounts
 from robomill.blind.statistics import Figure, proportion
 
 STRATA = (
@@ -45,20 +45,23 @@ def confusion(cases: Cases) -> dict[str, dict[str, int]]:
 def _true_label(c: Case) -> str:
     if c.kind == "single":
         return c.effects[0].key
-    if c.kind == "outside":
-        return f"outside: {c.truth['outside']['name']}"
-    return f"bad log: {c.truth['bad_log']['kind']}" if c.kind == "bad_log" else c.kind
+    outside, fault = c.truth.outside, c.truth.bad_log
+    return f"outside: {outside.name}" if outside else f"bad log: {fault.kind}" if fault else c.kind
 
 
-def per_effect(cases: Cases) -> dict[str, dict[str, Any]]:
-    """Of each true effect (singles): cases, detectable, isolable, found, named."""
-    table: dict[str, dict[str, Any]] = {}
+def per_effect(cases: Cases) -> dict[str, EffectCounts]:
+    """By true effect."""
+    table: dict[str, list[Case]] = {}
     for c in cases.of("single"):
-        row = table.setdefault(c.effects[0].key, dict.fromkeys(("cases", "detectable", "isolable", "detected", "named", "named_top3"), 0))
-        row["cases"] += 1
-        row["detectable"] += c.detectable
-        row["isolable"] += c.detectable and bool(cases.decidable(c))
-        row["detected"] += c.prediction.found
-        row["named"] += effect_in_top(c, 1)
-        row["named_top3"] += effect_in_top(c, 3)
-    return dict(sorted(table.items()))
+        table.setdefault(c.effects[0].key, []).append(c)
+    return {
+        key: EffectCounts(
+            cases=len(of),
+            detectable=sum(c.detectable for c in of),
+            isolable=sum(c.detectable and bool(cases.decidable(c)) for c in of),
+            detected=sum(c.prediction.found for c in of),
+            named=sum(effect_in_top(c, 1) for c in of),
+            named_top3=sum(effect_in_top(c, 3) for c in of),
+        )
+        for key, of in sorted(table.items())
+    }

@@ -15,6 +15,7 @@ from typing import Any
 from robomill.blind.case import Cases, load_cases
 from robomill.blind.oracle import oracle_confusable
 from robomill.blind.prediction import Prediction
+from robomill.blind.results import Figures, Withheld, WithheldCase
 from robomill.blind.run import complete, diagnose_one
 from robomill.blind.sealing import BenchmarkError, unseal
 from robomill.blind.statistics import proportion
@@ -24,10 +25,10 @@ DiagnoseWithout = Callable[..., Any]
 """(folder of the case, folder for the result, without=`component.parameter`) -> anything; writes diagnosis.json. Must be importable."""
 
 
-def withhold(folder: str | Path, diagnose: DiagnoseWithout, workers: int | None = None, progress: Progress | None = None) -> dict[str, Any]:
+def withhold(folder: str | Path, diagnose: DiagnoseWithout, workers: int | None = None, progress: Progress | None = None) -> Withheld:
     """Diagnose the detectable, isolable singles without their effect, those that are not done yet; predictions go to `withheld/`.
 
-    Returns figures (shares of all with 95 % intervals) and one row for each case. BenchmarkError if the benchmark is still sealed.
+    BenchmarkError if the benchmark is still sealed.
     """
     folder = Path(folder).resolve()
     if not (folder / "predictions.json").is_file():
@@ -35,7 +36,7 @@ def withhold(folder: str | Path, diagnose: DiagnoseWithout, workers: int | None 
             f"{folder} is sealed (no predictions.json): to withhold an effect it must be known; first: robomill blind score {folder}"
         )
     head, truths = unseal(folder)
-    chosen = Cases(load_cases(folder, truths), oracle_confusable(folder, truths, str(head["tier"]))).singles
+    chosen = Cases(load_cases(folder, truths), oracle_confusable(folder, truths, head.tier)).singles
     results = [folder / "withheld" / f"{c.number:04d}" for c in chosen]
     jobs = [
         (partial(diagnose, without=c.effects[0].key), folder / "cases" / result.name, result)
@@ -53,22 +54,17 @@ def withhold(folder: str | Path, diagnose: DiagnoseWithout, workers: int | None 
         for c, result in zip(chosen, results, strict=True)
         if result.name not in failed
     ]
-    return {"tier": head["tier"], "seed": head["seed"], "figures": shares(rows), "cases": rows, "failed": failed}
+    return Withheld(head.tier, head.seed, shares(rows), rows, failed)
 
 
-def row(name: str, effect: str, content: Mapping[str, Any]) -> dict[str, Any]:
-    """What was said of a case: `said` and its probability, the candidate that came first, if an effect was claimed."""
+def row(name: str, effect: str, content: Mapping[str, Any]) -> WithheldCase:
+    """What a diagnosis.json says of a case."""
     prediction = Prediction.read(content)
     first = prediction.claimed[0] if prediction.claimed else None
-    return {
-        "case": name,
-        "effect": effect,
-        "verdict": "bad_log" if prediction.stopped else prediction.verdict,
-        "said": first.names[0].key if first else None,
-        "probability": first.probability if first else None,
-    }
+    verdict = "bad_log" if prediction.stopped else prediction.verdict
+    return WithheldCase(name, effect, verdict, first.names[0].key if first else None, first.probability if first else None)
 
 
-def shares(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Of each verdict, the share with its interval; `identified` is what passes for the effect."""
-    return {v: proportion([r["verdict"] == v for r in rows]) for v in ("unknown", "none", "ambiguous", "identified", "bad_log")}
+def shares(rows: Sequence[WithheldCase]) -> Figures:
+    """Share of each verdict, with its interval; `identified` is what passes for the effect."""
+    return {v: proportion([r.verdict == v for r in rows]) for v in ("unknown", "none", "ambiguous", "identified", "bad_log")}

@@ -24,8 +24,10 @@ from robomill.blind.force_averaging import FINE, felt
 from robomill.blind.insert import Function, Insert, insert, resolver
 from robomill.blind.outside import Changes, Columns
 from robomill.cell.binding import convert, resolve
+from robomill.cell.equipment import load_system
 from robomill.cell.milling import with_parameters
 from robomill.cell.next_runs import prepare
+from robomill.files import FILES
 from robomill.models.model.declaration import FloatArray
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
@@ -33,7 +35,7 @@ from robomill.orchestration.slaves.protocol import PortData, Slave
 from robomill.orchestration.system.definition import Connection, System
 
 STEP = 0.004
-SYSTEM = Path(__file__).parent.parent / "scenarios" / "milling_cell.toml"
+SYSTEM = FILES / "scenarios" / "milling_cell.toml"
 MEASURED = (
     "path.p_BT_B",
     "path.quat_BT",
@@ -93,7 +95,7 @@ class Machine:
 @cache
 def nominal_system() -> System:
     """The cell as everybody knows it."""
-    return System.load(SYSTEM, convert)
+    return load_system(SYSTEM)
 
 
 @cache

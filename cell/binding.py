@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from robomill.fmus.components import COMPONENTS
+from robomill.fmus.components import COMPONENTS, PYTHON, component, is_component
 from robomill.fmus.in_process import InProcessSlave
 from robomill.models.components.applied_load import MODEL as APPLIED_LOAD
 from robomill.models.model.units import convert
@@ -15,24 +15,31 @@ __all__ = ["convert", "resolve", "with_fmus"]
 
 
 def resolve(source: str, name: str) -> Slave:
-    """The in-process component `source` as a slave called `name`; LookupError lists what there is."""
+    """The in-process component `source` as a slave called `name`; LookupError says what is wrong, or what there is."""
     if source == "applied_load":  # for experiments; no component of the twin, so no FMU is built of it
         return InProcessSlave(APPLIED_LOAD, name)
-    if source not in COMPONENTS:
+    if not is_component(source):
         known = ", ".join([*COMPONENTS, "applied_load"])
-        raise LookupError(f"there is no component {source!r}; components: {known}; or name an .fmu file, or replay:FOLDER")
-    return InProcessSlave(COMPONENTS[source], name)
+        raise LookupError(
+            f"there is no component {source!r}; components: {known}; or name an .fmu file, replay:FOLDER, {PYTHON}package.module:MODEL "
+            f"or {PYTHON}file.py:MODEL"
+        )
+    try:
+        return InProcessSlave(component(source), name)
+    except ValueError as error:
+        raise LookupError(str(error)) from error
 
 
 def with_fmus(system: System, folder: Path) -> System:
-    """The same system with every component of this project taken from its FMU in `folder`.
+    """The system with every component that runs in process taken from its FMU in `folder`.
 
     FileNotFoundError names the FMU that is missing and the command that builds it.
     """
     for c in system.components:
-        if c.source in COMPONENTS:
-            fmu = (folder / f"{c.source}.fmu").resolve()
+        if is_component(c.source):
+            fmu = (folder / f"{component(c.source).name}.fmu").resolve()
             if not fmu.is_file():
-                raise FileNotFoundError(f"component {c.name!r}: no FMU {fmu}; build it with `robomill build --out {folder}`")
+                only = "" if c.source in COMPONENTS else f" --component {c.source}"
+                raise FileNotFoundError(f"component {c.name!r}: no FMU {fmu}; build it with `robomill build{only} --out {folder}`")
             system = system.with_source(c.name, str(fmu))
     return system

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +31,32 @@ class Cut:
 
 
 @dataclass(frozen=True)
+class Figures:
+    """What summary.json has of a variant, key by key; what cannot be told is None, and `note` says why nothing can."""
+
+    max_deviation_m: float | None = None
+    max_deviation_limited: bool | None = None
+    """Whether the largest deviation is as far as the measure reaches: it may be more."""
+    max_deviation_location: str | None = None
+    max_deviation_point_m: tuple[float, ...] | None = None
+    """x, y, z in P."""
+    rms_deviation_m: float | None = None
+    p95_deviation_m: float | None = None
+    floor_rms_deviation_m: float | None = None
+    floor_max_deviation_m: float | None = None
+    edge_share: float | None = None
+    """Share of the measured points beside edges; they count in `edge_max_deviation_m` and nowhere else."""
+    edge_max_deviation_m: float | None = None
+    peak_force_n: float | None = None
+    """As measured; the next two are of the cutter: means of steps, and within the steps."""
+    peak_cutting_force_n: float | None = None
+    peak_substep_force_n: float | None = None
+    reaction_t50_s: float | None = None
+    real_time_factor: float | None = None
+    note: str | None = None
+
+
+@dataclass(frozen=True)
 class Result:
     """A variant: its run, the scan of its surface and the figures of summary.json."""
 
@@ -43,7 +68,7 @@ class Result:
     surface: SurfaceDeviation | None
     """None if nothing was cut."""
     cuts: tuple[Cut, ...]
-    figures: dict[str, Any]
+    figures: Figures
 
 
 def evaluate(name: str, title: str, run: Run, workpiece: Workpiece, real_time_factor: float) -> Result:
@@ -55,31 +80,26 @@ def evaluate(name: str, title: str, run: Run, workpiece: Workpiece, real_time_fa
         for part in ("path", "compliance")
     )
     cuts = engagements(run)
-    surface, note = None, None
+    surface, figures = None, Figures()
     try:
         if not cuts:
             raise NothingCutError("nothing is cut: the tool never met the block")
         surface = measure(nominal, actual, workpiece.size)
     except NothingCutError as why:
-        note = str(why)
-    figures = {
-        **dict.fromkeys(("max_deviation_m", "max_deviation_limited", "max_deviation_location", "max_deviation_point_m")),
-        **dict.fromkeys(("rms_deviation_m", "p95_deviation_m", "floor_rms_deviation_m", "floor_max_deviation_m")),
-        **dict.fromkeys(("edge_share", "edge_max_deviation_m")),
-        **dict.fromkeys(("peak_force_n", "peak_cutting_force_n", "peak_substep_force_n", "reaction_t50_s")),
-        "real_time_factor": None if math.isnan(real_time_factor) else real_time_factor,
-        "note": note,
-    }
+        figures = Figures(note=str(why))
     if surface is not None:
-        reaction = reaction_time(run)
-        figures |= _deviations(surface, cuts, run, nominal)
-        figures |= {
-            "peak_force_n": float(np.max(np.linalg.norm(run["sensor.f_T_T"], axis=1))),
-            "peak_cutting_force_n": float(np.max(np.linalg.norm(run["milling.f_T_B"], axis=1))),
-            "peak_substep_force_n": float(np.max(run["milling.f_peak"])),
-            "reaction_t50_s": None if math.isnan(reaction) else reaction,
-        }
-    return Result(name, title, run, nominal, actual, surface, cuts, figures)
+        figures = replace(
+            _deviations(surface, cuts, run, nominal),
+            peak_force_n=float(np.max(np.linalg.norm(run["sensor.f_T_T"], axis=1))),
+            peak_cutting_force_n=float(np.max(np.linalg.norm(run["milling.f_T_B"], axis=1))),
+            peak_substep_force_n=float(np.max(run["milling.f_peak"])),
+            reaction_t50_s=_known(reaction_time(run)),
+        )
+    return Result(name, title, run, nominal, actual, surface, cuts, replace(figures, real_time_factor=_known(real_time_factor)))
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
 
 
 def tool_radius(run: Run) -> FloatArray:
@@ -94,26 +114,26 @@ def tool_radius(run: Run) -> FloatArray:
     return radius
 
 
-def _deviations(surface: SurfaceDeviation, cuts: tuple[Cut, ...], run: Run, nominal: ToolPath) -> dict[str, Any]:
+def _deviations(surface: SurfaceDeviation, cuts: tuple[Cut, ...], run: Run, nominal: ToolPath) -> Figures:
     """The figures of the surface. What lies beside edges has one of its own."""
     edges = np.abs(surface.deviation[surface.edge])
-    figures: dict[str, Any] = {"edge_share": float(np.mean(surface.edge)), "edge_max_deviation_m": float(np.max(edges, initial=0.0))}
+    share, largest = float(np.mean(surface.edge)), float(np.max(edges, initial=0.0))
     if np.all(surface.edge):
-        return {
-            **figures,
-            "note": "all of the surface lies within its deviation of an edge; only edge_max_deviation_m says how far off it is",
-        }
-    figures |= {
-        "max_deviation_m": surface.max,
-        "max_deviation_limited": surface.is_limited,
-        "max_deviation_location": describe(surface, surface.worst, cuts, run, nominal),
-        "max_deviation_point_m": surface.points[surface.worst].tolist(),
-        "rms_deviation_m": surface.rms,
-        "p95_deviation_m": surface.p95,
-    }
-    if np.any(~surface.wall & ~surface.edge):
-        figures |= {"floor_rms_deviation_m": surface.floors.rms, "floor_max_deviation_m": surface.floors.max}
-    return figures
+        note = "all of the surface lies within its deviation of an edge; only edge_max_deviation_m says how far off it is"
+        return Figures(edge_share=share, edge_max_deviation_m=largest, note=note)
+    floors = surface.floors if np.any(~surface.wall & ~surface.edge) else None
+    return Figures(
+        max_deviation_m=surface.max,
+        max_deviation_limited=surface.is_limited,
+        max_deviation_location=describe(surface, surface.worst, cuts, run, nominal),
+        max_deviation_point_m=tuple(surface.points[surface.worst].tolist()),
+        rms_deviation_m=surface.rms,
+        p95_deviation_m=surface.p95,
+        floor_rms_deviation_m=floors.rms if floors else None,
+        floor_max_deviation_m=floors.max if floors else None,
+        edge_share=share,
+        edge_max_deviation_m=largest,
+    )
 
 
 def engagements(run: Run) -> tuple[Cut, ...]:

@@ -36,7 +36,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -44,15 +44,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from robomill.cell.binding import convert, resolve, with_fmus
-from robomill.cell.entries import ComponentParameters, Entry, ScenarioError
+from robomill.cell.equipment import load_system
 from robomill.cell.milling import Progress, notes_of, own_tool, read_program, with_parameters
 from robomill.cell.plan_checks import check_plan
+from robomill.cell.scenario import ComponentParameters, ScenarioError, equipment
 from robomill.models.model.declaration import FloatArray
 from robomill.models.planning import gcode
 from robomill.models.planning.trajectory import Placement, Plan, plan
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import RUN, Run, check_vacant, read_info
-from robomill.orchestration.system.definition import System
+from robomill.orchestration.system.definition import EQUIPMENT, System
+from robomill.orchestration.system.entries import Entry
 from robomill.orchestration.system.toml_text import dump, parse
 from robomill.orchestration.system.written import merged
 
@@ -60,7 +62,9 @@ PATH, LOAD = "segments.npy", "profile.npy"
 """Tables in the folder of a run: the planned program, the applied load."""
 GRAVITY = 9.81
 """m/s2, as in the models."""
-_TOP = {"scenario", "experiment", "parameters", "machine", "condition"}
+LOAD_ROW = ("s", "N", "N", "N")
+"""Units of a row of an applied load as it is written: time, force in B. The table has moments behind them, which are 0."""
+_TOP = {"scenario", "experiment", "parameters", "machine", "condition", *EQUIPMENT}
 _CONDITION = {"name", "program", "position", "abc", "size", "load", "weight", "held_out", "minutes", "parameters"}
 
 
@@ -82,6 +86,19 @@ class ExperimentCondition:
 
 
 @dataclass(frozen=True)
+class RepeatSummary:
+    """One run of an experiment, as summary.json has it."""
+
+    folder: str
+    condition: str
+    repeat: int
+    duration_s: float
+    max_displacement_m: float
+    max_force_n: float
+    """As measured."""
+
+
+@dataclass(frozen=True)
 class Experiment:
     """An experiment file, paths made absolute."""
 
@@ -94,6 +111,8 @@ class Experiment:
     parameters: ComponentParameters
     machine: ComponentParameters
     conditions: tuple[ExperimentCondition, ...]
+    equipment: Mapping[str, Entry] = field(default_factory=dict)
+    """Robot, tool, material and sensor, where they are others than those of the system."""
 
 
 def is_experiment(file: Path) -> bool:
@@ -107,12 +126,10 @@ def is_experiment(file: Path) -> bool:
 def load_experiment(path: str | Path) -> Experiment:
     """Read and check an experiment file. ScenarioError or FileNotFoundError says what is wrong and what is possible."""
     file = Path(path).resolve()
-    top = Entry.load(file).keys({"scenario", "experiment", "condition"}, _TOP)
+    top = Entry.load(file, ScenarioError, convert).keys({"scenario", "experiment", "condition"}, _TOP)
     head = top["scenario"].keys({"name", "system"}, {"kind", "title"})
     about = top["experiment"].keys({"kind"}, {"repeats"})
-    if not isinstance(top["condition"].value, list):
-        raise top["condition"].fail(f"expected [[condition]] tables; found {top['condition'].value!r}")
-    conditions = tuple(_condition(top["condition"][i]) for i in range(len(top["condition"].value)))
+    conditions = tuple(_condition(entry) for entry in top["condition"].each())
     names = [c.name for c in conditions]
     folders = [folder_of(name) for name in names]
     for i, folder in enumerate(folders):
@@ -129,6 +146,7 @@ def load_experiment(path: str | Path) -> Experiment:
         top.get("parameters", {}).parameters(),
         top.get("machine", {}).parameters(),
         conditions,
+        equipment(top),
     )
 
 
@@ -140,11 +158,11 @@ def folder_of(condition: str) -> str:
 def _condition(entry: Entry) -> ExperimentCondition:
     entry.keys({"name", "program", "position"}, _CONDITION)
     rows = entry.get("load", [])
-    if not isinstance(rows.value, list) or not all(isinstance(r, list) and len(r) == 4 for r in rows.value):
+    if not isinstance(rows.value, list) or not all(isinstance(r, list) and len(r) == len(LOAD_ROW) for r in rows.value):
         raise rows.fail(f"{rows.value!r}; expected rows of time, fx, fy, fz")
     load = np.zeros((max(len(rows.value), 1), 7))
     for i in range(len(rows.value)):
-        load[i, :4] = [rows[i][k].si("s" if k == 0 else "N") for k in range(4)]
+        load[i, : len(LOAD_ROW)] = [rows[i][k].si(unit) for k, unit in enumerate(LOAD_ROW)]
         if i and load[i, 0] <= load[i - 1, 0]:
             raise rows[i].fail(f"the time {load[i, 0]:g} s is not after that of the row before, {load[i - 1, 0]:g} s")
     weight = entry.get("weight", 0).si("kg")
@@ -206,7 +224,7 @@ def remarks(experiment: Experiment, names: Sequence[str] | None = None) -> tuple
 
     Raises what reader and planner raise, so that what cannot be planned is refused before anything is run.
     """
-    system = System.load(experiment.system, convert)
+    system = load_system(experiment.system, experiment.equipment)
     mills = any(component.name == "milling" for component in system.components)
     said: tuple[dict[str, list[str]], dict[str, list[str]]] = {}, {}
     for c in _chosen(experiment, names):
@@ -229,7 +247,7 @@ def _placement(c: ExperimentCondition) -> Placement:
 
 
 def in_folder(known: ComponentParameters, folder: Path) -> dict[str, Mapping[str, Any]]:
-    """The same with the tables of path and load found from everywhere."""
+    """The parameters with the tables of path and load found from everywhere."""
     tables = {k: {n: str((folder / v).resolve()) for n, v in values.items() if v in (PATH, LOAD)} for k, values in known.items()}
     return {k: merged(values, tables[k]) for k, values in known.items()}
 
@@ -250,7 +268,7 @@ def run_condition(
     """
     if not overwrite:
         check_vacant([folder])
-    system = System.load(experiment.system, convert)
+    system = load_system(experiment.system, experiment.equipment)
     planned, known = prepare(experiment, c, system, folder)
     seed = {"sensor": {"seed": 1000 * (1 + experiment.conditions.index(c)) + repeat}}
     configured = with_parameters(with_parameters(with_parameters(system, seed), experiment.machine), in_folder(known, folder))
@@ -259,7 +277,6 @@ def run_condition(
         configured = with_fmus(configured, fmus)
     labels = {
         "program": planned.name,
-        "robot": "KUKA KR 300 R2500 ultra",
         "condition": c.name,
         "repeat": repeat,
         "held_out": c.held_out,
@@ -295,8 +312,8 @@ def run_experiment(
     csv: bool = False,
     progress: Progress | None = None,
     overwrite: bool = False,
-) -> dict[str, Any]:
-    """All repeats of all conditions (or of those in `names`) below `folder`; returns what summary.json holds.
+) -> list[RepeatSummary]:
+    """All repeats of all conditions (or of those in `names`) below `folder`, in turn.
 
     Runs that are there are replaced with `overwrite`; else nothing is begun.
     """
@@ -304,7 +321,7 @@ def run_experiment(
     repeats = range(1, experiment.repeats + 1)
     if not overwrite:
         check_vacant(_place(folder, c, repeat) for c in chosen for repeat in repeats)
-    runs: list[dict[str, Any]] = []
+    runs: list[RepeatSummary] = []
     for i, c in enumerate(chosen):
         for repeat in repeats:
             if progress is not None:
@@ -312,14 +329,6 @@ def run_experiment(
             place = _place(folder, c, repeat)
             result = run_condition(experiment, c, repeat, place, fmus, csv, overwrite=overwrite)
             size = np.linalg.norm(result["compliance.d_T_B"], axis=1)
-            runs.append(
-                {
-                    "folder": place.name,
-                    "condition": c.name,
-                    "repeat": repeat,
-                    "duration_s": float(result.t[-1]),
-                    "max_displacement_m": float(size.max()),
-                    "max_force_n": float(np.linalg.norm(result["sensor.f_T_T"], axis=1).max()),
-                }
-            )
-    return {"scenario": experiment.name, "kind": experiment.kind, "runs": runs}
+            force = np.linalg.norm(result["sensor.f_T_T"], axis=1)
+            runs.append(RepeatSummary(place.name, c.name, repeat, float(result.t[-1]), float(size.max()), float(force.max())))
+    return runs

@@ -18,11 +18,14 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from robomill.cell.binding import convert, resolve, with_fmus
+from robomill.cell.equipment import load_system
 from robomill.cell.plan_checks import Findings, check_plan
 from robomill.cell.plausibility import unusual_values
+from robomill.cell.points import read_points
 from robomill.cell.scenario import ComponentParameters, Scenario, ScenarioError, Variant, Workpiece
 from robomill.models.model.declaration import FloatArray
-from robomill.models.planning import gcode, point_path
+from robomill.models.planning import gcode
+from robomill.models.planning.point_path import PointPath
 from robomill.models.planning.segment_table import TOOL
 from robomill.models.planning.trajectory import Placement, Plan, pilot_table, plan
 from robomill.models.process import tool_table
@@ -56,6 +59,8 @@ class Job:
     plan: Plan
     system: System
     folder: Path
+    fmus: Path | None = None
+    """Folder of the FMUs that run instead of the in-process components."""
     resume: bool = False
     """Whether runs that are in the folder already are kept or continued."""
     overwrite: bool = False
@@ -107,7 +112,7 @@ def lay_out(
     workpiece = scenario.workpiece
     placement = Placement(workpiece.position, workpiece.abc)
     program = read_program(scenario.program, scenario.reading)
-    system = System.load(scenario.system, convert)
+    system = load_system(scenario.system, scenario.equipment)
     _require(system)
     findings = check(scenario, program, system)
     if not findings.cuts:
@@ -137,7 +142,7 @@ def lay_out(
     if checkpoint_every is not None:
         system = replace(system, recording=replace(system.recording, checkpoint_every=checkpoint_every))
     notes = (*notes_of(program), *planned.notes)
-    return Job(scenario, workpiece, planned, system, folder, resume, overwrite, notes, findings.texts)
+    return Job(scenario, workpiece, planned, system, folder, fmus, resume, overwrite, notes, findings.texts)
 
 
 def with_pilot(job: Job, progress: Progress | None = None) -> Job:
@@ -147,17 +152,17 @@ def with_pilot(job: Job, progress: Progress | None = None) -> Job:
     return job if _is_recording(job.system, "path") else replace(job, system=job.system.with_parameters("path", {"pilot": str(pilot)}))
 
 
-def read_program(file: Path, reading: gcode.Setup) -> gcode.Program | point_path.PointPath:
+def read_program(file: Path, reading: gcode.Setup) -> gcode.Program | PointPath:
     """The program of a file: a path of points (TOML), else G-code. Raises what the readers raise."""
-    return point_path.read_points(file) if file.suffix == ".toml" else gcode.read(file, reading)
+    return read_points(file) if file.suffix == ".toml" else gcode.read(file, reading)
 
 
-def notes_of(program: gcode.Program | point_path.PointPath) -> tuple[str, ...]:
+def notes_of(program: gcode.Program | PointPath) -> tuple[str, ...]:
     """What the reader skipped or decided."""
     return program.notes if isinstance(program, gcode.Program) else ()
 
 
-def check(scenario: Scenario, program: gcode.Program | point_path.PointPath, system: System) -> Findings:
+def check(scenario: Scenario, program: gcode.Program | PointPath, system: System) -> Findings:
     """What the plan shows, for every variant with its own tool; ScenarioError where a tool is not described.
 
     `system`: that of the scenario, without its parameters. `cuts` is False if a variant cuts nothing; its text is then the first.
@@ -198,14 +203,14 @@ def _whose(text: str, variants: Sequence[str], tools: int) -> str:
 def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool = False) -> tuple[Run, float]:
     """Run one variant into its folder; returns the run and how many times faster than real time it was (recording included, compiling not).
 
-    The factor is NaN for a run that was finished before.
+    The factor is NaN for a run that was finished before. It lasts as long as the plan; longer, where the system has a later stop of its own
+    (a feed that is controlled takes more time than planned).
     """
-    system = replace(with_parameters(job.system, variant.parameters), name=f"{job.scenario.name}/{variant.name}")
+    system = replace(of_variant(job, variant), name=f"{job.scenario.name}/{variant.name}")
     system = replace(system, recording=replace(system.recording, csv=csv))
     block = " x ".join(f"{1e3 * length:g}" for length in job.workpiece.size)
     labels = {
         "program": job.plan.name,
-        "robot": "KUKA KR 300 R2500 ultra",
         "tool": _label(job, system),
         "workpiece": f"block {block} mm",
         "condition": variant.name,
@@ -214,7 +219,7 @@ def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool
     result = run(
         system,
         job.folder / variant.name,
-        stop=job.steps * system.step,
+        stop=max(job.steps * system.step, system.stop or 0.0),
         resolver=resolve,
         convert=convert,
         progress=_reporting(progress, variant.title, job.steps),
@@ -224,6 +229,21 @@ def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool
         resume=job.resume,
     )
     return result, watch.factor
+
+
+def of_variant(job: Job, variant: Variant) -> System:
+    """The system of a job with the sources and the parameters of a variant; an exchanged component gets its equipment anew.
+
+    Raises what `load_system` raises; SystemFileError for a component that the system does not have.
+    """
+    if not variant.sources:
+        return with_parameters(job.system, variant.parameters)
+    other = load_system(job.scenario.system, job.scenario.equipment, variant.sources)
+    other = with_parameters(other, {c: v for c, v in job.scenario.parameters.items() if c in variant.sources})
+    if job.fmus is not None:
+        other = with_fmus(other, job.fmus)
+    components = tuple(other.component(c.name) if c.name in variant.sources else c for c in job.system.components)
+    return with_parameters(replace(job.system, components=components), variant.parameters)
 
 
 def own_tool(system: System) -> EndMill | None:
@@ -260,7 +280,7 @@ def check_variants(job: Job, variants: Sequence[Variant]) -> list[str]:
     """Assemble every variant once, so that what cannot run is refused before a recording is replaced; returns what is unusual."""
     found: list[str] = []
     for variant in variants:
-        with assemble(with_parameters(job.system, variant.parameters), resolve, convert) as assembly:
+        with assemble(of_variant(job, variant), resolve, convert) as assembly:
             _check_place(job, assembly)
             found += unusual_values(assembly)
     return [text for text in dict.fromkeys(found) if text not in job.warnings]
@@ -306,7 +326,7 @@ class _Stopwatch:
         self._last = t
 
     def observe_columns(self, columns: FloatArray, count: int) -> None:
-        """The same after a chunk."""
+        """Observe `count` steps after a chunk: the columns of the results in it."""
         if count > 0:
             self.observe(float(columns[0, count - 1]), columns[1:, count - 1])
 

@@ -14,9 +14,10 @@ from typing import Any
 from robomill.cell.experiments import Experiment, ExperimentCondition, in_folder, load_experiment
 from robomill.cell.experiments import prepare as prepare_condition
 from robomill.cell.milling import PARTS
+from robomill.files import FILES
 from robomill.orchestration.system.definition import Component, Connection, System
 
-FOLDER = Path(__file__).parent.parent / "scenarios" / "next_runs"
+FOLDER = FILES / "scenarios" / "next_runs"
 _CUT, _LOAD = "milling", "load"
 
 

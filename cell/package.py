@@ -9,8 +9,9 @@ from pathlib import Path
 
 from robomill.cell import milling
 from robomill.cell.binding import convert, with_fmus
+from robomill.cell.equipment import load_system
 from robomill.cell.scenario import ScenarioError, load_scenario
-from robomill.fmus.components import COMPONENTS
+from robomill.fmus.components import is_component
 from robomill.orchestration.ssp.export import export
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.toml_text import parse
@@ -26,7 +27,7 @@ def systems(file: Path, work: Path, variants: Sequence[str] | None = None) -> li
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
         is_scenario = False  # the system loader names the line
     if not is_scenario:
-        return [System.load(file, convert)]
+        return [load_system(file)]
     scenario = load_scenario(file)
     if scenario.kind != "milling":
         raise ScenarioError(f"{file}: is of kind {scenario.kind!r}; packages are made of milling scenarios and of system files")
@@ -38,14 +39,14 @@ def systems(file: Path, work: Path, variants: Sequence[str] | None = None) -> li
     made = []
     for variant in scenario.variants:
         if not variants or variant.name in variants:
-            system = milling.with_parameters(job.system, variant.parameters)
+            system = milling.of_variant(job, variant)
             made.append(replace(system, name=f"{scenario.name}_{variant.name}", stop=job.steps * system.step))
     return made
 
 
 def used(made: Sequence[System]) -> list[str]:
-    """The components of this project that the systems consist of: their FMUs are needed."""
-    return [name for name in COMPONENTS if any(c.source == name for s in made for c in s.components)]
+    """The in-process components that the systems consist of: their FMUs are needed."""
+    return list(dict.fromkeys(c.source for s in made for c in s.components if is_component(c.source)))
 
 
 def write(made: Sequence[System], fmus: Path, folder: Path, report: Callable[[str, int, int], object]) -> list[Path]:

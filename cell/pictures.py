@@ -27,6 +27,10 @@ DOT = 1.1e-3
 """Size [m] at which a scanned point is drawn."""
 EDGE = "gold"
 """Points beside an edge: no colour of MAP, so that nobody reads a deviation from it."""
+NO_WAY = 1e-9
+"""Way [m] of the tool between two samples up to which it stands, and has no side."""
+FEEDING = 1e-3
+"""Speed [m/s] from beyond which the tool is fed, and correction and feed are drawn as arrows: slower, it stops at a corner."""
 NOTE: dict[str, Any] = {"boxstyle": "round", "fc": "white", "alpha": 0.8}
 COLOURS = {"uncompensated": "tab:gray", "cartesian": "tab:blue", "axis": "tab:orange", "cartesian_pilot": "tab:green"}
 
@@ -56,13 +60,14 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
 
     Walls are folded outwards about their top edge: a wall 10 mm high is a band 10 mm wide beside the groove.
     """
-    columns = 1 if len(results) == 1 else 2
+    alone = len(results) == 1
+    columns = 1 if alone else 2
     rows = -(-len(results) // columns)
     size = np.array(workpiece.size[:2]) * 1e3
-    width = 6.4 if columns == 2 else 8.0
+    width = 8.0 if alone else 6.4
     figure = Figure(figsize=(width * columns + 1.2, (0.72 * width * size[1] / size[0] + 0.9) * rows), layout="constrained")
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
-    limit = 1e3 * max((r.figures["max_deviation_m"] or 0.0 for r in results), default=0.0) or 1.0
+    limit = 1e3 * max((r.figures.max_deviation_m or 0.0 for r in results), default=0.0) or 1.0
     norm = TwoSlopeNorm(0.0, -limit, limit)
     for ax, result in zip(axes, results, strict=False):
         _surface(ax, result, workpiece, norm, DOT * 72.0 * 0.8 * width / workpiece.size[0])
@@ -89,15 +94,11 @@ def _surface(ax: Axes, result: Result, workpiece: Workpiece, norm: TwoSlopeNorm,
 
 
 def _headline(result: Result) -> str:
-    largest, rms = result.figures["max_deviation_m"], result.figures["rms_deviation_m"]
-    if largest is None:
+    f = result.figures
+    if f.max_deviation_m is None or f.rms_deviation_m is None:
         return "no figures"
-    return f"max {_at_least(result.figures['max_deviation_limited'])}{1e3 * largest:.2f} mm, rms {1e3 * rms:.2f} mm"
-
-
-def _at_least(limited: bool) -> str:
-    """What stands before a figure that the measure could not follow any further."""
-    return ">= " if limited else ""
+    at_least = ">= " if f.max_deviation_limited else ""
+    return f"max {at_least}{1e3 * f.max_deviation_m:.2f} mm, rms {1e3 * f.rms_deviation_m:.2f} mm"
 
 
 def _deviation(ax: Axes, s: SurfaceDeviation, norm: TwoSlopeNorm, dot: float) -> None:
@@ -169,7 +170,7 @@ def _across(result: Result) -> tuple[FloatArray, FloatArray]:
     deviation = result.actual.position - result.nominal.position
     step = np.gradient(result.nominal.position[:, :2], axis=0)
     length = np.linalg.norm(step, axis=1)
-    left = np.column_stack([-step[:, 1], step[:, 0]]) / np.where(length > 1e-9, length, np.inf)[:, None]
+    left = np.column_stack([-step[:, 1], step[:, 0]]) / np.where(length > NO_WAY, length, np.inf)[:, None]
     return np.sum(deviation[:, :2] * left, axis=1), deviation[:, 2]
 
 
@@ -218,7 +219,7 @@ def projection(result: Result) -> Figure:
     grid["z"].set_xlabel("time in s")
     ax = grid["top"]
     p, v = run["path.p_BT_B"], run["path.v_BT_B"]
-    feeding = np.flatnonzero(cutting(run) & (_speed(run) > 1e-3))
+    feeding = np.flatnonzero(cutting(run) & (_speed(run) > FEEDING))
     chosen = feeding[:: max(1, len(feeding) // 60)]
     ax.plot(1e3 * p[feeding, 0], 1e3 * p[feeding, 1], ".", color="0.8", ms=1)
     for vectors, colour, label, scale in (

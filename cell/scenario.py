@@ -22,7 +22,10 @@ A scenario is TOML. Physical values carry their unit (``"0.2 mm"``); only 0 need
     zero = "front-left-top"                       # where G54 lies in the block (default: centre-top); or three lengths from the centre
     work_offsets = { G55 = ["10 mm", 0, 0] }      # if the program needs others than G54: a place as `zero`
 
-    [tools.1]                           # the tools that T names; without, the one of the milling component does all
+    [robot]                             # instead of what the system names; likewise [tool], [material], [sensor] (cell/equipment.py)
+    name = "kr210_2"
+
+    [tools.1]                           # the cutters that T names; without, the one of the milling component does all
     diameter = "16 mm"
     teeth = 3
     helix = "30 deg"
@@ -35,6 +38,11 @@ A scenario is TOML. Physical values carry their unit (``"0.2 mm"``); only 0 need
     [variants.cartesian]
     title = "Cartesian"
     parameters.controller.mode = 1
+    sources.controller = "compensation_controller"   # instead of what the system has there: one component exchanged
+
+    [scan]                              # of a faced block: the error of its surface is measured (cell/scan.py)
+    depth = "3 mm"                      # of the plane that was programmed, below the top
+    margin = "15 mm"                    # left out at the ends of the block in x, where the cutter comes in and leaves
 
     [paper.cartesian]                   # published figures, printed beside ours
     max_deviation_m = "0.7 mm"
@@ -45,13 +53,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
-from robomill.cell.entries import ComponentParameters, Entry, ScenarioError
+from robomill.cell.binding import convert
 from robomill.models.planning.gcode import DIALECTS, Setup, Vector
 from robomill.models.process.cutting import MAX_TEETH, EndMill
+from robomill.orchestration.system.definition import EQUIPMENT
+from robomill.orchestration.system.entries import Entry
 
 __all__ = ["ComponentParameters", "Scenario", "ScenarioError", "Variant", "Workpiece", "load_scenario"]
 
+ComponentParameters = Mapping[str, Mapping[str, Any]]
+"""component -> parameter -> value as written; checked and converted against the component's ports when the system is assembled."""
 KINDS = ("milling", "static_loads")
 PLAIN_OFFSETS: Mapping[float, Vector] = {54: (0.0, 0.0, 0.0)}
 """Work offsets where a scenario names none."""
@@ -70,10 +83,14 @@ _FACES: Mapping[str, tuple[tuple[int, float], ...]] = {
     "centre": (),
 }
 """Words of a place in the block: axis and share of the size from the centre of the top."""
-_SECTIONS = {"scenario", "parameters", "workpiece", "variants", "paper", "tools"}
+_SECTIONS = {"scenario", "parameters", "workpiece", "variants", "paper", "tools", "scan", *EQUIPMENT}
 _FOLDERS = ("plan", "offline")
 """Folders beside those of the variants."""
-_PAPER_UNITS = {"_m": "m", "_n": "N", "_s": "s", "_percent": "%"}
+_PAPER_UNITS = {"_m": "m", "_n": "N", "_s": "s", "_percent": "%", "_hz": "Hz", "_m_s": "m/s"}
+
+
+class ScenarioError(ValueError):
+    """A scenario file that cannot be used; the text names file, line, key, what was found and what is expected."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +114,18 @@ class Variant:
     name: str
     title: str
     parameters: ComponentParameters
+    sources: Mapping[str, str] = field(default_factory=dict)
+    """component -> what stands there instead of the source that the system names."""
+
+
+@dataclass(frozen=True)
+class Scan:
+    """How a faced block is scanned."""
+
+    depth: float
+    """How far the programmed plane lies below the top [m]."""
+    margin: float
+    """What is left out at both ends in x of P [m]."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +149,10 @@ class Scenario:
     """The tools by T number; empty: the milling component's own does all."""
     tool_titles: Mapping[int, str] = field(default_factory=dict)
     """What those that have a title are called."""
+    equipment: Mapping[str, Entry] = field(default_factory=dict)
+    """Robot, tool, material and sensor, where they are others than those of the system."""
+    scan: Scan | None = None
+    """How the surface is scanned, if it is."""
 
 
 def load_scenario(path: str | Path) -> Scenario:
@@ -128,11 +161,11 @@ def load_scenario(path: str | Path) -> Scenario:
     if not file.is_file():
         beside = sorted(str(f) for f in file.parent.glob("*.toml")) if file.parent.is_dir() else []
         raise FileNotFoundError(f"no scenario {file}; TOML files in that folder: {', '.join(beside) or 'none'}")
-    top = Entry.load(file).keys({"scenario"}, _SECTIONS - {"scenario"})
+    top = Entry.load(file, ScenarioError, convert).keys({"scenario"}, _SECTIONS - {"scenario"})
     head = top["scenario"].keys({"name", "kind", "system"}, {"title", "program", *_READING})
-    kind = head["kind"].value
+    kind = head["kind"].choice((*KINDS, "experiment", "removal_rate"))
     if kind not in KINDS:
-        raise head["kind"].fail(f"kind is {kind!r}; known kinds: {', '.join(KINDS)}, experiment")
+        raise head["kind"].fail(f"{kind!r} cannot be used here; expected {' or '.join(KINDS)}")
     milling = kind == "milling"
     for key, there in (
         ("program", "program" in head),
@@ -152,12 +185,19 @@ def load_scenario(path: str | Path) -> Scenario:
         program=head["program"].file() if "program" in head else None,
         workpiece=workpiece,
         parameters=top.get("parameters", {}).parameters(),
-        variants=tuple(_variant(name, entry) for name, entry in top.get("variants", {}).items()),
-        paper={name: _figures(entry) for name, entry in top.get("paper", {}).items()},
+        variants=tuple(variant(name, entry) for name, entry in top.get("variants", {}).items()),
+        paper={name: published_figures(entry) for name, entry in top.get("paper", {}).items()},
         reading=_reading(head, workpiece.work_offsets if workpiece else PLAIN_OFFSETS),
         tools=tools,
         tool_titles={int(name): entry["title"].text() for name, entry in top.get("tools", {}).items() if "title" in entry},
+        equipment=equipment(top),
+        scan=_scan(top["scan"], workpiece) if "scan" in top else None,
     )
+
+
+def equipment(top: Entry) -> dict[str, Entry]:
+    """The tables of a scenario or experiment file that name robot, tool, material and sensor, as `load_system` takes them."""
+    return {key: top[key].table() for key in EQUIPMENT if key in top}
 
 
 def _workpiece(entry: Entry) -> Workpiece:
@@ -168,9 +208,19 @@ def _workpiece(entry: Entry) -> Workpiece:
     return Workpiece(entry["position"].vector("m"), size, entry.get("abc", [0, 0, 0]).vector("rad"), _work_offsets(entry, size))
 
 
+def _scan(entry: Entry, workpiece: Workpiece | None) -> Scan:
+    entry.keys({"depth"}, {"margin"})
+    scan = Scan(entry["depth"].si("m"), entry.get("margin", 0).si("m"))
+    if not scan.depth > 0.0:
+        raise entry["depth"].fail(f"{entry['depth'].value!r}; expected a positive length: the plane lies below the top")
+    if workpiece is None or not 0.0 <= 2.0 * scan.margin < workpiece.size[0]:
+        raise entry.get("margin", 0).fail(f"{scan.margin:g} m at both ends; expected less than half of the length of the block")
+    return scan
+
+
 def _work_offsets(entry: Entry, size: Vector) -> dict[float, Vector]:
     """`zero` and `work_offsets` as the reader of programs takes them."""
-    given = entry.get("work_offsets", {}).keys(set(), set(OFFSETS))
+    given = entry.get("work_offsets", {}).keys((), OFFSETS)
     if "zero" in entry and "G54" in given:
         raise entry["zero"].fail("is the same as work_offsets.G54, which is there, too; give one of them")
     origins = {OFFSETS[name]: _place(value, size) for name, value in given.items()}
@@ -214,15 +264,13 @@ def _reading(head: Entry, offsets: Mapping[float, Vector]) -> Setup:
         if key in head:
             x, y, z = (c + o for c, o in zip(head[key].vector("m"), zero, strict=True))
             setup = replace(setup, start=(x, y, z)) if key == "start" else replace(setup, home=(x, y, z))
-    dialect = head.get("dialect", setup.dialect)
-    if dialect.text() not in DIALECTS:
-        raise dialect.fail(f"{dialect.value!r}; known: {', '.join(DIALECTS)}")
+    dialect = head.get("dialect", setup.dialect).choice(DIALECTS)
     feed, speed = (head[k].si(u) if k in head else None for k, u in (("feed", "m/s"), ("spindle_speed", "rad/s")))
     for key, value in (("feed", feed), ("spindle_speed", speed)):
         if value is not None and value <= 0.0:
             raise head[key].fail(f"{head[key].value!r} is not positive")
     block_delete, wear = head.get("block_delete", setup.block_delete).flag(), head.get("wear", setup.wear).flag()
-    return replace(setup, dialect=dialect.value, block_delete=block_delete, wear=wear, feed=feed, spindle_speed=speed)
+    return replace(setup, dialect=dialect, block_delete=block_delete, wear=wear, feed=feed, spindle_speed=speed)
 
 
 def _tool(name: str, entry: Entry) -> tuple[int, EndMill]:
@@ -239,16 +287,18 @@ def _tool(name: str, entry: Entry) -> tuple[int, EndMill]:
     return int(name), EndMill(entry["diameter"].si("m"), teeth, entry["helix"].si("rad"), entry["cutting_length"].si("m"))
 
 
-def _variant(name: str, entry: Entry) -> Variant:
-    entry.keys(set(), {"title", "parameters"})
+def variant(name: str, entry: Entry) -> Variant:
+    """`[variants.cartesian]`."""
+    entry.keys((), {"title", "parameters", "sources"})
     if Entry(entry.content, name, entry.key).folder_name() in _FOLDERS:
         raise entry.fail(f"a variant cannot be called {name!r}: the results have a folder of that name; taken: {', '.join(_FOLDERS)}")
-    return Variant(name, entry.get("title", name).text(), entry.get("parameters", {}).parameters())
+    sources = {component: source.text() for component, source in entry.get("sources", {}).items()}
+    return Variant(name, entry.get("title", name).text(), entry.get("parameters", {}).parameters(), sources)
 
 
-def _figures(entry: Entry) -> dict[str, float]:
+def published_figures(entry: Entry) -> dict[str, float]:
     """Published figures; the name ends in the unit they are kept in, as in summary.json."""
-    units = {key: next((u for suffix, u in _PAPER_UNITS.items() if key.endswith(suffix)), None) for key in entry.table().value}
+    units = {key: next((u for suffix, u in reversed(_PAPER_UNITS.items()) if key.endswith(suffix)), None) for key in entry.table().value}
     for key in (k for k, unit in units.items() if unit is None):
         raise entry[key].fail(f"the name of a figure ends in its unit, as in summary.json: {', '.join(_PAPER_UNITS)}")
     return {key: entry[key].si(unit) for key, unit in units.items() if unit is not None}

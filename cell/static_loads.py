@@ -2,20 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from robomill.cell.binding import convert, resolve, with_fmus
+from robomill.cell.equipment import load_system
 from robomill.cell.milling import with_parameters
 from robomill.cell.scenario import Scenario
 from robomill.models.calibration.validation_loads import ValidationLoads, validation_loads
 from robomill.models.model.declaration import FloatArray
 from robomill.orchestration.assembly import assemble
-from robomill.orchestration.slaves.protocol import arrays, inputs, outputs
+from robomill.orchestration.slaves.protocol import Port, arrays, inputs, outputs
 from robomill.orchestration.system.definition import System
+
+
+@dataclass(frozen=True)
+class LoadCase:
+    """Displacement of the tool under one load, as summary.json has it."""
+
+    case: int
+    load: str
+    displacement_m: float
+    d_T_B_m: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class StaticLoads:
+    """What a variant comes to, as summary.json has it."""
+
+    mean_displacement_m: float
+    max_displacement_m: float
+    cases: tuple[LoadCase, ...]
+
+    @property
+    def magnitudes(self) -> FloatArray:
+        """Displacement [m] in each case."""
+        return np.array([c.displacement_m for c in self.cases])
 
 
 def displacements(system: System, loads: ValidationLoads) -> FloatArray:
@@ -38,7 +63,7 @@ def displacements(system: System, loads: ValidationLoads) -> FloatArray:
     return result
 
 
-def _span(ports: Any, causality: str, name: str) -> slice:
+def _span(ports: Sequence[Port], causality: str, name: str) -> slice:
     """Where an array stands among the inputs or outputs; KeyError lists what there is."""
     chosen = [p for p in ports if p.causality == causality]
     found = arrays(chosen)
@@ -48,24 +73,15 @@ def _span(ports: Any, causality: str, name: str) -> slice:
     return slice(first, first + len(found[name]))
 
 
-def run_static_loads(scenario: Scenario, fmus: Path | None = None) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-    """Run every variant; returns the summary (as in summary.json) and the displacement magnitudes [m] by variant.
-
-    The figures at the top of the summary are those of the first variant.
-    """
+def run_static_loads(scenario: Scenario, fmus: Path | None = None) -> dict[str, StaticLoads]:
+    """Run every variant; by its name."""
     loads = validation_loads()
-    magnitudes: dict[str, FloatArray] = {}
-    summary: dict[str, Any] = {"scenario": scenario.name, "variants": {}}
+    found: dict[str, StaticLoads] = {}
     for variant in scenario.variants:
-        system = with_parameters(System.load(scenario.system, convert), scenario.parameters)
+        system = with_parameters(load_system(scenario.system, scenario.equipment), scenario.parameters)
         system = with_parameters(replace(system, name=f"{scenario.name}/{variant.name}"), variant.parameters)
         d = displacements(with_fmus(system, fmus) if fmus else system, loads)
         size = np.linalg.norm(d, axis=1)
-        magnitudes[variant.name] = size
-        cases = [
-            {"case": i + 1, "load": loads.label[i], "displacement_m": float(size[i]), "d_T_B_m": d[i].tolist()} for i in range(len(size))
-        ]
-        figures = {"mean_displacement_m": float(size.mean()), "max_displacement_m": float(size.max()), "cases": cases}
-        summary["variants"][variant.name] = figures
-    first = next(iter(summary["variants"].values()))
-    return {**first, **summary}, magnitudes
+        cases = tuple(LoadCase(i + 1, loads.label[i], float(size[i]), tuple(d[i].tolist())) for i in range(len(size)))
+        found[variant.name] = StaticLoads(float(size.mean()), float(size.max()), cases)
+    return found

@@ -49,7 +49,7 @@ class Calls(ABC):
     """The library of one FMU. Only what is called is looked for in it, so that one with gaps can be tried, too."""
 
     prefix: str
-    """Of the functions."""
+    """What the names of the functions begin with."""
     platform: str
     """Name of the folder with the library for this machine."""
     types: ClassVar[Mapping[str, Type]]

@@ -44,17 +44,15 @@ Parameters of "logging" are `lag PATTERN` [s], `smooth PATTERN` (time constant o
 from __future__ import annotations
 
 import cmath
-import difflib
 import math
 import re
-import sys
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from robomill.orchestration.system.toml_file import TomlFile
-from robomill.orchestration.system.written import merged
+from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.written import Written, merged
 
 LOGGING = "logging"
 """Component that stands for the log itself."""
@@ -69,10 +67,8 @@ _LOCATION = {"name", "parameters"}
 _PHASE, _PER = "phase", "per"
 COS, SIN = " cos ", " sin "
 """Between an amplitude and its phase, in the name of its part that is in phase, and of that a quarter of a turn ahead."""
-_NUISANCE = {"component", "parameters", "relative", "absolute", "unit", "source"}
 _QUIET = {"component", "parameters"}
 _SEED = {"component", "parameter"}
-_REFINEMENT = {"divide", "sampled"}
 
 
 def selects(pattern: str, channel: str) -> bool:
@@ -195,7 +191,7 @@ class Tolerance:
     size: float
     relative: bool
     unit: str = "1"
-    """Of an absolute size."""
+    """Unit of an absolute size."""
     place: str = ""
     """Where it stands: `catalogue.toml:12`."""
 
@@ -245,7 +241,80 @@ class Catalogue:
         file = Path(path)
         if not file.is_file():
             raise FileNotFoundError(f"no catalogue {file}")
-        return _Reader(file, TomlFile.load(file, CatalogueError)).catalogue()
+        return _read(Entry.load(file, CatalogueError), file)
+
+    def within(self, system: Mapping[str, Collection[str]]) -> tuple[Catalogue, tuple[str, ...]]:
+        """What of it a system has, and what is left out, in words; `system`: component -> its parameter elements.
+
+        Entries about the log stay.
+        """
+        left_out: dict[str, dict[str, dict[str, None]]] = {}
+
+        def there(kind: str, entry: str, component: str, *names: str) -> bool:
+            if component == LOGGING:
+                return True
+            elements = system.get(component)
+            known = {*elements, *(e.partition("[")[0] for e in elements)} if elements is not None else set()
+            fits = elements is not None and known.issuperset(names)
+            if not fits:
+                lack = (
+                    f"component {component!r} has no parameters for" if elements is not None else f"there is no component {component!r} for"
+                )
+                left_out.setdefault(lack, {}).setdefault(kind, {})[entry] = None
+            return fits
+
+        candidates = tuple(c for c in self.candidates if there("effects", c.effect, c.component, *c.named))
+        tolerances = tuple(t for t in self.tolerances if there("tolerances of", t.address[1], *t.address))
+        quiet = {c: {k: v for k, v in values.items() if there("quiet", k, c, k)} for c, values in (self.quiet or {}).items()}
+        kept = {c: Written(values, getattr((self.quiet or {})[c], "places", {})) for c, values in quiet.items() if values}
+        seeds = tuple(a for a in self.seeds if there("seeds", a[1], *a))
+        refinement = self.refinement
+        if refinement is not None:
+            refinement = replace(refinement, sampled=tuple(c for c in refinement.sampled if there("refinement", c, c)))
+        fitting = replace(self, candidates=candidates, tolerances=tolerances, quiet=kept, seeds=seeds, refinement=refinement)
+        notes = []
+        for lack, kinds in left_out.items():
+            listed = "; ".join(f"{kind} {', '.join(entries)}" for kind, entries in kinds.items())
+            notes.append(f"{self.file.name}: {lack} {listed}: skipped")
+        return fitting, tuple(notes)
+
+    def joined(self, other: Catalogue) -> Catalogue:
+        """Both catalogues as one; CatalogueError for an effect that both have."""
+        double = sorted(set(self.effects) & set(other.effects))
+        if double:
+            raise CatalogueError(f"{other.file}: effect {double[0]!r} is in {self.file}, too; give one of them another name")
+        quiet = dict(self.quiet or {})
+        for component, values in (other.quiet or {}).items():
+            quiet[component] = merged(quiet.get(component, {}), values)
+        refinement = self.refinement or other.refinement
+        if self.refinement and other.refinement:
+            refinement = replace(self.refinement, sampled=(*self.refinement.sampled, *other.refinement.sampled))
+        return replace(
+            self,
+            candidates=(*self.candidates, *other.candidates),
+            tolerances=(*self.tolerances, *other.tolerances),
+            quiet=quiet,
+            seeds=tuple(dict.fromkeys((*self.seeds, *other.seeds))),
+            descriptions={**(self.descriptions or {}), **(other.descriptions or {})},
+            refinement=refinement,
+            titles={**self.titles, **other.titles},
+        )
+
+    def about(self, component: str, system_name: str) -> Catalogue:
+        """What it says about `component`, said about `system_name`: a package does not know what its component is called in a system."""
+
+        def named(name: str) -> str:
+            return system_name if name == component else name
+
+        refinement = self.refinement and replace(self.refinement, sampled=tuple(map(named, self.refinement.sampled)))
+        return replace(
+            self,
+            candidates=tuple(replace(c, component=named(c.component)) for c in self.candidates),
+            tolerances=tuple(replace(t, address=(named(t.address[0]), t.address[1])) for t in self.tolerances),
+            quiet={named(c): values for c, values in (self.quiet or {}).items()},
+            seeds=tuple((named(c), name) for c, name in self.seeds),
+            refinement=refinement,
+        )
 
     def check_units(self, units: Mapping[Address, str]) -> None:
         """CatalogueError for an effect or a tolerance whose unit is not that of its parameter; `units` by component and element."""
@@ -261,159 +330,82 @@ class Catalogue:
                 )
 
 
-class _Reader:
-    """The checks; every message begins with the file and the entry."""
+def _read(top: Entry, file: Path) -> Catalogue:
+    top.keys({"effect"}, {"nuisance", "quiet", "seed", "refinement", "titles"})
+    descriptions: dict[str, tuple[str, str]] = {}
+    candidates: list[Candidate] = []
+    for entry in top["effect"].each():
+        candidates += _effect(entry)
+        if candidates[-1].effect in descriptions:
+            raise entry["name"].fail("is there twice")
+        descriptions[candidates[-1].effect] = (entry["description"].text(), entry["source"].text())
+    quiet: dict[str, Mapping[str, Any]] = {}
+    for entry in top.get("quiet", []).each():
+        component = entry.keys(_QUIET)["component"].text()
+        quiet[component] = merged(quiet.get(component, {}), entry["parameters"].written())
+    return Catalogue(
+        file,
+        tuple(candidates),
+        tuple(t for entry in top.get("nuisance", []).each() for t in _tolerances(entry)),
+        quiet,
+        tuple((entry.keys(_SEED)["component"].text(), entry["parameter"].text()) for entry in top.get("seed", []).each()),
+        descriptions,
+        _refinement(top["refinement"]) if "refinement" in top else None,
+        {name: title.text() for name, title in top.get("titles", {}).items()},
+    )
 
-    def __init__(self, file: Path, content: TomlFile) -> None:
-        self.file, self.content = file, content
-        self.at: tuple[str | int, ...] = ()
-        """The entry that is read."""
 
-    def fail(self, where: str, text: str) -> CatalogueError:
-        return CatalogueError(f"{self.content.place(*self.at)}: {where}: {text}")
+def _effect(entry: Entry) -> list[Candidate]:
+    entry.keys(_EFFECT)
+    name, component, unit = (entry[key].text() for key in ("name", "component", "unit"))
+    low, high = entry["minimum"].positive(), entry["maximum"].positive()
+    if low >= high:
+        raise entry["minimum"].fail(f"{low} is not below maximum = {high} (both are magnitudes)")
+    both = entry["sign"].choice(("positive", "both")) == "both"
+    of = entry["prior"].keys({"kind", "scale"}, {"spread"})
+    prior = Prior(of["kind"].choice(("normal", "log-normal")), of["scale"].positive(), of.get("spread", 0.8).positive())
+    locations = entry["locations"].each()
+    if not locations:
+        raise entry["locations"].expected("at least one location")
+    made: dict[str, Candidate] = {}
+    for spot in locations:
+        called = spot.keys(_LOCATION, {_PHASE, _PER})["name"].text()
+        if called in made:
+            raise spot["name"].fail(f"location {called!r} is there twice")
+        parameters, size = _names(spot["parameters"], component), prior
+        if _PHASE in spot:
+            phase = spot[_PHASE].text()
+            if len(parameters) != 1 or component == LOGGING:
+                raise spot[_PHASE].fail(f"{phase!r} needs one parameter of a component beside it, its amplitude")
+            parameters, size = (parameters[0] + COS + phase, parameters[0] + SIN + phase), Prior("normal", prior.scale)
+        if _PER in spot and spot[_PER].choice(("run",)) and _PHASE not in spot:
+            raise spot[_PER].fail("'run' is for a phase, which is not there; add phase = PARAMETER")
+        signs, place = both or _PHASE in spot, entry["unit"].place
+        made[called] = Candidate(name, component, called, parameters, low, high, size, unit, signs, len(locations), place, _PER in spot)
+    return list(made.values())
 
-    def keys(self, where: str, table: Any, allowed: set[str], required: set[str]) -> dict[str, Any]:
-        if not isinstance(table, dict):
-            raise self.fail(where, f"expected a table, found {table!r}")
-        for key in table:
-            if key not in allowed:
-                self.at = (*self.at, key)
-                near = difflib.get_close_matches(key, allowed, 1)
-                raise self.fail(
-                    where, f"unknown key {key!r}{f', did you mean {near[0]!r}' if near else ''}; known: {', '.join(sorted(allowed))}"
-                )
-        missing = sorted(required - set(table))
-        if missing:
-            raise self.fail(where, f"missing: {', '.join(missing)}")
-        return table
 
-    def number(self, where: str, key: str, value: Any, *, positive: bool = True) -> float:
-        usable = (
-            not isinstance(value, bool) and isinstance(value, int | float) and abs(value) <= sys.float_info.max
-        )  # no NaN, inf, huge integer
-        if not usable or (positive and value <= 0.0):
-            self.at = (*self.at, key)
-            raise self.fail(where, f"{key} = {value!r}; expected a {'positive ' if positive else ''}number in the unit that is stated")
-        return float(value)
+def _tolerances(entry: Entry) -> list[Tolerance]:
+    entry.keys({"component", "parameters", "source"}, {"relative", "absolute", "unit"})["source"].text()
+    given = [entry[key] for key in ("relative", "absolute") if key in entry]
+    if len(given) != 1:
+        raise entry.fail(f"expected either relative or absolute; found {'both' if given else 'neither'}")
+    component, unit, place = entry["component"].text(), entry.get("unit", "1").text(), given[0].place
+    names = _names(entry["parameters"], component)
+    return [Tolerance((component, name), given[0].positive(), "relative" in entry, unit, place) for name in names]
 
-    def text(self, where: str, key: str, value: Any) -> str:
-        if not isinstance(value, str) or not value:
-            raise self.fail(where, f"{key} = {value!r}; expected a text")
-        return value
 
-    def names(self, where: str, component: str, value: Any) -> tuple[str, ...]:
-        if not isinstance(value, list) or not value or not all(isinstance(v, str) and v for v in value):
-            raise self.fail(where, f"parameters = {value!r}; expected a list of names, such as ['backlash[2]']")
-        for name in value:
-            kind, _, pattern = name.partition(" ")
-            if component == LOGGING and (kind not in OBSERVATIONS or not pattern):
-                raise self.fail(where, f"parameter {name!r} of the log; expected 'KIND PATTERN' with KIND one of {', '.join(OBSERVATIONS)}")
-        return tuple(value)
+def _names(entry: Entry, component: str) -> tuple[str, ...]:
+    names = entry.texts()
+    if not names:
+        raise entry.expected("a list of names, such as ['backlash[2]']")
+    for i, name in enumerate(names):
+        kind, _, pattern = name.partition(" ")
+        if component == LOGGING and (kind not in OBSERVATIONS or not pattern):
+            raise entry[i].expected(f"'KIND PATTERN' of the log, with KIND one of {', '.join(OBSERVATIONS)}")
+    return names
 
-    def catalogue(self) -> Catalogue:
-        table = dict(self.content.table)
-        self.keys("the file", table, {"effect", "nuisance", "quiet", "seed", "refinement", "titles"}, {"effect"})
-        candidates: list[Candidate] = []
-        descriptions: dict[str, tuple[str, str]] = {}
-        for i, entry in enumerate(self.listed("effect", table["effect"])):
-            self.at = ("effect", i)
-            found = self.effect(f"[[effect]] {i + 1}", entry)
-            name = found[0].effect
-            if name in descriptions:
-                raise self.fail(f"effect {name!r}", "is there twice")
-            descriptions[name] = (entry["description"], entry["source"])
-            candidates += found
-        tolerances: list[Tolerance] = []
-        for i, entry in enumerate(self.listed("nuisance", table.get("nuisance", []))):
-            where, self.at = f"[[nuisance]] {i + 1}", ("nuisance", i)
-            self.keys(where, entry, _NUISANCE, {"component", "parameters", "source"})
-            self.text(where, "source", entry["source"])
-            given = [k for k in ("relative", "absolute") if k in entry]
-            if len(given) != 1:
-                raise self.fail(where, f"expected either relative or absolute; found {' and '.join(given) or 'neither'}")
-            component, size = self.text(where, "component", entry["component"]), self.number(where, given[0], entry[given[0]])
-            unit, place = self.text(where, "unit", entry.get("unit", "1")), self.content.place(*self.at, given[0])
-            tolerances += [
-                Tolerance((component, p), size, given[0] == "relative", unit, place)
-                for p in self.names(where, component, entry["parameters"])
-            ]
-        quiet: dict[str, Mapping[str, Any]] = {}
-        for i, entry in enumerate(self.listed("quiet", table.get("quiet", []))):
-            where, self.at = f"[[quiet]] {i + 1}", ("quiet", i)
-            self.keys(where, entry, _QUIET, _QUIET)
-            component = self.text(where, "component", entry["component"])
-            values = self.content.written(self.keys(where, entry["parameters"], set(entry["parameters"]), set()), *self.at, "parameters")
-            quiet[component] = merged(quiet.get(component, {}), values)
-        seeds = []
-        for i, entry in enumerate(self.listed("seed", table.get("seed", []))):
-            where, self.at = f"[[seed]] {i + 1}", ("seed", i)
-            self.keys(where, entry, _SEED, _SEED)
-            seeds.append((self.text(where, "component", entry["component"]), self.text(where, "parameter", entry["parameter"])))
-        refinement = self.refinement(table["refinement"]) if "refinement" in table else None
-        named = table.get("titles", {})
-        titles = {k: self.text("[titles]", k, v) for k, v in self.keys("[titles]", named, set(named), set()).items()}
-        return Catalogue(self.file, tuple(candidates), tuple(tolerances), quiet, tuple(seeds), descriptions, refinement, titles)
 
-    def refinement(self, entry: Any) -> Refinement:
-        self.keys("[refinement]", entry, _REFINEMENT, {"divide"})
-        divide = entry["divide"]
-        if isinstance(divide, bool) or not isinstance(divide, int) or divide < 2:
-            raise self.fail("[refinement]", f"divide = {divide!r}; expected a whole number from 2")
-        sampled = entry.get("sampled", [])
-        if not isinstance(sampled, list):
-            raise self.fail("[refinement]", f"sampled = {sampled!r}; expected a list of components")
-        return Refinement(divide, tuple(self.text("[refinement]", "sampled", name) for name in sampled))
-
-    def listed(self, key: str, value: Any) -> list[Any]:
-        if not isinstance(value, list):
-            raise self.fail(key, f"expected [[{key}]] entries, found {value!r}")
-        return value
-
-    def effect(self, where: str, entry: Any) -> list[Candidate]:
-        if isinstance(entry, dict) and isinstance(entry.get("name"), str):
-            where = f"effect {entry['name']!r}"
-        self.keys(where, entry, _EFFECT, _EFFECT)
-        self.text(where, "name", entry["name"])
-        component = self.text(where, "component", entry["component"])
-        sign = entry["sign"]
-        if sign not in ("positive", "both"):
-            raise self.fail(where, f"sign = {sign!r}; expected 'positive' or 'both'")
-        low, high = (self.number(where, key, entry[key]) for key in ("minimum", "maximum"))
-        if low >= high:
-            raise self.fail(where, f"minimum = {low} is not below maximum = {high} (both are magnitudes)")
-        prior = self.prior(where, entry["prior"])
-        for key in ("description", "source", "unit"):
-            self.text(where, key, entry[key])
-        made, seen = [], set()
-        locations = self.listed("locations", entry["locations"])
-        if not locations:
-            raise self.fail(where, "has no locations")
-        for spot in locations:
-            self.keys(f"{where}, locations", spot, _LOCATION | {_PHASE, _PER}, _LOCATION)
-            name = self.text(where, "name of a location", spot["name"])
-            if name in seen:
-                raise self.fail(where, f"location {name!r} is there twice")
-            seen.add(name)
-            parameters = self.names(f"{where}, location {name!r}", component, spot["parameters"])
-            size, both = prior, sign == "both"
-            if _PHASE in spot:
-                phase = self.text(f"{where}, location {name!r}", _PHASE, spot[_PHASE])
-                if len(parameters) != 1 or component == LOGGING:
-                    raise self.fail(
-                        f"{where}, location {name!r}", f"phase = {phase!r}; expected one parameter of a component beside it, its amplitude"
-                    )
-                parameters = (parameters[0] + COS + phase, parameters[0] + SIN + phase)
-                size, both = Prior("normal", prior.scale), True
-            if _PER in spot and (spot[_PER] != "run" or _PHASE not in spot):
-                raise self.fail(f"{where}, location {name!r}", f"per = {spot[_PER]!r}; expected 'run' beside a phase")
-            unit, places, written = entry["unit"], len(locations), self.content.place(*self.at, "unit")
-            made.append(Candidate(entry["name"], component, name, parameters, low, high, size, unit, both, places, written, _PER in spot))
-        return made
-
-    def prior(self, where: str, value: Any) -> Prior:
-        self.keys(f"{where}, prior", value, {"kind", "scale", "spread"}, {"kind", "scale"})
-        if value["kind"] not in ("normal", "log-normal"):
-            raise self.fail(where, f"prior kind {value['kind']!r}; expected 'normal' or 'log-normal'")
-        return Prior(
-            value["kind"], self.number(where, "prior scale", value["scale"]), self.number(where, "prior spread", value.get("spread", 0.8))
-        )
+def _refinement(entry: Entry) -> Refinement:
+    entry.keys({"divide"}, {"sampled"})
+    return Refinement(entry["divide"].count(2), entry.get("sampled", []).texts())

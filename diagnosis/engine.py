@@ -18,7 +18,7 @@ from robomill.diagnosis.gate import phases, run_set
 from robomill.diagnosis.inference.estimation import Fit, probabilities
 from robomill.diagnosis.inference.search import Search, likely_count, searched
 from robomill.diagnosis.inference.sensitivities import NOMINAL
-from robomill.diagnosis.outcome.answer import Diagnosis, Menu, curves_of, effort_of, result_of, titles_of
+from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, curves_of, effort_of, titles_of
 from robomill.diagnosis.outcome.conclusion import Conclusion
 from robomill.diagnosis.outcome.how_far import CLOSING
 from robomill.diagnosis.outcome.verdict import UNEXPLAINED, UNKNOWN, over_noise, unexplained
@@ -68,6 +68,9 @@ def diagnose(
     conditions = [*sort_by_condition(used, system), *sort_by_condition(held, system, held_out=True)]
     run_set.check_spans(conditions)
     n = sum(not c.held_out for c in conditions)
+    with assemble(Laboratory(system, conditions, ()).configured(0), resolver, convert) as assembly:
+        parameters = {name: [p.name for p in slave.ports if p.causality == "parameter"] for name, slave in assembly.slaves.items()}
+    catalogue, skipped = catalogue.within(parameters)
     ports = _ports(system, conditions, resolver, convert, catalogue)
     conditions = [replace(c, runs=tuple(in_units(r, ports, convert) for r in c.runs)) for c in conditions]
     channels = list(ports)
@@ -75,9 +78,18 @@ def diagnose(
     decimation = max(1, math.ceil(sum(len(c.grid) for c in conditions[:n]) / ROWS))
     nuisances = _nuisances(system, conditions, resolver, convert, catalogue)
     nominal = {u.address: u.nominal for u in nuisances if u.nominal}
-    seeds = [a for a in catalogue.seeds if any(c.name == a[0] for c in system.components)]
     laboratory = Laboratory(
-        system, conditions, channels, resolver, convert, catalogue.quiet or {}, nominal, decimation, seeds, catalogue.refinement, ports
+        system,
+        conditions,
+        channels,
+        resolver,
+        convert,
+        catalogue.quiet or {},
+        nominal,
+        decimation,
+        catalogue.seeds,
+        catalogue.refinement,
+        ports,
     )
     turned = phases.aligned(laboratory, catalogue.candidates, n)
     conditions = list(laboratory.conditions)
@@ -101,9 +113,12 @@ def diagnose(
                 fatal = [finding]
         if fatal:
             curves = curves_of(laboratory, groups, simulator.repeated(range(n), (), NOMINAL))
-            result = result_of("bad_log", findings) | {"effort": effort_of(began, simulator)}
-            return Diagnosis(result, {}, (), tuple(channels), curves, ports, titles_of(catalogue.titles, ports))
-        return Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, began).diagnosis()
+            answer = Answer("bad_log", tuple(findings), effort=effort_of(began, simulator), skipped=tuple(skipped))
+            return Diagnosis(answer, {}, (), tuple(channels), curves, ports, titles_of(catalogue.titles, ports))
+        conclusion = Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair)
+        answer, adopted = conclusion.answer()
+        answer = replace(answer, effort=effort_of(began, simulator), skipped=tuple(skipped))
+        return Diagnosis(answer, adopted, tuple(fits), tuple(channels), conclusion.curves(adopted), ports, conclusion.titles)
 
 
 def _other_programs(
@@ -143,10 +158,10 @@ def _wrong_channel(
         return None
     names = [c for c, on in zip(search.simulator.laboratory.channels, search.evidence.active, strict=True) if on]
     gap = search.evidence.space.y
-    energy = ((gap - search.evidence.space.explained(gap)) ** 2).reshape(-1, len(names)).sum(axis=0)
-    if energy.max() < DOMINANT * energy.sum():
+    chi2 = ((gap - search.evidence.space.explained(gap)) ** 2).reshape(-1, len(names)).sum(axis=0)
+    if chi2.max() < DOMINANT * chi2.sum():
         return None
-    name = names[int(energy.argmax())]
+    name = names[int(chi2.argmax())]
     if unexplained(over_noise(search, fits[0]), over_noise(search, best)) >= UNEXPLAINED and (rest := _rest(search, best, groups, name)):
         return gate.Finding(name, "constant", rest, "s", f"stands still for {rest:.3g} s, which nothing explains")
     sign = np.where(np.array(search.simulator.laboratory.channels) == name, -1.0, 1.0)
@@ -202,7 +217,7 @@ def _nuisances(
             given = {**starts, **assembly.parameters.get(name, {})}
             values[name] = {k: float(v) for k, v in given.items() if k in starts and isinstance(v, int | float)}
     clocks = [Nuisance(t.address, t.size) for t in catalogue.tolerances if t.address[0] == LOGGING]
-    return clocks + [u for t in catalogue.tolerances if t.address[0] in values for u in t.nuisances(values[t.address[0]])]
+    return clocks + [u for t in catalogue.tolerances if t.address[0] != LOGGING for u in t.nuisances(values[t.address[0]])]
 
 
 def _gate(

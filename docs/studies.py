@@ -24,6 +24,8 @@ from robomill.orchestration.system.definition import Connection, System
 HERE = Path(__file__).parent
 GROOVE = load_scenario(HERE.parent / "scenarios" / "groove.toml")
 FIGURES = HERE / "figures"
+PLACES = 24
+"""Random places of the workpiece that are milled at; those out of reach do not count."""
 
 
 def results(changes: dict[str, dict[str, Any]], variants: Iterable[str], folder: Path) -> dict[str, Result]:
@@ -56,7 +58,7 @@ def positions(folder: Path) -> None:
     assert GROOVE.workpiece is not None
     rng = np.random.default_rng(0)
     left: list[float] = []
-    while len(left) < 24:
+    while len(left) < PLACES:
         place = rng.uniform([1.1, -0.6, 0.9], [1.9, 0.6, 1.7])
         turn = float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi
         workpiece = replace(GROOVE.workpiece, position=tuple(place), abc=(turn, 0.0, 0.0))
@@ -64,7 +66,7 @@ def positions(folder: Path) -> None:
             job = milling.prepare(replace(GROOVE, workpiece=workpiece), folder, overwrite=True)
         except OrchestrationError:
             continue  # out of reach
-        pair = [evaluate(v.name, v.title, milling.mill(job, v)[0], workpiece, 1.0).figures["max_deviation_m"] for v in GROOVE.variants[:2]]
+        pair = [evaluate(v.name, v.title, milling.mill(job, v)[0], workpiece, 1.0).figures.max_deviation_m for v in GROOVE.variants[:2]]
         left.append(pair[1] / pair[0])
     print(f"share left at {len(left)} places: {min(left):.2f} .. {max(left):.2f}, median {np.median(left):.2f}")
 
@@ -75,7 +77,7 @@ def lead_time(folder: Path) -> None:
     rows = []
     for lead in leads:
         r = results({"path": {"lead_time": float(lead)}}, ["cartesian_pilot"], folder)["cartesian_pilot"].figures
-        rows.append((1e3 * lead, 1e3 * r["max_deviation_m"], 1e3 * r["reaction_t50_s"]))
+        rows.append((1e3 * lead, 1e3 * r.max_deviation_m, 1e3 * r.reaction_t50_s))
     table = np.array(rows)
     print("lead ms | max deviation mm | reaction ms")
     for row in rows:
@@ -109,8 +111,8 @@ def calibration(folder: Path) -> None:
     print("case | uncompensated mm | Cartesian mm | axis mm | pilot mm | reaction ms | with pilot ms")
     for name, changes in cases.items():
         r = {k: v.figures for k, v in results(changes, [v.name for v in GROOVE.variants], folder).items()}
-        deviations = " | ".join(f"{1e3 * r[v.name]['max_deviation_m']:.2f}" for v in GROOVE.variants)
-        print(f"{name} | {deviations} | {1e3 * r['cartesian']['reaction_t50_s']:.0f} | {1e3 * r['cartesian_pilot']['reaction_t50_s']:.0f}")
+        deviations = " | ".join(f"{1e3 * r[v.name].max_deviation_m:.2f}" for v in GROOVE.variants)
+        print(f"{name} | {deviations} | {1e3 * r['cartesian'].reaction_t50_s:.0f} | {1e3 * r['cartesian_pilot'].reaction_t50_s:.0f}")
 
 
 def smooth_loop(folder: Path) -> System:

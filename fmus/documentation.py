@@ -6,12 +6,15 @@ from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 
+from robomill.files import FILES, licence
+from robomill.fmus.components import companion
 from robomill.fmus.interface import Interface, Port
-from robomill.models.model.declaration import Variable
+from robomill.models.model.declaration import Model, Variable
 from robomill.models.model.units import from_si
 
-ROOT = Path(__file__).resolve().parent.parent
-PAGES = ROOT / "docs" / "components"
+PAGES = FILES / "docs" / "components"
+FEW = 6
+"""Start values of an array that are listed (one per joint, say); more are looked up in modelDescription.xml."""
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #1c2733; }
 table { border-collapse: collapse; margin: 1rem 0; }
@@ -22,15 +25,18 @@ td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: 
 
 
 def index_html(interface: Interface, backend: str, notes: Iterable[str] = (), page: str | None = None, fmi: str = "2.0") -> str:
-    """The page: what the FMU is, `page` (Markdown) or docs/components/<name>.md if there is one, ports, parameters, `notes` on use."""
+    """The page: what the FMU is, `page` (Markdown), ports, parameters, `notes` on use.
+
+    Without `page` it is docs/components/<name>.md, or <name>.md beside the module of the model, if there is one.
+    """
     model = interface.model
     body = [f"<h1>{escape(model.name)}</h1>", f"<p>{escape(model.description.rstrip('.'))}.</p>"]
     body.append(
         f"<p>FMI {fmi} co-simulation FMU ({escape(backend)}), made by robomill. SI units; the display units are for reading only.</p>"
     )
-    file = PAGES / f"{model.name}.md"
-    if page is None and file.is_file():
-        page = file.read_text(encoding="utf-8")
+    if page is None:
+        files = [PAGES / f"{model.name}.md", *_own_page(model)]
+        page = next((f.read_text(encoding="utf-8") for f in files if f.is_file()), None)
     if page:
         first, _, rest = page.partition("\n")
         body.append(_html(rest if first.startswith("# ") else page))
@@ -40,6 +46,13 @@ def index_html(interface: Interface, backend: str, notes: Iterable[str] = (), pa
     body += ["<h2>Use</h2>", "<ul>", *(f"<li>{escape(n)}</li>" for n in notes), "</ul>"]
     head = f'<meta charset="utf-8"><title>{escape(model.name)}</title><style>{_STYLE}</style>'
     return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head><body>\n' + "\n".join(body) + "\n</body></html>\n"
+
+
+def _own_page(model: Model) -> list[Path]:
+    try:
+        return [companion(model, f"{model.name}.md")]
+    except ValueError:  # a recording, which no module holds
+        return []
 
 
 def _html(markdown: str) -> str:
@@ -71,7 +84,7 @@ def _start(v: Variable) -> str:
         return "built-in rows"
     values = v.start_values.ravel()
     if len(set(values.tolist())) > 1:
-        return "see modelDescription.xml" if len(values) > 6 else ", ".join(_number(x, v) for x in values)
+        return "see modelDescription.xml" if len(values) > FEW else ", ".join(_number(x, v) for x in values)
     return _number(float(values[0]), v)
 
 
@@ -91,11 +104,10 @@ def _number(value: float, v: Variable) -> str:
 
 def reference_files(name: str) -> dict[str, bytes]:
     """Inputs, outputs, parameters and tables of the golden results of a component; empty where there are none."""
-    folder = ROOT / "tests" / "golden" / name
+    folder = FILES / "tests" / "golden" / name
     return {f.name: f.read_bytes() for f in sorted(folder.glob("*")) if f.suffix in (".csv", ".json", ".npy")}
 
 
 def licences() -> dict[str, bytes]:
     """Licence files: that of this project and those of what a backend adds."""
-    file = ROOT / "LICENSE"
-    return {"documentation/licenses/license.txt": file.read_bytes()} if file.is_file() else {}
+    return {"documentation/licenses/license.txt": licence()}

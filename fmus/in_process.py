@@ -41,6 +41,8 @@ class InProcessSlave:
     def configure(self, parameters: Mapping[str, Any]) -> None:
         """Set parameters [unit of the port] by element, scalar or whole-array name; tables by rows or the path of a .npy file.
 
+        Start values of inputs are set in the same way.
+
         ComponentError names the parameter, what was given, what is expected and, for unknown names, what there is.
         """
         instance = self.instance
@@ -50,8 +52,8 @@ class InProcessSlave:
                 continue
             port = self.interface.by_name.get(name)
             ports = (port,) if port is not None else self._elements(name)
-            if ports[0].causality != "parameter":
-                raise ComponentError(f"{self.name}: {name} is an {ports[0].causality}, not a parameter")
+            if ports[0].causality not in ("parameter", "input"):
+                raise ComponentError(f"{self.name}: {name} is an {ports[0].causality}; only parameters and inputs can be set")
             values = [value] if port is not None else self._values(name, value, len(ports))
             for p, v in zip(ports, values, strict=True):
                 instance.set(p, v)

@@ -80,7 +80,7 @@ def default_experiment(root: Element, options: Options) -> None:
 
 
 def variable_attributes(name: str, port: Port) -> dict[str, str]:
-    """Of a variable of any type: name, value reference, description, causality, variability, initial."""
+    """XML attributes of a variable of any type: name, value reference, description, causality, variability, initial."""
     attributes = {"name": name, "valueReference": str(port.reference), "description": port.description}
     attributes |= {"causality": port.causality, "variability": port.variability}
     if port.initial is not None:

@@ -20,7 +20,7 @@ from robomill.orchestration.runs.run import Run, check_vacant
 from robomill.orchestration.runs.watch import Watch
 from robomill.orchestration.slaves.isolation import IsolatedSlave
 from robomill.orchestration.slaves.multirate import MultiRate
-from robomill.orchestration.slaves.playback import ReplaySlave
+from robomill.orchestration.slaves.playback import Playback
 from robomill.orchestration.slaves.protocol import Port, PortData, Scalar, Slave, arrays, outputs, plain
 from robomill.orchestration.system.definition import Component, System
 from robomill.orchestration.system.parameters import Convert, prepare, same_unit_only
@@ -75,8 +75,13 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
     `convert` turns values with units into those of the ports. Raises SlaveError, SystemFileError or
     WiringError, with file and line where they are known; nothing stays open then.
     """
+    if system.equipment and not system.equipped:
+        named = ", ".join(f"[{key}]" for key in system.equipment)
+        raise SystemFileError(
+            f"{system.where(None)}the system has {named}, which nobody has looked up for its components; load it with robomill.System.load"
+        )
     slaves: dict[str, Slave] = {}
-    warnings: list[str] = []
+    warnings: list[str] = list(system.warnings)
     try:
         for c in system.components:
             with _attributed(system, c):
@@ -84,7 +89,7 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
             warnings += [f"component {c.name!r}: {text}" for text in getattr(slaves[c.name], "warnings", ())]
         for c in system.components:
             old = slaves[c.name]
-            if isinstance(old, ReplaySlave):  # its inputs are whatever is connected to it
+            if isinstance(old, Playback):  # its inputs are whatever is connected to it
                 slaves[c.name] = old.with_inputs(_connected_inputs(system, c.name, {n: s.ports for n, s in slaves.items()}))
         parameters: dict[str, dict[str, Scalar]] = {}
         starts: dict[str, dict[str, Scalar]] = {}
@@ -93,6 +98,7 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
                 parameters[c.name] = _configure(system, c, slaves[c.name], convert)
                 if c.inputs:
                     starts[c.name] = prepare(c.name, slaves[c.name].ports, c.inputs, convert, causality="input")
+                    slaves[c.name].configure(starts[c.name])  # initialisation sees them, too
             if (c.rate, c.every) != (1, 1):
                 slaves[c.name] = MultiRate(slaves[c.name], c.rate, c.every)
         ports = {name: _started(s.ports, starts.get(name, {})) for name, s in slaves.items()}
@@ -213,7 +219,7 @@ def _open(system: System, c: Component, resolver: Resolver | None) -> Slave:
         raise SlaveError(f"isolate = true is for FMUs; source {c.source!r} runs in this process")
     if c.source.startswith(REPLAY):
         folder, _, component = c.source[len(REPLAY) :].partition("#")
-        return ReplaySlave(c.name, Run.load(system.folder / folder), component or None)
+        return Playback.of_run(c.name, Run.load(system.folder / folder), component or None)
     if c.source.endswith(".fmu"):
         # iterated coupling goes back to the beginning of a step of the system, at most
         goes_back = system.algorithm == "iterated" and c.rate > 1
@@ -236,7 +242,7 @@ def _started(ports: Sequence[Port], starts: Mapping[str, Scalar]) -> Sequence[Po
 
 
 def _configure(system: System, c: Component, slave: Slave, convert: Convert) -> dict[str, Scalar]:
-    if isinstance(slave, ReplaySlave):
+    if isinstance(slave, Playback):
         return {}
     values = prepare(c.name, slave.ports, c.parameters, convert, system.folder)
     slave.configure(values)

@@ -74,6 +74,15 @@ class Interrupted(OrchestrationError):  # noqa: N818  # not a failure
         super().__init__(f"interrupted{by} at t = {time:.9g} s" + (f"; results up to there are in {folder}" if folder else ""))
 
 
+MAX_WRONG_NAME = 200
+"""Characters of a name that does not exist that are shown, and compared with those that do: a file may hold one of any length."""
+
+
+def shortened(text: str, most: int) -> str:
+    """The first `most` characters, and three dots if there are more."""
+    return text if len(text) <= most else text[:most] + "..."
+
+
 def available(names: Iterable[str], limit: int = 40) -> str:
     """The names as a comma separated list, shortened after `limit`."""
     listed = list(names)
@@ -84,7 +93,7 @@ def available(names: Iterable[str], limit: int = 40) -> str:
 def unknown(what: str, name: str, names: Iterable[str]) -> str:
     """Sentence for a name that does not exist: closest matches first, then what is available."""
     listed = list(names)
-    name = name if len(name) <= 200 else name[:200] + "..."
+    name = shortened(name, MAX_WRONG_NAME)
     close = difflib.get_close_matches(name, listed, n=3, cutoff=0.6)
     hint = f" did you mean {' or '.join(repr(c) for c in close)}?" if close else ""
     return f"unknown {what} {name!r};{hint} available: {available(listed)}"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Run", "Scenario", "System", "load_scenario", "run"]
 
-if not (Path(__file__).parent / "models").is_dir():  # a checkout of a system without symbolic links
+if not (Path(__file__).parent / "models").is_dir():  # a checkout on a system without symbolic links
     __path__.append(str(Path(__file__).parents[1]))
 
 

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from robomill.cell.binding import convert, resolve
+from robomill.cell.equipment import load_system
 from robomill.cell.scenario import Scenario, load_scenario
 from robomill.orchestration.assembly import run as _run
 from robomill.orchestration.runs.run import Run
@@ -26,5 +27,8 @@ class System(_System):
 
     @staticmethod
     def load(file: str | Path, convert: Convert = convert) -> _System:
-        """Read a system file; SystemFileError names file, line, what was found and what is allowed."""
-        return _System.load(file, convert)
+        """Read a system file, and give its components the robot, tool, material and sensor that it names (`cell.equipment`).
+
+        SystemFileError names file, line, what was found and what is allowed.
+        """
+        return load_system(file)

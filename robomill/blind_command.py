@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from argparse import SUPPRESS, Namespace
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING, Any
 from rich.box import SIMPLE
 from rich.table import Table
 
+from robomill.files import FILES
+
 if TYPE_CHECKING:
     from robomill.diagnosis.catalogue import Catalogue
 
 PAGE = Path("docs/benchmarks/blind.md")
 SIMULATIONS = "simulations"
-CATALOGUE = Path(__file__).parent.parent / "scenarios" / "catalogue.toml"
+CATALOGUE = FILES / "scenarios" / "catalogue.toml"
 
 
 def add_arguments(parser: Any) -> None:
@@ -61,19 +63,19 @@ def diagnose_case(case: Path, out: Path, without: str | None = None) -> None:
     `simulations` beside the cases, which may be deleted at any time.
     """
     from robomill.cell.binding import convert, resolve
+    from robomill.cell.equipment import load_system
     from robomill.diagnose_command import menu, sources
     from robomill.diagnosis.catalogue import Catalogue
     from robomill.diagnosis.engine import diagnose
     from robomill.diagnosis.experiment.store import Store
     from robomill.orchestration.runs.run import Run
-    from robomill.orchestration.system.definition import System
 
     runs = [Run.load(f) for f in sorted((case / "runs").iterdir()) if f.is_dir()]
-    system = System.load(case / "system.toml", convert)
+    system = load_system(case / "system.toml")
     catalogue = lacking(Catalogue.load(CATALOGUE), without)
     with TemporaryDirectory() as folder:
         told = menu(system, Path(folder))
-        store = Store(case.parent.parent / SIMULATIONS, sources())
+        store = Store(case.parent.parent / SIMULATIONS, sources(system))
         found = diagnose(system, runs, catalogue, resolver=resolve, convert=convert, menu=told, store=store)
     (out / "diagnosis.json").write_text(json.dumps(found.result, indent=1) + "\n", encoding="utf-8")
 
@@ -94,7 +96,7 @@ def blind(options: Namespace) -> int:
         if options.step == "make":
             from robomill.blind.generate import make
 
-            made = make(options.folder, options.cases, options.seed, options.tier, report, options.jobs)
+            made = asdict(make(options.folder, options.cases, options.seed, options.tier, report, options.jobs))
             summary = {k: v for k, v in made.items() if k != "files"}
             text = f"{made['cases']} cases of tier {made['tier']} in {options.folder}/cases, truth sealed as {made['truth'][:12]}"
         elif options.step == "run":
@@ -106,7 +108,7 @@ def blind(options: Namespace) -> int:
         elif options.step == "withhold":
             from robomill.blind.withhold import withhold
 
-            summary = withhold(options.folder, diagnose_case, options.jobs, report)
+            summary = asdict(withhold(options.folder, diagnose_case, options.jobs, report))
             (options.folder / "withheld.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
             verdicts = ", ".join(f"{round(f['value'] * f['count'])} {v}" for v, f in summary["figures"].items() if f["value"])
             text = f"{len(summary['cases'])} diagnosed without their effect in the catalogue: {verdicts or 'none'}"
@@ -116,7 +118,8 @@ def blind(options: Namespace) -> int:
         else:
             from robomill.blind.score import score
 
-            summary = score(options.folder, isolability=not options.no_isolability, baselines=not options.no_baselines, progress=report)
+            found = score(options.folder, isolability=not options.no_isolability, baselines=not options.no_baselines, progress=report)
+            summary = asdict(found)
             (options.folder / "score.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
             text = ""
     if options.json:
@@ -160,7 +163,7 @@ def tables(summary: dict[str, Any]) -> list[Table]:
         others = [_number(baselines[b].get(key)) for b in baselines]
         interval = figure["interval"]
         between = f"{interval[0]:.2f} .. {interval[1]:.2f}" if interval else ""
-        asked, style = bound(key, summary["tier"]), "red" if met(key, figure, summary["tier"]) is False else None
+        asked, style = bound(key, summary["tier"]), "red" if met(key, figure["value"], summary["tier"]) is False else None
         first.add_row(key, _number(figure), between, str(figure["count"]), "" if asked is None else str(asked), *others, style=style)
     second = Table(title="single effects", box=SIMPLE)
     for heading in ("effect", "cases", "detectable", "isolable", "detected", "named", "in first 3", "said first"):

@@ -20,6 +20,7 @@ from robomill.orchestration.errors import Interrupted, OrchestrationError
 DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exchangeable FMUs."
 
 ACTIONS = {
+    "example": ("example_command", "run"),
     "run": ("commands", "run"),
     "build": ("commands", "build"),
     "check": ("commands", "check"),
@@ -27,6 +28,7 @@ ACTIONS = {
     "import": ("import_command", "run"),
     "diagnose": ("diagnose_command", "run"),
     "blind": ("blind_command", "blind"),
+    "identify": ("identify_command", "run"),
 }
 """Module and function of each command; imported when it is called, because some take seconds."""
 
@@ -42,10 +44,16 @@ class _Parser(argparse.ArgumentParser):
 
 def parser() -> argparse.ArgumentParser:
     """All commands and their options."""
-    from robomill import blind_command
+    from robomill import blind_command, identify_command
 
-    main_parser = _Parser("robomill", description=DESCRIPTION, epilog="Start with: robomill run scenarios/groove.toml")
+    main_parser = _Parser(
+        "robomill", description=DESCRIPTION, epilog="Start with: robomill example groove, then robomill run scenarios/groove.toml"
+    )
     commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    example = _command(commands, "example", "list the examples that come with robomill, or copy one here", "robomill example groove")
+    example.add_argument("name", nargs="?", help="which one; without, they are listed")
+    example.add_argument("folder", nargs="?", type=Path, metavar="DIR", help="where to (default: scenarios, as in the documentation)")
 
     run = _command(commands, "run", "run a scenario in all its variants, or a system file once", "robomill run scenarios/groove.toml")
     run.add_argument("file", type=Path, help="scenario or system file (TOML), or an SSP package (.ssp)")
@@ -143,7 +151,12 @@ def parser() -> argparse.ArgumentParser:
         metavar="RUN",
         help="runs that are not fitted: does the answer hold there, and how far is the gap closed",
     )
-    diagnose.add_argument("--catalogue", type=Path, metavar="FILE", help="candidate effects (default: catalogue.toml beside the system)")
+    diagnose.add_argument(
+        "--catalogue",
+        type=Path,
+        metavar="FILE",
+        help="effects to look for (default: catalogue.toml beside the system, else the milling cell's)",
+    )
     diagnose.add_argument("--out", type=Path, default=Path("results") / "diagnosis", metavar="DIR", help="folder for the answer")
     diagnose.add_argument("--repair", action="store_true", help="correct a clock that is late, and diagnose the rest")
     diagnose.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
@@ -152,6 +165,14 @@ def parser() -> argparse.ArgumentParser:
         commands, "blind", "the benchmark of withheld effects: make, run, score, page", "robomill blind make results/blind --cases 24"
     )
     blind_command.add_arguments(blind)
+
+    identify = _command(
+        commands,
+        "identify",
+        "identify parameters of the cell: springs of the robot, payload of the force sensor",
+        "robomill identify stiffness data/fanuc_r2000ic/loads.toml",
+    )
+    identify_command.add_arguments(identify)
     return main_parser
 
 
@@ -163,6 +184,12 @@ def _plan_arguments(plan: argparse.ArgumentParser) -> None:
 
     plan.add_argument("program", type=Path, help="G-code, a path of points (TOML), or a scenario")
     place("--at", 'centre of the block\'s top in the base: mm, or with a unit, such as "1.3 m" (default: 1300 0 1200)')
+    plan.add_argument(
+        "--robot",
+        metavar="NAME",
+        default="kr300_r2500_ultra",
+        help="whose reach is checked: a name of models/data/robots, or a .toml file",
+    )
     plan.add_argument("--turn", type=in_unit("deg"), metavar="DEG", help="workpiece turned about z: degrees, or with a unit")
     plan.add_argument(
         "--block",

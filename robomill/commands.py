@@ -6,7 +6,7 @@ import json
 import sys
 import tomllib
 from argparse import Namespace
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -15,17 +15,19 @@ from typing import Any
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from robomill import conformance
-from robomill.cell import experiments, milling, static_loads
+from robomill.cell import experiments, milling, path_learning, removal_rate, scan, static_loads
 from robomill.cell import package as ssp
 from robomill.cell.binding import convert, resolve, with_fmus
-from robomill.cell.evaluation import Result, evaluate
+from robomill.cell.equipment import load_system
+from robomill.cell.evaluation import Figures, Result, evaluate
 from robomill.cell.plausibility import unusual_values
 from robomill.cell.scenario import Scenario, ScenarioError, load_scenario
 from robomill.diagnosis.outcome import adopt
+from robomill.example_command import examples
 from robomill.fmus.components import COMPONENTS, component
 from robomill.fmus.documentation import reference_files
 from robomill.fmus.python.builder import build as build_python
@@ -40,6 +42,8 @@ from robomill.orchestration.ssp.importing import open_ssp
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.toml_text import parse
 
+DEFAULT_FMI = 2
+"""Version of FMI that is built where none is asked for; Python FMUs know no other."""
 RESULTS = Path("results")
 _SHOWN = (
     ("max_deviation_m", "max deviation", 1e3, "mm", "{:.2f}"),
@@ -59,6 +63,9 @@ def run(options: Namespace) -> int:
                 print(f"{options.file.name}: ignored: {text}", file=sys.stderr)
             return _run_system(package.system, options, package.start)
     if not options.file.is_file():
+        name = options.file.with_suffix("").as_posix().removeprefix("scenarios/")
+        if name in examples():
+            raise FileNotFoundError(f"no scenario {options.file}; `robomill example {name}` copies it here")
         load_scenario(options.file)  # says what there is
     if options.file.suffix in (".ngc", ".nc", ".gcode", ".tap", ".cnc", ".gc"):
         raise ValueError(
@@ -69,10 +76,16 @@ def run(options: Namespace) -> int:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
         is_scenario = False  # the system loader names the line
     if not is_scenario:
-        return _run_system(System.load(options.file, convert), options)
+        return _run_system(load_system(options.file), options)
     if experiments.is_experiment(options.file):
         _only_cells_take(options, "experiment")
         return _run_experiment(options)
+    if removal_rate.is_removal_rate(options.file):
+        _only_cells_take(options, removal_rate.KIND)
+        return _run_removal_rate(options)
+    if path_learning.is_learning(options.file):
+        _only_cells_take(options, path_learning.KIND)
+        return _run_learning(options)
     _only_systems_take(options, "step", "stop")
     scenario = load_scenario(options.file)
     folder = options.out or RESULTS / scenario.name
@@ -123,8 +136,9 @@ def _run_experiment(options: Namespace) -> int:
         folder.mkdir(parents=True, exist_ok=True)
         with FolderLock(folder):
             again = options.overwrite
-            summary = experiments.run_experiment(experiment, folder, options.variant, options.fmus, options.csv, report, overwrite=again)
-    summary |= {"notes": notes, "warnings": warnings}
+            runs = experiments.run_experiment(experiment, folder, options.variant, options.fmus, options.csv, report, overwrite=again)
+    said = {"notes": notes, "warnings": warnings}
+    summary = {"scenario": experiment.name, "kind": experiment.kind, "runs": [asdict(r) for r in runs], **said}
     _write(folder / "summary.json", summary)
     if options.json:
         print(json.dumps(summary, indent=1))
@@ -132,14 +146,54 @@ def _run_experiment(options: Namespace) -> int:
     table = Table(title=experiment.title, title_justify="left", box=SIMPLE)
     for heading in ("condition", "repeat", "duration\ns", "largest displacement\nmm", "largest force\nN"):
         table.add_column(heading, justify="left" if heading == "condition" else "right")
-    for r in summary["runs"]:
-        figures = (f"{r['duration_s']:.1f}", f"{1e3 * r['max_displacement_m']:.3f}", f"{r['max_force_n']:.0f}")
-        table.add_row(r["condition"], str(r["repeat"]), *figures)
+    for r in runs:
+        table.add_row(r.condition, str(r.repeat), f"{r.duration_s:.1f}", f"{1e3 * r.max_displacement_m:.3f}", f"{r.max_force_n:.0f}")
     console = _console()
     console.print(table)
     for text in notes:
         console.print(f"note: {text}", highlight=False, markup=False)
-    console.print(f"{len(summary['runs'])} runs are in {folder}/", highlight=False)
+    console.print(f"{len(runs)} runs are in {folder}/", highlight=False)
+    return 0
+
+
+def _run_learning(options: Namespace) -> int:
+    scenario = path_learning.load_learning(options.file)
+    folder = options.out or RESULTS / scenario.name
+    folder.mkdir(parents=True, exist_ok=True)
+    with _progress(options.json) as report, FolderLock(folder):
+        summary, results = path_learning.run_learning(scenario, folder, options.variant, options.fmus, report, options.overwrite)
+    _write(folder / "summary.json", summary)
+    if not options.no_pictures:
+        from robomill.cell import learning_pictures
+
+        learning_pictures.draw_all(scenario, results, folder)
+    if options.json:
+        print(json.dumps(summary, indent=1))
+        return 0
+    table = Table(title=scenario.title, title_justify="left", box=SIMPLE)
+    for heading in (
+        "variant",
+        "pass",
+        "rms\nmm",
+        "worst\nmm",
+        "no contact\n%",
+        "with F/k, rms\nmm",
+        "worst\nmm",
+        "program\npoints",
+        "worst\nmm",
+    ):
+        table.add_column(heading, justify="left" if heading == "variant" else "right")
+    for r in results:
+        for n, p in enumerate(r.passes, 1):
+            f, last = p.figures, n == len(r.passes)
+            lengths = [f"{1e3 * f[k]:.3f}" for k in ("rms_m", "worst_m", "smoothed_rms_m", "smoothed_worst_m")]
+            program = [str(r.figures["points"]), f"{1e3 * r.figures['program_worst_m']:.3f}"] if last else ["", ""]
+            table.add_row(r.variant.title if n == 1 else "", str(n), *lengths[:2], f"{100.0 * f['no_contact']:.0f}", *lengths[2:], *program)
+    console = _console()
+    console.print(table)
+    console.print(
+        f"In {folder}/: per variant a run per pass, path.mod (RAPID), path.ngc (G-code, unless the tool turns), learnt.png", highlight=False
+    )
     return 0
 
 
@@ -162,7 +216,8 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
             job = replace(job, system=_adopted(_looped(job.system, options), options))  # the plan and its offline force stay nominal
             for variant in chosen:
                 recorded, factor = milling.mill(job, variant, report, csv=options.csv)
-                results.append(evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor))
+                result = evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor)
+                results.append(scan.scanned(scenario, result) if scenario.scan else result)
                 summary = _write_summary(scenario, folder, results, job)
     except (OrchestrationError, KeyboardInterrupt):
         if results and not options.json:
@@ -173,6 +228,8 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
         from robomill.cell import pictures  # matplotlib takes a second to load
 
         files = pictures.draw_all(scenario, results, folder)
+        if scenario.scan:
+            files += scan.draw(scenario, results, folder)
     if options.json:
         print(json.dumps(summary, indent=1))
         return 0
@@ -180,6 +237,8 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     console.print(_table(scenario, results))
     for result in results:
         console.print(f"{result.title}: {_largest(result.figures)}", highlight=False)
+        if scenario.scan:
+            console.print(f"  {scan.text(result, scenario.paper.get(result.name, {}))}", highlight=False)
     for text in job.notes:
         console.print(f"note: {text}", highlight=False, markup=False)
     pictures_note = f" and {len(files)} pictures (start with {files[0].name})" if files else ""
@@ -194,7 +253,7 @@ def _write_summary(scenario: Scenario, folder: Path, results: Sequence[Result], 
         old = json.loads(file.read_text(encoding="utf-8"))["variants"]
     except (OSError, ValueError, KeyError, TypeError):
         old = {}
-    figures = {**old, **{r.name: r.figures for r in results}}
+    figures = {**old, **{r.name: asdict(r.figures) for r in results}}
     said = {"notes": list(job.notes), "warnings": list(job.warnings)}
     summary = {"scenario": scenario.name, **said, "variants": {v.name: figures[v.name] for v in scenario.variants if v.name in figures}}
     _write(file, summary)
@@ -210,22 +269,22 @@ def _table(scenario: Scenario, results: Sequence[Result]) -> Table:
     for r in results:
         cells = []
         for key, _, factor, _, form in _SHOWN:
-            ours, published = r.figures[key], scenario.paper.get(r.name, {}).get(key)
+            ours, published = getattr(r.figures, key), scenario.paper.get(r.name, {}).get(key)
             text = "-" if ours is None else form.format(factor * ours)
-            if key == "max_deviation_m" and r.figures["max_deviation_limited"]:
+            if key == "max_deviation_m" and r.figures.max_deviation_limited:
                 text = f">= {text}"
             cells.append(text if published is None else f"{text} ({form.format(factor * published)})")
         table.add_row(r.title, *cells)
     return table
 
 
-def _largest(figures: Mapping[str, Any]) -> str:
+def _largest(figures: Figures) -> str:
     """Where the largest deviation is, whether it may be more, or why there is none."""
-    if figures["max_deviation_m"] is None:
-        return str(figures["note"])
-    text = f"largest deviation: {figures['max_deviation_location']}"
-    if figures["max_deviation_limited"]:
-        size = f">= {1e3 * figures['max_deviation_m']:.2f} mm (limit of the measure)"
+    if figures.max_deviation_m is None:
+        return str(figures.note)
+    text = f"largest deviation: {figures.max_deviation_location}"
+    if figures.max_deviation_limited:
+        size = f">= {1e3 * figures.max_deviation_m:.2f} mm (limit of the measure)"
         text += f"; {size}: somewhere a thin wall or the rim of the block is gone, and nothing is left there to measure to"
     return text
 
@@ -235,7 +294,10 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
         raise ScenarioError(
             f"{folder} already holds results (summary.json); choose another folder (--out), or allow overwriting (--overwrite)"
         )
-    summary, magnitudes = static_loads.run_static_loads(scenario, options.fmus)
+    found = static_loads.run_static_loads(scenario, options.fmus)
+    written = {name: asdict(one) for name, one in found.items()}
+    summary = {**next(iter(written.values())), "scenario": scenario.name, "variants": written}  # at its top the first variant
+    magnitudes = {name: one.magnitudes for name, one in found.items()}
     _write(folder / "summary.json", summary)
     published = {name: figures["mean_displacement_m"] for name, figures in scenario.paper.items() if "mean_displacement_m" in figures}
     titles = {v.name: v.title for v in scenario.variants}
@@ -256,6 +318,59 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
     console.print(table)
     console.print(f"summary.json and the picture are in {folder}/", highlight=False)
     return 0
+
+
+def _run_removal_rate(options: Namespace) -> int:
+    _only_systems_take(options, "step", "stop")
+    scenario = removal_rate.load_removal_rate(options.file)
+    if options.variant:
+        unknown = sorted(set(options.variant) - {v.name for v in scenario.variants})
+        if unknown:
+            known = ", ".join(v.name for v in scenario.variants)
+            raise ScenarioError(f"{scenario.file}: no variant {', '.join(unknown)}; variants: {known}")
+        scenario = replace(scenario, variants=tuple(v for v in scenario.variants if v.name in options.variant))
+    folder = options.out or RESULTS / scenario.name
+    folder.mkdir(parents=True, exist_ok=True)
+    with _progress(options.json) as report, FolderLock(folder):
+        results = removal_rate.run_removal_rate(scenario, folder, options.fmus, options.csv, report, options.overwrite)
+    summary = removal_rate.summary(scenario, results)
+    _write(folder / "summary.json", summary)
+    files: list[Path] = []
+    if not options.no_pictures:
+        from robomill.cell import rate_pictures
+
+        files = rate_pictures.draw_all(scenario, results, folder)
+    if options.json:
+        print(json.dumps(summary, indent=1))
+        return 0
+    console = _console()
+    console.print(_rate_table(scenario, results))
+    for r in results:
+        for text in r.remarks:
+            console.print(f"{r.variant.title}: {text}", highlight=False, markup=False)
+    console.print(f"In {folder}/: a recording per variant, summary.json and {len(files)} pictures", highlight=False)
+    return 0
+
+
+def _rate_table(scenario: removal_rate.RateScenario, results: Sequence[removal_rate.RateResult]) -> Table:
+    """Time, peak and each section of all variants, and beside them what the paper has."""
+    table = Table(title=f"{scenario.title}\nin brackets: published", title_justify="left", box=SIMPLE)
+    columns = [("duration_s", "time\ns", "{:.2f}"), ("saved_percent", "saved\n%", "{:z.0f}"), ("peak_force_n", "peak\nN", "{:.0f}")]
+    for section in scenario.sections:
+        columns.append((f"force_{section.name}_n", f"{section.name}\nmean N", "{:.0f}"))
+        columns.append((f"std_{section.name}_n", "std\nN", "{:.1f}"))
+        columns.append((f"line_{section.name}_hz", "line\nHz", "{:.0f}"))
+    columns = [c for c in columns if c[0] in results[0].figures]
+    table.add_column("variant")
+    for _, heading, _ in columns:
+        table.add_column(heading, justify="right")
+    for r in results:
+        published = scenario.paper.get(r.variant.name, {})
+        cells = [
+            form.format(r.figures[key]) + (f" ({form.format(published[key])})" if key in published else "") for key, _, form in columns
+        ]
+        table.add_row(r.variant.title, *cells)
+    return table
 
 
 def _looped(system: System, options: Namespace) -> System:
@@ -329,7 +444,7 @@ def build(options: Namespace) -> int:
 
 def _build(models: Sequence[Model], options: Namespace, report: milling.Progress) -> list[Path]:
     """FMUs of all models with the backend and for the FMI versions that were asked for."""
-    versions = sorted(set(options.fmi or [2]))
+    versions = sorted(set(options.fmi or [DEFAULT_FMI]))
     report("build", 0, len(models) * len(versions))
     files: list[Path] = []
 
@@ -343,11 +458,11 @@ def _build(models: Sequence[Model], options: Namespace, report: milling.Progress
         built: list[Path] = []
         for fmi in versions:
             # the folder itself is where `run --fmus` and the packages, which know no FMI 3, look
-            folder = options.out / "fmi3" if fmi == 3 and len(versions) > 1 else options.out
+            folder = options.out / f"fmi{fmi}" if fmi != DEFAULT_FMI and len(versions) > 1 else options.out
             platforms = tuple(options.platform or ["linux64"])
             built += build_all(models, folder, fmi=fmi, platforms=platforms, reference=lambda m: reference_files(m.name), done=done)
         return built
-    if versions != [2] or options.platform:
+    if versions != [DEFAULT_FMI] or options.platform:
         raise ValueError("--fmi 3 and --platform go with --backend native; Python FMUs are FMI 2 for linux64 and win64")
     for model in models:
         done(build_python(model, options.out))
@@ -405,7 +520,7 @@ def _progress(quiet: bool) -> Iterator[milling.Progress]:
     console = Console(stderr=True)
     columns = (TextColumn("{task.description:40}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
-        tasks: dict[str, Any] = {}
+        tasks: dict[str, TaskID] = {}
 
         def report(what: str, done: int, total: int) -> None:
             if what not in tasks:

@@ -9,19 +9,23 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from robomill.cell import next_runs
 from robomill.cell.binding import convert, resolve
+from robomill.cell.equipment import load_system
 from robomill.diagnosis.catalogue import LOGGING, Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.outcome import adopt
-from robomill.diagnosis.outcome.answer import Diagnosis, Menu, as_json
+from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, as_json
 from robomill.diagnosis.outcome.next_run import Offer
-from robomill.joints import PROJECTIONS
+from robomill.files import FILES
+from robomill.fmus.components import NAMES, companion, component, home, is_component
+from robomill.joints import projections
+from robomill.models.model.cache import source_files
+from robomill.models.model.declaration import Model
 from robomill.orchestration.runs.run import Run
-from robomill.orchestration.system.definition import System
+from robomill.orchestration.system.definition import Component, System
 
 CATALOGUE = "catalogue.toml"
 SIMULATIONS = "simulations"
@@ -39,19 +43,17 @@ def menu(system: System, folder: Path) -> Menu:
             made[kind] = Offer(r.system, r.parameters, r.seconds, r.minutes, r.repeats, {c: v for c, v in shown.items() if v})
         return made
 
-    return Menu(offers=offers, projections=PROJECTIONS)
+    return Menu(offers=offers, projections=projections(system))
 
 
 def run(options: Namespace) -> int:
     """Exit status 0: answered; 1: the log is not usable."""
     from robomill.commands import _progress
 
-    file = options.catalogue or options.system.parent / CATALOGUE
-    if not file.is_file():
-        raise FileNotFoundError(f"no catalogue {file}; name one with --catalogue (the milling cell's is scenarios/{CATALOGUE})")
-    catalogue, system = Catalogue.load(file), System.load(options.system, convert)
+    system = load_system(options.system)
+    catalogue = catalogue_of(system, catalogue_file(options))
     runs, held = [Run.load(f) for f in options.runs], [Run.load(f) for f in options.held_out]
-    store = Store(options.out / SIMULATIONS, sources())
+    store = Store(options.out / SIMULATIONS, sources(system))
     if len(store) and not options.json:
         print(
             f"{len(store)} simulations of an interrupted diagnosis are in {store.folder}/; those that still hold are taken over",
@@ -81,9 +83,36 @@ def run(options: Namespace) -> int:
     if options.json:
         print(as_json(found.result))
     else:
-        print("\n".join(lines(found.result)))
+        print("\n".join(lines(found.answer)))
         print(f"report: {page}; beside it diagnosis.json{' and adopt.ssv' if (options.out / 'adopt.ssv').is_file() else ''}")
-    return 1 if found.result["verdict"] == "bad_log" else 0
+    return 1 if found.answer.verdict == "bad_log" else 0
+
+
+def catalogue_file(options: Namespace) -> Path:
+    """The catalogue that is named, or that beside the system, or the milling cell's. FileNotFoundError where the named one is not there."""
+    named: Path | None = options.catalogue
+    if named is not None and not named.is_file():
+        raise FileNotFoundError(f"no catalogue {named}; without --catalogue it is {CATALOGUE} beside the system, or the milling cell's")
+    beside: Path = options.system.parent / CATALOGUE
+    return named or (beside if beside.is_file() else FILES / "scenarios" / CATALOGUE)
+
+
+def catalogue_of(system: System, file: Path) -> Catalogue:
+    """The catalogue in `file`, and the effects that components from outside bring: `catalogue.toml` beside the module of their model.
+
+    There the component goes by the name of its model.
+    """
+    catalogue = Catalogue.load(file)
+    for c, model in _from_outside(system):
+        own = companion(model, CATALOGUE)
+        if own.is_file():
+            catalogue = catalogue.joined(Catalogue.load(own).about(model.name, c.name))
+    return catalogue
+
+
+def _from_outside(system: System) -> list[tuple[Component, Model]]:
+    """Components that run in process and are none of this project, with their models."""
+    return [(c, component(c.source)) for c in system.components if c.source not in NAMES and is_component(c.source)]
 
 
 def write(found: Diagnosis, system: System, runs: Sequence[Run], catalogue: Catalogue, folder: Path) -> Path:
@@ -92,48 +121,54 @@ def write(found: Diagnosis, system: System, runs: Sequence[Run], catalogue: Cata
 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "diagnosis.json").write_text(as_json(found.result) + "\n", encoding="utf-8")
-    if found.result["verdict"] in ("identified", "ambiguous"):
+    if found.answer.verdict in ("identified", "ambiguous"):
         adopt.write(found.adopted, folder / "adopt.ssv")
     else:
         (folder / "adopt.ssv").unlink(missing_ok=True)  # of an earlier answer
     return report.write(report.Subject(found, system, runs, catalogue), folder)
 
 
-@cache
-def sources() -> str:
-    """Hash of all that a simulation is computed with: simulations kept on disk are those of this program."""
-    digest = hashlib.sha256()
-    for package in ("models", "fmus", "orchestration", "diagnosis"):
-        for file in sorted((Path(__file__).parent / package).rglob("*")):
-            if file.suffix in (".py", ".toml"):
+def sources(system: System) -> str:
+    """Hash of all that a simulation is computed with: simulations kept on disk are those of this program and these components."""
+    digest = hashlib.sha256(_own_sources())
+    for _, model in _from_outside(system):
+        for name, file in source_files(home(model)[0]).items():
+            if not name.startswith("robomill."):
                 digest.update(file.read_bytes())
     return digest.hexdigest()
 
 
-def lines(result: dict[str, Any]) -> list[str]:
+@cache
+def _own_sources() -> bytes:
+    digest = hashlib.sha256()
+    for package in ("models", "fmus", "orchestration", "diagnosis"):
+        for file in sorted((FILES / package).rglob("*")):
+            if file.suffix in (".py", ".toml"):
+                digest.update(file.read_bytes())
+    return digest.digest()
+
+
+def lines(answer: Answer) -> list[str]:
     """The answer in sentences."""
-    guess = " (nothing was repeated: the noise is a guess)" if result.get("gap", {}).get("noise_is_a_guess") else ""
-    out = [f"verdict: {result['verdict']}{guess}"]
-    out += [f"log: {f['channel']} {f['text']}" for f in result["gate"]["findings"]]
-    for w in result["where"]:
-        if w["component"] != LOGGING:
-            out.append(f"where: {w['component']} ({w['location']}), {100 * w['share']:.0f} % of the gap, strongest in {w['direction']}")
-    for w in result["which"][:6]:
-        values = ", ".join(
-            f"{k} = {v['value']:.4g} [{v['interval'][0]:.4g} .. {v['interval'][1]:.4g}] {v['unit']}" for k, v in w["parameters"].items()
-        )
-        out.append(f"which: {w['effect']} at {w['location']}, probability {w['probability']:.2f}, {values}")
-    if "transfer" in result:
-        t = result["transfer"]
-        gain = f"gains {t['gain']:.4g} nats of {t['promised']:.4g} promised"
-        out.append(f"new conditions: {gain}, leaves {t['after']:.2f} times the energy of noise, nominal {t['before']:.2f}")
-    for h in result["how_far"]:
-        if h["unit"] != "1":
-            closed = "not measurable" if h["closure"] is None else f"closure {100 * h['closure']:.0f} %"
-            out.append(f"how far: {h['metric']}, {h['on']}: {h['before']:.3g} -> {h['after']:.3g} {h['unit']}, {closed}")
-    if result["next_run"]:
-        r = result["next_run"]
-        text = f"{r['kind']}, {r['minutes']:.0f} min, to separate {', '.join(r['separates'])}"
-        text += f": {r['distance']:.1f} deviations apart instead of {r['now']:.1f}"
-        out.append(f"next run: {text if r['separated'] else 'none on the menu would separate ' + ', '.join(r['separates'])}")
+    guess = " (nothing was repeated: the noise is a guess)" if answer.guessed else ""
+    out = [f"verdict: {answer.verdict}{guess}"]
+    out += [f"note: {text}" for text in answer.skipped]
+    out += [f"log: {f.channel} {f.text}" for f in answer.findings]
+    for w in answer.where:
+        if w.component != LOGGING:
+            out.append(f"where: {w.component} ({w.location}), {100 * w.share:.0f} % of the gap, strongest in {w.direction}")
+    for e in answer.which[:6]:
+        values = ", ".join(f"{k} = {v.value:.4g} [{v.interval[0]:.4g} .. {v.interval[1]:.4g}] {v.unit}" for k, v in e.parameters.items())
+        out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}, {values}")
+    if t := answer.transfer:
+        gain = f"gains {t.gain:.4g} nats of {t.expected_gain:.4g} expected"
+        out.append(f"new conditions: {gain}, leaves {t.after:.2f} times the chi2 of noise, nominal {t.before:.2f}")
+    for h in answer.how_far:
+        if h.unit != "1":
+            closed = "not measurable" if h.closure is None else f"closure {100 * h.closure:.0f} %"
+            out.append(f"how far: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}, {closed}")
+    if r := answer.next_run:
+        rivals = ", ".join(r.separates)
+        text = f"{r.kind}, {r.minutes:.0f} min, to separate {rivals}: {r.distance:.1f} deviations apart instead of {r.now:.1f}"
+        out.append(f"next run: {text if r.separated else f'none on the menu would separate {rivals}'}")
     return out

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 from argparse import Namespace
 from collections.abc import Iterable
-from typing import Any
 
 from robomill.logs.importing import import_log
 from robomill.logs.reading import LogError
 from robomill.orchestration.slaves.protocol import base_name
+
+Label = bool | int | float | str
 
 
 def run(options: Namespace) -> int:
@@ -23,9 +24,9 @@ def run(options: Namespace) -> int:
     return 0
 
 
-def labels(texts: Iterable[str]) -> dict[str, Any]:
+def labels(texts: Iterable[str]) -> dict[str, Label]:
     """`key=value` texts; true, false and numbers become what they look like. LogError for a text without `=`."""
-    found: dict[str, Any] = {}
+    found: dict[str, Label] = {}
     for text in texts:
         key, sign, value = text.partition("=")
         if not sign or not key:
@@ -34,7 +35,7 @@ def labels(texts: Iterable[str]) -> dict[str, Any]:
     return found
 
 
-def _value(text: str) -> Any:
+def _value(text: str) -> Label:
     if text in ("true", "false"):
         return text == "true"
     for kind in (int, float):

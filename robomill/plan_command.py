@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robomill.cell.binding import convert
+from robomill.cell.equipment import load_system, robot_of, tool_of
 from robomill.cell.milling import check, notes_of, read_program
 from robomill.cell.plan_checks import Findings, check_plan
 from robomill.cell.scenario import OFFSETS, load_scenario, place_in_block
@@ -22,9 +22,8 @@ from robomill.models.planning.reachability import check_reachable
 from robomill.models.planning.trajectory import Placement, Plan
 from robomill.models.planning.trajectory import plan as plan_path
 from robomill.models.process.cutting import EndMill
-from robomill.models.robot.kinematics import KR300
+from robomill.models.robot.kinematics import SPINDLE_ACROSS, Robot, Tool, load_robot
 from robomill.option_types import in_unit
-from robomill.orchestration.system.definition import System
 
 _PLACES = {"at", "turn", "start", "home", "offset", "zero", "block", "tool", "dialect", "no_block_delete", "wear"}
 """Options that a scenario has its own keys for."""
@@ -37,13 +36,15 @@ class _Task:
     program: Program | PointPath
     placement: Placement
     findings: Findings
+    robot: Robot
+    tool: Tool
 
 
 def plan(options: Namespace) -> int:
     """Duration, length, extent, reachability, notes and warnings; status 1 with warnings."""
     task = _from_scenario(options) if _is_scenario(options.program) else _from_options(options)
     planned = plan_path(task.program, task.placement)
-    check_reachable(planned)
+    check_reachable(planned, task.robot, task.tool, task.robot.q_home)
     if options.out is not None:
         np.save(options.out, planned.table)
     _show(planned, [*notes_of(task.program), *planned.notes], task.findings.texts, options.json)
@@ -67,13 +68,15 @@ def _from_scenario(options: Namespace) -> _Task:
     if scenario.program is None or scenario.workpiece is None:
         raise ValueError(f"{options.program}: a scenario of kind {scenario.kind!r} has no program to plan")
     program = read_program(scenario.program, scenario.reading)
-    findings = check(scenario, program, System.load(scenario.system, convert))
-    return _Task(program, Placement(scenario.workpiece.position, scenario.workpiece.abc), findings)
+    system = load_system(scenario.system, scenario.equipment)
+    placement = Placement(scenario.workpiece.position, scenario.workpiece.abc)
+    return _Task(program, placement, check(scenario, program, system), robot_of(system), tool_of(system))
 
 
 def _from_options(options: Namespace) -> _Task:
     x, y, z = (1e-3 * v for v in options.at or (1300.0, 0.0, 1200.0))
-    if math.hypot(x, y, z) < float(KR300.dh_a[1]):
+    robot = load_robot(options.robot)
+    if math.hypot(x, y, z) < float(robot.dh_a[1]):
         raise ValueError(
             f"--at {1e3 * x:g} {1e3 * y:g} {1e3 * z:g}: these are mm, nearer to axis 1 than axis 2 is; if metres are meant, write "
             f'them with their unit: --at "{1e3 * x:g} m" "{1e3 * y:g} m" "{1e3 * z:g} m"'
@@ -88,7 +91,7 @@ def _from_options(options: Namespace) -> _Task:
         mill = EndMill(1e-3 * options.tool, mill.teeth, mill.helix, math.inf)
     program = read_program(options.program, _setup(options, size))
     findings = check_plan(program, size, {0: mill}) if size is not None else Findings()
-    return _Task(program, Placement((x, y, z), (math.radians(options.turn or 0.0), 0.0, 0.0)), findings)
+    return _Task(program, Placement((x, y, z), (math.radians(options.turn or 0.0), 0.0, 0.0)), findings, robot, SPINDLE_ACROSS)
 
 
 def _setup(options: Namespace, size: Vector | None) -> Setup:

@@ -1,5 +1,8 @@
 """Components driven with measured inputs: simulations of one condition.
 
+Residual of output i in repeat k: r_ik = x_ik - f_i(x_k) - bias_i, with x the measured signals, f the component that the output belongs to,
+and bias the mean of the same difference for signals that are right by construction.
+
 The system is cut open wherever an output is measured: what is behind the cut gets the measured signal. Nothing that happens upstream of
 a cut, and no feedback through it, shows.
 
@@ -19,16 +22,17 @@ import numpy as np
 import numpy.typing as npt
 
 from robomill.diagnosis.catalogue import physical
-from robomill.diagnosis.experiment.playback import Tape
 from robomill.diagnosis.experiment.segments import array_of
 from robomill.diagnosis.experiment.simulation import Laboratory, Setting, decimate, refined
 from robomill.orchestration.assembly import run
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.playback import Playback
 from robomill.orchestration.slaves.protocol import FloatArray, Slave
 from robomill.orchestration.system.definition import Component, Connection, System
 
-TAPE = "tape:"
+PLAYBACK = "playback:"
+"""Source of the components that play back measured signals."""
 HALF_A_TICK = 0.5e-9
 """Times that lie closer together than this [s] are one: half a tick of the master's clock."""
 KNOWN = 1e-3
@@ -37,10 +41,14 @@ NULLS = 3
 """Repeats that the replay of right signals is made for."""
 
 
-class Bench:
-    """Replays of one condition. `measured`: its repeats at the grid, all channels of the laboratory, [n, channels] each."""
+class ComponentReplay:
+    """Replays of one condition: every component simulated with the measured signals as its inputs.
+
+    Arrays of n samples are at the `grid` of the condition [s]; channels are those of the laboratory, in their units.
+    """
 
     def __init__(self, laboratory: Laboratory, index: int, measured: Sequence[FloatArray]) -> None:
+        """`index`: which condition of the laboratory; `measured`: its repeats, float64[n, channels] each."""
         self.laboratory, self.index = laboratory, index
         self.grid = laboratory.conditions[index].grid
         self.measured = measured
@@ -65,7 +73,7 @@ class Bench:
             axis=0,
         )
         self.residuals = [x - self._matrix(self._open(x, s)) - bias for x, s in zip(measured, seeds, strict=True)]
-        """Measured less replayed, per repeat, [n, channels]."""
+        """Measured less replayed, less the bias of right signals, per repeat, [n, channels]."""
         self.coarse = self._coarse(bias)
         self.base = self._open(mean, 1)
         self.mean = mean
@@ -87,12 +95,12 @@ class Bench:
         small = np.sqrt(np.mean((mean - self._nominal) ** 2, axis=0)) <= KNOWN * np.sqrt(np.mean(self._nominal**2, axis=0))
         return np.asarray([c.partition(".")[0] not in driven for c in self.channels] & small)
 
-    def _run(self, system: System, tapes: Sequence[Tape] = ()) -> Run:
-        slaves = {t.name: t for t in tapes}
+    def _run(self, system: System, playbacks: Sequence[Playback] = ()) -> Run:
+        slaves = {t.name: t for t in playbacks}
         others = self.laboratory.resolver
 
         def resolve(source: str, name: str) -> Slave:
-            if source.startswith(TAPE):
+            if source.startswith(PLAYBACK):
                 return slaves[name]
             if others is None:
                 raise LookupError(f"source {source!r}")
@@ -119,14 +127,16 @@ class Bench:
         for c in system.connections:
             if array_of(c.source) in self.cut:
                 used.setdefault(c.source.partition(".")[0], []).extend(self.cut[array_of(c.source)])
-        tapes = [self._tape(f"measured_{name}", {self.channels[i]: signals[:, i] for i in sorted(set(at))}) for name, at in used.items()]
+        playbacks = [
+            self._playback(f"measured_{name}", {self.channels[i]: signals[:, i] for i in sorted(set(at))}) for name, at in used.items()
+        ]
         connections = [replace(c, source=f"measured_{c.source}") if array_of(c.source) in self.cut else c for c in system.connections]
-        parts = (*(Component(t.name, TAPE) for t in tapes), *system.components)
-        return self._run(replace(system, components=parts, connections=tuple(connections)), tapes)
+        parts = (*(Component(t.name, PLAYBACK) for t in playbacks), *system.components)
+        return self._run(replace(system, components=parts, connections=tuple(connections)), playbacks)
 
-    def _tape(self, name: str, series: Mapping[str, FloatArray], adds: bool = False) -> Tape:
+    def _playback(self, name: str, series: Mapping[str, FloatArray], adds: bool = False) -> Playback:
         ports = [replace(self._ports[c], name=c.partition(".")[2]) for c in series]
-        return Tape(name, ports, {p.name: v for p, v in zip(ports, series.values(), strict=True)}, self.grid, adds)
+        return Playback.of_series(name, ports, {p.name: v for p, v in zip(ports, series.values(), strict=True)}, self.grid, adds)
 
     def _sources(self, component: str) -> dict[str, FloatArray]:
         """Columns that go into a component, as they are in the replay of the mean measured run."""
@@ -148,21 +158,27 @@ class Bench:
         return np.asarray(values[np.maximum(last, 0)], dtype=np.float64)
 
     def alone(self, component: str, changes: Setting = (), shifts: Mapping[str, FloatArray] | None = None) -> dict[str, FloatArray]:
-        """Outputs of a component alone, driven as in the replay plus `shifts` (column -> change, [n]); column -> [n]."""
+        """Outputs of a component alone, driven as in the replay of the mean run: column -> [n].
+
+        `changes`: parameters that are changed [unit of the parameter]; `shifts`: column of an input -> what is added to it, [n].
+        """
         system = self._changed(changes)
         by_source: dict[str, dict[str, FloatArray]] = {}
         for name, values in self._inputs[component].items():
             shift = shifts.get(name) if shifts else None
             by_source.setdefault(name.partition(".")[0], {})[name] = values if shift is None else values + shift
-        tapes = [self._tape(source, series) for source, series in by_source.items() if source != component]
+        playbacks = [self._playback(source, series) for source, series in by_source.items() if source != component]
         connections = [c for c in system.connections if c.target.partition(".")[0] == component]
-        parts = (*(Component(t.name, TAPE) for t in tapes), system.component(component))
-        result = self._run(replace(system, components=parts, connections=tuple(connections), stop_when=None), tapes)
+        parts = (*(Component(t.name, PLAYBACK) for t in playbacks), system.component(component))
+        result = self._run(replace(system, components=parts, connections=tuple(connections), stop_when=None), playbacks)
         prefix = component + "."
         return {k: self._on_grid(result, k) for k in result.columns if k.startswith(prefix)}
 
     def swapped(self, components: frozenset[str]) -> FloatArray:
-        """The closed loop with what is left of the replay added to the outputs of these components; all channels, [n, channels]."""
+        """The closed loop with the mean residual of the replay added to the outputs of these components; all channels, [n, channels].
+
+        Without components it is the nominal simulation.
+        """
         if not components:
             return self._nominal
         system = self._changed(())
@@ -173,20 +189,20 @@ class Bench:
         for i in inside:
             if array_of(self.channels[i]) in taken:
                 used.setdefault(self.channels[i].partition(".")[0], []).append(i)
-        tapes = [self._tape(f"swapped_{name}", {self.channels[i]: left[:, i] for i in at}, adds=True) for name, at in used.items()]
+        playbacks = [self._playback(f"swapped_{name}", {self.channels[i]: left[:, i] for i in at}, adds=True) for name, at in used.items()]
         through = {array_of(self.channels[i]) for at in used.values() for i in at}
         connections = [replace(c, source=f"swapped_{c.source}") if array_of(c.source) in through else c for c in system.connections]
         for array in through:
             connections.append(Connection(array, f"swapped_{array}_in"))
-        parts = (*system.components, *(Component(t.name, TAPE) for t in tapes))
-        out = self._matrix(self._run(replace(system, components=parts, connections=tuple(connections)), tapes))
+        parts = (*system.components, *(Component(t.name, PLAYBACK) for t in playbacks))
+        out = self._matrix(self._run(replace(system, components=parts, connections=tuple(connections)), playbacks))
         out[:, inside] += left[:, inside]
         return out
 
     # What it knows
 
     def inputs(self, component: str) -> dict[str, FloatArray]:
-        """Columns that go into a component, [n] each: measured where they are, else as replayed."""
+        """Columns that go into a component, column -> [n]: measured where they are, else as replayed."""
         return self._inputs[component]
 
     def signals(self) -> dict[str, FloatArray]:
@@ -194,30 +210,30 @@ class Bench:
         return {c: self.mean[:, i] for i, c in enumerate(self.channels)}
 
     def unit(self, column: str) -> str:
-        """Of a column."""
+        """Unit of a column; "" where it has none."""
         return self._ports[column].unit or ""
 
     def units(self, columns: Iterable[str]) -> dict[str, str]:
-        """Of columns."""
+        """Units of columns: column -> unit."""
         return {c: self.unit(c) for c in columns}
 
     def times(self) -> FloatArray:
-        """Of the samples [s]."""
+        """Times of the samples [s], [n]."""
         return self.grid
 
     def step(self) -> float:
-        """Between samples [s]."""
+        """Time between samples [s]."""
         return float(self.grid[1] - self.grid[0])
 
     # Changes by parameters
 
     def hidden(self) -> list[tuple[str, str]]:
-        """Connections that are not measured: (output array, component that takes it)."""
+        """Connections between two components that are not measured: (output array, component that takes it)."""
         pairs = [(array_of(c.source), c.target.partition(".")[0]) for c in self.system.connections if array_of(c.source) not in self.cut]
         return [(o, d) for o, d in dict.fromkeys(pairs) if o.partition(".")[0] != d]
 
     def change(self, component: str, changes: Setting) -> dict[str, FloatArray] | None:
-        """Change of all outputs of a component by parameters; None where it cannot run."""
+        """Change of all outputs of a component alone by `changes` [unit of the parameter], column -> [n]; None where it cannot run."""
         if component not in self._alone:
             self._alone[component] = self.alone(component)
         before = self._alone[component]
@@ -228,7 +244,7 @@ class Bench:
         return {k: after[k] - before[k] for k in after}
 
     def follow(self, moved: Mapping[str, FloatArray], arrays: Sequence[str], target: str) -> dict[str, FloatArray]:
-        """Change of the outputs of `target` when these outputs of another component change as they do in `moved`."""
+        """Change of the outputs of `target`, column -> [n], when the outputs `arrays` of another component change as they do in `moved`."""
         if target not in self._alone:
             self._alone[target] = self.alone(target)
         shifts = {k: v for k, v in moved.items() if array_of(k) in arrays}
@@ -236,7 +252,7 @@ class Bench:
         return {k: after[k] - self._alone[target][k] for k in after}
 
     def observed(self, moved: Mapping[str, FloatArray]) -> FloatArray:
-        """The measured channels among these changes, [n, channels]."""
+        """The measured channels among these changes (0 for the others), block means over the decimation, [n // decimation, channels]."""
         out = np.zeros((len(self.grid), len(self.channels)))
         for i, c in enumerate(self.channels):
             if c in moved:

@@ -20,6 +20,8 @@ from robomill.orchestration.system.parameters import Convert
 ON_TIME, JITTER = 0.05, 0.25
 """Parts of a communication step by which the stamps of a log may be apart (single ones, or all together: the latter): it was sampled at
 these points."""
+LEAST_STEPS = 20
+"""Communication steps that the repeats of a condition have in common at least (judgement): fewer say nothing of motion or noise."""
 
 
 class DataError(ValueError):
@@ -126,6 +128,7 @@ def _without_jitter(t: FloatArray, step: float) -> FloatArray:
 def _grid(runs: Sequence[Run], step: float) -> FloatArray:
     start, end = max(float(r.t[0]) for r in runs), min(float(r.t[-1]) for r in runs)
     first, last = math.ceil(max(start, 0.0) / step - 1e-6), math.floor(end / step + 1e-6)
-    if last - first < 20:
-        raise DataError(f"{runs[0].folder}: the repeats have {max(last - first, 0)} steps of {step:g} s in common; at least 20 are needed")
+    if last - first < LEAST_STEPS:
+        found = f"the repeats have {max(last - first, 0)} steps of {step:g} s in common"
+        raise DataError(f"{runs[0].folder}: {found}; at least {LEAST_STEPS} are needed")
     return np.asarray(np.arange(first, last + 1) * step)

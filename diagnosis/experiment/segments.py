@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from robomill.orchestration.slaves.protocol import base_name
 from robomill.orchestration.system.definition import System
@@ -18,6 +17,15 @@ class Segment:
     """Array or scalar, `component.port`."""
     components: tuple[str, ...]
     """That of the output first."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What the connections alone say."""
+
+    segments: tuple[Segment, ...]
+    alike: tuple[tuple[str, ...], ...]
+    """Sets of more than one component that are in the same segments: no replay can tell them apart."""
 
 
 def segments(system: System, measured: Sequence[str]) -> list[Segment]:
@@ -46,14 +54,11 @@ def sets_alike(found: Sequence[Segment], components: Sequence[str]) -> list[tupl
     return [tuple(g) for seen, g in groups.items() if seen]
 
 
-def structure(system: System, measured: Sequence[str]) -> dict[str, Any]:
-    """What the connections alone say, as it stands in diagnosis.json; `measured`: outputs, `component.port`."""
+def structure(system: System, measured: Sequence[str]) -> Structure:
+    """The segments between the `measured` outputs (`component.port`), and the components that these cannot tell apart."""
     found = segments(system, measured)
     sets = sets_alike(found, [c.name for c in system.components])
-    return {
-        "segments": [{"output": s.output, "components": list(s.components)} for s in found],
-        "alike": [list(s) for s in sets if len(s) > 1],
-    }
+    return Structure(tuple(found), tuple(s for s in sets if len(s) > 1))
 
 
 def array_of(port: str) -> str:

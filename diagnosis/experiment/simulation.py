@@ -31,13 +31,16 @@ Report = Callable[[str, int, int], object]
 
 
 def setting(values: Mapping[Address, float]) -> Setting:
-    """Sorted, without zeros: the same change is the same simulation."""
+    """What is changed, as a Setting: sorted, without zeros, so that the same change is the same simulation; `values` [unit]."""
     return tuple(sorted((a, float(v)) for a, v in values.items() if v != 0.0))
 
 
 @dataclass
 class Laboratory:
-    """What a simulation needs to know; handed to worker processes once."""
+    """What a simulation needs to know; handed to worker processes once.
+
+    n rows are those of the grid of a condition, after block means over `decimation` of them; channels are measured real outputs.
+    """
 
     system: System
     conditions: Sequence[Condition]
@@ -111,7 +114,7 @@ class Laboratory:
 
 
 def decimate(full: FloatArray, factor: int) -> FloatArray:
-    """Block means over `factor` rows; what is left over at the end goes."""
+    """Block means over `factor` rows of [n, channels]: [n // factor, channels]; what is left over at the end goes."""
     n = len(full) // factor
     means: FloatArray = full[: n * factor].reshape(n, factor, -1).mean(axis=1)
     return means
@@ -158,7 +161,7 @@ def _work(task: tuple[int, Setting]) -> FloatArray | None:
 
 
 class Simulator:
-    """Keeps what has been simulated. Close it, or use it in `with`."""
+    """Simulates the conditions of a laboratory on `workers` processes, each setting once, and keeps the results. Use it in `with`."""
 
     def __init__(self, laboratory: Laboratory, workers: int = 1, report: Report | None = None, store: Store | None = None) -> None:
         self.laboratory, self._store = laboratory, store
@@ -185,7 +188,7 @@ class Simulator:
         return Simulator(laboratory, self._workers, self._report, self._store)
 
     def many(self, tasks: Sequence[tuple[int, Setting]], what: str = "simulations") -> list[FloatArray | None]:
-        """Results in the order of the tasks."""
+        """Channels [n, channels] of each task (condition, setting), in the order of the tasks; None where the system cannot run."""
         new = [t for t in dict.fromkeys(tasks) if t not in self._known and not self._stored(t)]
         if self._workers > 1 and len(new) > 1:
             if self._pool is None:
@@ -235,5 +238,5 @@ class Simulator:
         return found
 
     def seeded(self, changes: Setting, seed: int = 1) -> Setting:
-        """The same with the seeds of the noise set."""
+        """The changes with all seeds of the noise set to `seed`, sorted."""
         return tuple(sorted((*changes, *((a, float(seed)) for a in self.laboratory.seeds))))

@@ -33,7 +33,7 @@ class Store:
         return True, kept if kept.size else None
 
     def put(self, key: str, channels: FloatArray | None) -> None:
-        """Keep a simulation; it appears in one move."""
+        """Keep a simulation [n, channels] (None: the system cannot run); its file appears in one move."""
         self.folder.mkdir(parents=True, exist_ok=True)
         part = self._file(key).with_suffix(f".part-{os.getpid()}")
         with part.open("wb") as file:
@@ -41,7 +41,7 @@ class Store:
         part.replace(self._file(key))
 
     def remove(self) -> None:
-        """After a finished diagnosis."""
+        """Delete the folder with all simulations: after a finished diagnosis."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def __len__(self) -> int:
@@ -70,6 +70,14 @@ def _plain(value: Any, folder: Path) -> Any:
         return [_plain(v, folder) for v in value]
     if isinstance(value, np.ndarray):
         return hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()
-    if isinstance(value, str) and value and len(value) < 4096 and (folder / value).is_file():
+    if isinstance(value, str) and value and _is_file(folder / value):
         return hashlib.sha256((folder / value).read_bytes()).hexdigest()
     return value if isinstance(value, bool | int | float | str | None) else str(value)
+
+
+def _is_file(path: Path) -> bool:
+    """Whether there is such a file; a text that is longer than the system lets a path be names none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False

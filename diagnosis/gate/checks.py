@@ -32,10 +32,13 @@ FACTORS = {
     1 / 4.4482216: "pound-force for newtons",
 }
 """Usual mistakes in units: measured over simulated."""
+SAME_FACTOR = 0.25
+"""|ln| of measured over simulated over one of these mistakes, up to which it is that one: a third of the way from newtons for pounds-force
+to rpm for rad/s, the closest that can be told apart (rpm and kilograms-force cannot: 9.55 and 9.81)."""
 MUCH_BETTER = 0.2
-"""Energy left over energy before, below which another sign, order or unit is believed."""
+"""Sum of squares left over that before, below which another sign, order or unit is believed."""
 FAR_OFF = 0.6
-"""Energy of the difference over energy of the signal, above which another sign, order or unit is looked for."""
+"""Sum of squares of the difference over that of the signal, above which another sign, order or unit is looked for."""
 
 NEAR = 25.5
 """Samples by which what happens at one time may be apart in two repeats: an axis that begins to move has a time of its own."""
@@ -47,6 +50,51 @@ BREAK, LONG_BREAK, PART = 12.5, 62.5, 0.05
 of a run."""
 REST = 0.1
 """Part of a run from which a channel stands still."""
+LONGER, LONGER_BY = 3, 10
+"""Times as long as the longest standstill of its simulation, and samples more, that a channel must stand still: a simulation rests, too,
+and one that passes slowly through rounded values rests for a few samples."""
+SINGLE = 2.0**-22
+"""Part of a channel's largest value by which a simulation creeps while a log in single precision stands still: two of its last places."""
+
+MISSING = 0.01
+"""Part of a channel's samples that may be missing (judgement): they are interpolated."""
+ROUNDED = 1e-9
+"""Part of a bound by which a value may be beyond it: it was rounded."""
+UNMOVED = 1e-9
+"""Unit of the channel: a simulation that moves up to this is round-off, and a channel that does not change says nothing."""
+MOVED = 20.0
+"""Times the noise of a channel from beyond which its simulation moves so far that a channel at rest is no chance."""
+VISIBLE = 25.0
+"""Sum of squares of a signal over that of noise from beyond which its sign, unit, place and frame can be told: five times the noise."""
+
+SPIKE = 30.0
+"""Times the usual change from sample to sample by which a single sample is away from both of its neighbours."""
+USUAL = 95
+"""Percentile of the changes from sample to sample that is usual: that of a motion, if it lasts for a twentieth of a run."""
+FLAT = 1e-12
+"""Unit of the channel: least usual change, so that nothing is divided by zero where a channel rests."""
+AGAIN = 0.25
+"""Part of a jump that another repeat must have at the same time, for it to be the machine's and not the log's."""
+FEW_SPIKES = 3
+"""Spikes of a channel in a run that are noted only (judgement); more make the log a bad one."""
+
+ELEMENTS = 6
+"""Elements of the largest array whose channels may be interchanged: those of six axes, or of a force and a moment."""
+VECTOR = 3
+"""Elements of an array that may be a vector in another frame."""
+CROSSED = 0.3
+"""Sum of squares of the difference over that of the motion of two channels, above which they are looked at the other way round."""
+ROTATED, ROTATION = 0.1, np.deg2rad(20.0)
+"""Sum of squares of the difference over that of a vector, and angle [rad], above which it is in another frame: a smaller turn is an
+inexact pose."""
+
+ODD_ONE_OUT = 3
+"""Repeats from which one can be unlike the others: of two, nobody can say which."""
+UNLIKE = 100.0
+"""Mean square by which a repeat differs from the median of all, over what is usual, from beyond which it is nothing like them: ten times
+as far."""
+NOTHING = 1e-30
+"""Square of a channel's unit: least usual mean square, so that nothing is divided by zero where all repeats are equal."""
 
 EXACT, TIMING = 1e-5, 0.05
 """Part of a channel's range, and samples in time, by which repeats that are the same may differ: a stamp that jitters moves a jump."""
@@ -57,11 +105,16 @@ class Finding:
     """One thing about the log."""
 
     channel: str
+    """Channel, array, or `t`."""
     kind: str
+    """`time`, `missing`, `range`, `constant`, `spike`, `axes`, `unit`, `sign`, `rotation`, `repeat`, `lag`, `filter`, ..."""
     value: float
+    """How much, in `unit`."""
     unit: str
     text: str
+    """In words: a verb and what follows it, the channel being the subject."""
     fatal: bool = True
+    """Whether it makes the log a bad one."""
     repaired: bool = False
 
 
@@ -80,11 +133,11 @@ def raw(run: Run, channels: Sequence[str], ranges: Mapping[str, tuple[float | No
         good = np.isfinite(values)
         missing = 1.0 - float(good.mean())
         if missing > 0.0:
-            found.append(Finding(name, "missing", missing, "1", f"{100 * missing:.2g} % of the samples are missing", missing > 0.01))
+            found.append(Finding(name, "missing", missing, "1", f"{100 * missing:.2g} % of the samples are missing", missing > MISSING))
         values = values[good]
         low, high = ranges.get(name, (None, None))
         for bound, outside in ((low, -1.0), (high, 1.0)):
-            if bound is not None and values.size and np.any(outside * values > outside * bound + 1e-9 * abs(bound)):
+            if bound is not None and values.size and np.any(outside * values > outside * bound + ROUNDED * abs(bound)):
                 extreme = float((outside * values).max() * outside)
                 found.append(
                     Finding(name, "range", extreme, unit, f"{extreme:.6g} {unit} is outside what the port can be ({bound:.6g} {unit})")
@@ -103,7 +156,7 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
             suspects |= {channels[i], channels[j]}
     for i, name in enumerate(channels):
         spread = float(np.ptp(s[:, i]))
-        if np.ptp(run.columns[name][np.isfinite(run.columns[name])]) == 0.0 and spread > 20.0 * noise[i] and spread > 1e-9:
+        if np.ptp(run.columns[name][np.isfinite(run.columns[name])]) == 0.0 and spread > MOVED * noise[i] and spread > UNMOVED:
             found.append(Finding(name, "constant", float(x[0, i]), run.ports[name].unit or "", "does not change, but it should"))
             suspects.add(name)
             continue
@@ -111,12 +164,12 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
         over, under = s[:, i] >= x[:, i].max() - LIMIT * spread, s[:, i] <= x[:, i].min() + LIMIT * spread
         limited = ((x[:, i] == x[:, i].max()) & over) | ((x[:, i] == x[:, i].min()) & under)
         moving = (x[:, i] != 0.0) & ~limited
-        single = 2.0**-22 * float(np.abs(s[:, i]).max())  # a log in single precision stands still where a simulation creeps
+        single = SINGLE * float(np.abs(s[:, i]).max())  # a log in single precision stands still where a simulation creeps
         stretch = _still(x[moving, i])
         still, longest = len(stretch), len(_still(s[:, i], single))
         there = s[moving, i][stretch]
-        passed = np.ptp(there) > max(LIMIT * spread, 20.0 * noise[i]) if still else False
-        if still > REST * len(x) and (still > 3 * longest + 10 or passed):
+        passed = np.ptp(there) > max(LIMIT * spread, MOVED * noise[i]) if still else False
+        if still > REST * len(x) and (still > LONGER * longest + LONGER_BY or passed):
             found.append(Finding(name, "constant", still * step, "s", f"stands still for {still * step:.3g} s"))
             suspects.add(name)
             continue
@@ -129,7 +182,7 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
         left = ((x[:, i] - slope * s[:, i]) ** 2).sum()
         if slope and left < MUCH_BETTER * (x[:, i] ** 2).sum():
             factor = min(FACTORS, key=lambda f: abs(np.log(abs(slope) / f)))
-            if abs(np.log(abs(slope) / factor)) < 0.25:
+            if abs(np.log(abs(slope) / factor)) < SAME_FACTOR:
                 found.append(Finding(name, "unit", slope, "1", f"is {slope:.4g} times what it should be: {FACTORS[factor]}"))
                 suspects.add(name)
             elif slope < 0.0 and ((x[:, i] + s[:, i]) ** 2).sum() < MUCH_BETTER * off:
@@ -143,11 +196,11 @@ def against_simulation(run: Run, x: FloatArray, s: FloatArray, channels: Sequenc
 def stopped(x: FloatArray, s: FloatArray, step: float, noise: float) -> float:
     """How long [s] a measured channel stands still, wherever that is, while its simulation moves; 0.0 if it does not."""
     stretch = _still(x)
-    return len(stretch) * step if len(stretch) > REST * len(x) and np.ptp(s[stretch]) > 20.0 * noise else 0.0
+    return len(stretch) * step if len(stretch) > REST * len(x) and np.ptp(s[stretch]) > MOVED * noise else 0.0
 
 
-def _visible(energy: float, noise: float, n: int) -> bool:
-    return bool(energy > 25.0 * noise * noise * n and energy > 0.0)
+def _visible(squares: float, noise: float, n: int) -> bool:
+    return bool(squares > VISIBLE * noise * noise * n and squares > 0.0)
 
 
 def _still(x: FloatArray, tolerance: float = 0.0) -> range:
@@ -167,28 +220,29 @@ def spikes(condition: Condition, channels: Sequence[str]) -> list[Finding]:
         jumps = [_jumps(run.t, run.columns[name]) for run in condition.runs]
         count = max(_alone(jumps[k], jumps[:k] + jumps[k + 1 :]) for k in range(len(jumps)))
         if count:
-            text = f"{count} sample{'s' if count > 1 else ''} {'jump' if count > 1 else 'jumps'} away by more than 30 times what is usual"
-            found.append(Finding(name, "spikes", count, "1", text, count > 3))
+            who = f"{count} samples jump" if count > 1 else "1 sample jumps"
+            text = f"{who} away by more than {SPIKE:.0f} times what is usual"
+            found.append(Finding(name, "spikes", count, "1", text, count > FEW_SPIKES))
     return found
 
 
 def _jumps(t: FloatArray, x: FloatArray) -> FloatArray:
     """Time, and distance from the nearer neighbour where both are on the same side, over what is usual; [2, samples]."""
     t, x = t[np.isfinite(x)], x[np.isfinite(x)]
-    if len(x) < 10:
+    if len(x) <= 1:
         return np.zeros((2, 0))
     before, after = x[1:-1] - x[:-2], x[1:-1] - x[2:]
-    usual = max(float(np.percentile(np.abs(np.diff(x)), 95)), 1e-12)
+    usual = max(float(np.percentile(np.abs(np.diff(x)), USUAL)), FLAT)
     away = np.where(np.sign(before) == np.sign(after), np.minimum(np.abs(before), np.abs(after)), 0.0)
     return np.stack([t[1:-1], away / usual])
 
 
 def _alone(own: FloatArray, others: Sequence[FloatArray]) -> int:
-    """How many samples jump where no sample near them does in half of the other repeats, by a quarter of that."""
+    """How many samples jump where no sample near them does in half of the other repeats, by a part AGAIN of that."""
     count = 0
-    for t, size in own[:, own[1] > 30.0].T:
+    for t, size in own[:, own[1] > SPIKE].T:
         near = NEAR * float(np.median(np.diff(own[0])))
-        again = sum(bool(np.any(other[1, np.abs(other[0] - t) < near] > 0.25 * size)) for other in others)
+        again = sum(bool(np.any(other[1, np.abs(other[0] - t) < near] > AGAIN * size)) for other in others)
         count += 2 * again <= len(others)
     return count
 
@@ -197,7 +251,7 @@ def _arrays(channels: Sequence[str]) -> list[list[int]]:
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(channels):
         groups.setdefault(base_name(name), []).append(i)
-    return [g for g in groups.values() if 2 <= len(g) <= 6]
+    return [g for g in groups.values() if 1 < len(g) <= ELEMENTS]
 
 
 def _interchanged(members: list[int], x: FloatArray, s: FloatArray, noise: FloatArray) -> list[tuple[int, int]]:
@@ -210,19 +264,19 @@ def _interchanged(members: list[int], x: FloatArray, s: FloatArray, noise: Float
             continue
         straight, crossed = _apart(x[:, [i, j]], s[:, [i, j]]), _apart(x[:, [i, j]], s[:, [j, i]])
         clear = _visible(straight, float(noise[[i, j]].max()), 2 * len(x))
-        if clear and straight > 0.3 * (moving[i] + moving[j]) and crossed < MUCH_BETTER * straight:
+        if clear and straight > CROSSED * (moving[i] + moving[j]) and crossed < MUCH_BETTER * straight:
             found.append((i, j))
     return found
 
 
 def _apart(a: FloatArray, b: FloatArray) -> float:
-    """Energy of the differences of channels, whatever their signs are."""
+    """Sum of squares of the differences of channels, whatever their signs are."""
     return float(np.minimum(((a - b) ** 2).sum(axis=0), ((a + b) ** 2).sum(axis=0)).sum())
 
 
 def _turned(members: list[int], x: FloatArray, s: FloatArray, channels: Sequence[str], noise: FloatArray) -> list[Finding]:
     """A triple in another frame."""
-    if len(members) != 3:
+    if len(members) != VECTOR:
         return []
     base = base_name(channels[members[0]])
     a, b = x[:, members], s[:, members]
@@ -231,9 +285,9 @@ def _turned(members: list[int], x: FloatArray, s: FloatArray, channels: Sequence
     angle = float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
     straight, turned = ((a - b) ** 2).sum(), ((a - b @ turn.T) ** 2).sum()
     if (
-        angle > np.deg2rad(20.0)
+        angle > ROTATION
         and turned < MUCH_BETTER * straight
-        and straight > 0.1 * (b * b).sum()
+        and straight > ROTATED * (b * b).sum()
         and _visible(float((a * a).sum()), float(noise[members].max()), len(x))
     ):
         return [
@@ -245,18 +299,18 @@ def _turned(members: list[int], x: FloatArray, s: FloatArray, channels: Sequence
 
 
 def repeats(condition: Condition, group: Sequence[FloatArray], channels: Sequence[str]) -> list[Finding]:
-    """A repeat that is nothing like the others (three at least)."""
-    if len(group) < 3:
+    """A repeat that is nothing like the others (ODD_ONE_OUT at least)."""
+    if len(group) < ODD_ONE_OUT:
         return []
     stack = np.stack(group)
     off = ((stack - np.median(stack, axis=0)) ** 2).mean(axis=1)
     moved = TIMING * np.gradient(np.median(stack, axis=0), axis=0)
-    usual = np.median(off, axis=0) + (EXACT * np.ptp(stack, axis=(0, 1))) ** 2 + (moved**2).mean(axis=0) + 1e-30
+    usual = np.median(off, axis=0) + (EXACT * np.ptp(stack, axis=(0, 1))) ** 2 + (moved**2).mean(axis=0) + NOTHING
     found = []
     for k in range(len(group)):
         ratio = off[k] / usual
         worst = int(ratio.argmax())
-        if ratio[worst] > 100.0:
+        if ratio[worst] > UNLIKE:
             far = f"is {np.sqrt(ratio[worst]):.0f} times as far from the other repeats as they are from each other"
             text = f"{far} ({condition.runs[k].folder.name})"
             found.append(Finding(channels[worst], "repeat", float(np.sqrt(ratio[worst])), "1", text))

@@ -1,8 +1,13 @@
 """Phases that differ from run to run: a cutter is clamped once, but every start of the spindle finds it elsewhere.
 
 In the mean of such repeats a periodic effect cancels, and their scatter is no noise. So each run is looked at by itself: its part along
-the two columns of the effect, in phase and a quarter of a turn ahead, is an amplitude and a phase of its own. Where the phases differ by
-more than noise lets them, the runs are brought to phase zero with the amplitude that they have in common. What else they differ by stays.
+the two sensitivities of the effect, in phase and a quarter of a turn ahead, is an amplitude and a phase of its own. Where the phases
+differ by more than noise lets them, the runs are brought to phase zero with the amplitude that they have in common. What else they differ
+by stays.
+
+With V the sensitivities of the two parts of the amplitude, the parts of run k are (V'WV)^-1 V'W (x_k - mean) plus those of the mean, W
+one over the variance of the noise per channel; the evidence that they differ is that of parts ~ N(0, 1) against none, DEPENDENCE samples
+counted as one.
 """
 
 from __future__ import annotations
@@ -19,18 +24,18 @@ from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.inference.evidence import DEPENDENCE, TRUST
 from robomill.orchestration.slaves.protocol import FloatArray
 
-CLEAR = 12.0
+DIFFERENT_PHASES = 12.0
 """Gain in evidence [nats] from which phases are taken to differ."""
-ROUNDS = 3
-"""In which the noise of each channel, and the amplitude that the columns are simulated at, are found."""
+PHASE_ROUNDS = 3
+"""Rounds in which the noise of each channel, and the amplitude that the sensitivities are simulated at, are found."""
 
 
 @dataclass(frozen=True)
 class _Turned:
-    """One condition: the part of each run along the two columns, [runs, 2], and what these columns are."""
+    """One condition: the part of each run along the two sensitivities, [runs, 2], and what these sensitivities are."""
 
     parts: FloatArray
-    columns: FloatArray
+    sensitivities: FloatArray
     """[samples, channels, 2], per prior scale."""
     gain: float
     """Evidence [nats] that the parts differ."""
@@ -42,14 +47,17 @@ class _Turned:
 
 
 def aligned(laboratory: Laboratory, candidates: Sequence[Candidate], n: int) -> list[Finding]:
-    """Bring the runs of all conditions to one phase, effect by effect, where those of the first `n` conditions differ; says of which."""
+    """Bring the runs of all conditions to one phase, effect by effect, where those of the first `n` conditions differ.
+
+    The conditions of the laboratory are replaced; one finding, not fatal, for each effect whose phases differed.
+    """
     found = []
     for c in candidates:
         if not c.phase_per_run:
             continue
         known = [_turned(laboratory, i, c) for i in range(n)]
         gain = sum(k.gain for k in known if k is not None)
-        if gain < CLEAR:
+        if gain < DIFFERENT_PHASES:
             continue
         known += [_turned(laboratory, i, c) for i in range(n, len(laboratory.conditions))]
         laboratory.conditions = [
@@ -61,35 +69,39 @@ def aligned(laboratory: Laboratory, candidates: Sequence[Candidate], n: int) -> 
 
 
 def _turned(laboratory: Laboratory, i: int, c: Candidate) -> _Turned | None:
-    """Of one condition; None where the effect does nothing, or cannot run."""
+    """Parts and sensitivities of effect `c` in condition `i`; None where the effect does nothing, or cannot run."""
     condition = laboratory.conditions[i]
     stack = np.stack([condition.matrix(r, laboratory.channels) for r in condition.runs])
     nominal = laboratory.sampled(i, ())
     assert nominal is not None
     mean = stack.mean(axis=0)
     size, turned = 1.0, None
-    for _ in range(ROUNDS):
+    for _ in range(PHASE_ROUNDS):
         changes = [laboratory.sampled(i, setting({a: size * c.prior.scale})) for a in c.addresses]
-        columns = np.stack([(x - nominal) / size for x in changes if x is not None], axis=-1)
-        if columns.shape[-1:] != (2,) or not np.any(columns):
+        sensitivities = np.stack([(x - nominal) / size for x in changes if x is not None], axis=-1)
+        if sensitivities.shape[-1:] != (2,) or not np.any(sensitivities):
             return None
-        parts, gain = _parts(stack - mean, mean - nominal, columns)
-        turned = _Turned(parts, columns, gain)
+        parts, gain = _parts(stack - mean, mean - nominal, sensitivities)
+        turned = _Turned(parts, sensitivities, gain)
         if len(stack) > 1 and gain < 0.0:
             break  # nothing differs, whatever its size is
         size = min(max(turned.amplitude, 0.1), c.bounds[1] / c.prior.scale)
     return turned
 
 
-def _parts(deviations: FloatArray, gap: FloatArray, columns: FloatArray) -> tuple[FloatArray, float]:
-    """Parts of each run along the columns, [runs, 2], and the evidence [nats] that they differ; `deviations` [runs, samples, channels]."""
-    floor = (TRUST * np.sqrt((columns**2).mean(axis=0).sum(axis=-1))) ** 2
+def _parts(deviations: FloatArray, gap: FloatArray, sensitivities: FloatArray) -> tuple[FloatArray, float]:
+    """Parts of each run along the sensitivities, [runs, 2], and the evidence [nats] that they differ.
+
+    `deviations` from the mean run [runs, samples, channels]; `gap`: mean less nominal [samples, channels]; `sensitivities`
+    [samples, channels, 2].
+    """
+    floor = (TRUST * np.sqrt((sensitivities**2).mean(axis=0).sum(axis=-1))) ** 2
     moves = floor > 0.0
-    a, d = columns[:, moves], deviations[..., moves]
+    a, d = sensitivities[:, moves], deviations[..., moves]
     freedom = max(len(d) - 1, 1)
     variance = (d**2).sum(axis=(0, 1)) / (freedom * d.shape[1]) + floor[moves]
     own, gram = np.zeros((len(d), 2)), np.eye(2)
-    for _ in range(ROUNDS):  # what the columns do not explain is the noise
+    for _ in range(PHASE_ROUNDS):  # what the sensitivities do not explain is the noise
         gram = np.einsum("tcp,tcq,c->pq", a, a, 1.0 / variance)
         own = np.linalg.solve(gram, np.einsum("tcp,ktc,c->pk", a, d, 1.0 / variance)).T
         left = d - np.einsum("tcp,kp->ktc", a, own)
@@ -100,11 +112,11 @@ def _parts(deviations: FloatArray, gap: FloatArray, columns: FloatArray) -> tupl
 
 
 def _brought(condition: Condition, turned: _Turned, channels: Sequence[str]) -> Condition:
-    """The runs as they would be with phase zero."""
+    """The condition with its runs as they would be with phase zero and the amplitude that they have in common."""
     target = np.array([turned.amplitude, 0.0])
     runs = []
     for r, part in zip(condition.runs, turned.parts, strict=True):
-        x = condition.matrix(r, channels) + turned.columns @ (target - part)
+        x = condition.matrix(r, channels) + turned.sensitivities @ (target - part)
         runs.append(
             replace(
                 r,

@@ -18,10 +18,10 @@ from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 SHORT = 0.05
 """Part of the longest repeat of a condition that may be missing in another: all are looked at only where the shortest has samples."""
-LATE = 0.3
+LATEST_CLOCK = 0.3
 """s; how late a clock may be (the largest of the catalogues): a program that is recorded late is the same program."""
 OTHER = 0.01
-"""Energy of what a recorded program differs from the one that is played, over that of its motion: a tenth in amplitude, where the same
+"""Squares of what a recorded program differs from the one that is played, over those of its motion: a tenth in amplitude, where the same
 program recorded late differs by the rounding of the log."""
 ROUNDING = 2.0**-22
 """Part of a number that single precision may round off, doubled: what moves by less stands still."""
@@ -75,7 +75,7 @@ def check_spans(conditions: Sequence[Condition]) -> None:
 def other_program(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], played: Collection[str], step: float) -> list[Finding]:
     """Channels of components that nothing goes into (`played`) which are not what they play; measured `x` and simulated `s`, [n, channels].
 
-    A program that is recorded late (`LATE`) is the same; `step` [s] is between the samples.
+    A program that is recorded late (`LATEST_CLOCK`) is the same; `step` [s] is between the samples.
     """
     arrays: dict[str, list[int]] = {}
     for i, name in enumerate(channels):
@@ -87,21 +87,21 @@ def other_program(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str
         motion, size = float(((b - b.mean(axis=0)) ** 2).sum()), float((b**2).sum())
         if motion < ROUNDING**2 * size:  # what does not move: its size
             motion = size
-        reach = min(int(LATE / step) + 1, len(a) // 2)
+        reach = min(int(LATEST_CLOCK / step) + 1, len(a) // 2)
         off = min(_apart(a, b, k) for k in range(-reach, reach + 1))
         if off > OTHER * motion:
             unit = run.ports[channels[members[0]]].unit or ""
             largest = float(np.abs(a - b).max())
             text = (
-                f"is not what the nominal system plays: {run.folder.name} is {largest:.4g} {unit} off, at any delay up to {LATE:g} s; "
-                "another program, place or feed than [parameters] of its run.toml say?"
+                f"is not what the nominal system plays: {run.folder.name} is {largest:.4g} {unit} off, "
+                f"at any delay up to {LATEST_CLOCK:g} s; another program, place or feed than [parameters] of its run.toml say?"
             )
             found.append(Finding(name, "program", largest, unit, text))
     return found
 
 
 def _apart(a: FloatArray, b: FloatArray, shift: int) -> float:
-    """Energy of the difference with `a` taken `shift` samples later."""
+    """Sum of squares of the difference with `a` taken `shift` samples later."""
     n = len(a) - abs(shift)
     first, second = (a[shift:], b[:n]) if shift >= 0 else (a[:n], b[-shift:])
     return float(((first - second) ** 2).sum()) * len(a) / n

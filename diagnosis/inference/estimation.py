@@ -1,13 +1,13 @@
 """Which effects explain the gap: fits, evidence, probabilities.
 
 Everything happens on whitened residuals y (measured mean minus nominal simulation). A model is a set of candidates; its
-signature s(x), x = value / prior scale, is the change of the whitened simulation. Numbers that are only known to a standard
-deviation (nuisances) are marginalised: with their whitened columns B in units of that deviation the inner product is
-u'v - u'B (I + B'B)^-1 B'v.
+signature s(x), x = value / prior scale, is the change of the whitened simulation, its sensitivities are ds/dx. Numbers that are
+only known to a standard deviation (nuisances) are marginalised: with their whitened sensitivities B, per standard deviation, the
+inner product is <u, v> = u'v - u'B (I + B'B)^-1 B'v, and chi2 of a residual u is <u, u>.
 
-1. One simulation per parameter at its prior scale gives a column; inner products of all columns then fit and rank every
-   candidate alone as if its signature were proportional.
-2. The best are fitted again by Gauss-Newton on real simulations (the column is updated by Broyden's rule).
+1. One simulation per parameter at its prior scale gives a sensitivity; inner products of all of them then fit and rank every
+   candidate alone as if its signature were proportional, s(x) = x ds/dx.
+2. The best are fitted again by Gauss-Newton on real simulations (the sensitivity is updated by Broyden's rule).
 3. Models grow by one candidate at a time from the best ones (beam). Evidence is Laplace's approximation, for a single
    parameter an integral over its prior.
 """
@@ -31,8 +31,8 @@ PRIOR_OF_SIZE = {0: 0.3, 1: 0.4, 2: 0.2, 3: 0.1}
 """Probability of so many effects before the data, shared among all sets of that size."""
 
 
-ALIKE = 0.97
-"""Correlation from which a nuisance is taken as the same thing as a parameter that is fitted."""
+SAME_SIGNATURE = 0.97
+"""Correlation of whitened sensitivities from which a nuisance is taken as the same thing as a parameter that is fitted."""
 
 UNDETERMINED = 1.0
 """Standard deviation, over the value, from which data do not say how large an effect is."""
@@ -40,7 +40,7 @@ UNDETERMINED = 1.0
 
 @dataclass
 class Fit:
-    """A model with its best parameters."""
+    """A model with its best parameters: the x that minimises chi2 of y - s(x) plus the prior's part, within the bounds."""
 
     model: Model
     values: dict[Address, float]
@@ -48,38 +48,38 @@ class Fit:
     deviations: dict[Address, float]
     """Their standard deviations [unit]."""
     log_evidence: float
-    """Relative to the nominal model."""
-    energy: float
-    """Whitened energy that remains, nuisances fitted."""
-    exact: bool = False
-    """Whether it comes from simulations at the best values, not from the screening's columns."""
+    """Log of the evidence over that of the nominal model [nats]."""
+    chi2: float
+    """Whitened sum of squares that remains, <y - s, y - s>: nuisances fitted."""
     signature: FloatArray | None = None
-    columns: FloatArray | None = None
-    """d signature / dx at the best values, [n, parameters]."""
-    log_prior: float = 0.0
+    """s(x) at the best values: whitened change against the nominal simulation, [n]."""
+    sensitivities: FloatArray | None = None
+    """ds/dx at the best values, per prior scale, [n, parameters]."""
     predictive: dict[str, float] = field(default_factory=dict)
-    """condition -> gain in log score there, when fitted to all the others."""
+    """condition -> gain in log score there [nats], when fitted to all the others."""
 
     @property
     def name(self) -> str:
-        """What is on."""
+        """What is on: `backlash @ joint 2 + gain @ x`, or `nominal`."""
         return " + ".join(c.name for c in self.model) or "nominal"
 
     def large_enough(self) -> bool:
-        """Whether each effect has a number that counts as a finding."""
+        """Whether each effect has a number that counts as a finding: `minimum` of the catalogue or more."""
         return all(c.large_enough(self.values) for c in self.model)
 
 
 @dataclass(frozen=True)
 class Gram:
-    """Products of columns with each other, [k, k], and with the nuisances, [m, k]."""
+    """Products of the columns of a matrix V, [n, k], from which inner products in any space follow."""
 
     plain: FloatArray
+    """V'V, [k, k]."""
     projected: FloatArray
+    """B'V with the sensitivities B of the nuisances, [m, k]."""
 
 
 class Space:
-    """Whitened residual, columns of the candidates, and the inner product with the nuisances marginalised."""
+    """The whitened residual y and the inner product with the nuisances marginalised, <u, v> = u'v - u'B (I + B'B)^-1 B'v."""
 
     def __init__(
         self,
@@ -90,9 +90,9 @@ class Space:
         products: FloatArray | None = None,
         gone: Collection[Address] = (),
     ) -> None:
-        """`y` [n]; `blocks` condition -> its part of y; `nuisances` [n, m] whitened, per standard deviation, called `names`.
+        """`y` [n]; `blocks` condition -> its part of y; `nuisances` B [n, m], whitened sensitivities per standard deviation.
 
-        `products`: nuisances' nuisances, if known; `gone`: names that do not count.
+        `names`: parameter of each nuisance; `products`: B'B, if known; `gone`: names that do not count.
         """
         self.y, self.blocks, self.nuisances, self.names, self.gone = y, blocks, nuisances, tuple(names), frozenset(gone)
         self._products: FloatArray = nuisances.T @ nuisances if products is None else products
@@ -101,14 +101,14 @@ class Space:
         precision = (np.eye(m) + self._products)[here]
         self._inner = np.zeros((m, m))
         self._inner[here] = np.linalg.inv(precision)
-        self.energy = float(self.dot(y, y))
+        self.chi2 = float(self.dot(y, y))
         self.log_determinant = float(np.linalg.slogdet(precision)[1])
         self._without: dict[frozenset[Address], Space] = {}
         self.alike: dict[Address, dict[Address, float]] = {}
         """parameter -> nuisances that do the same as it, and their standard deviation in its unit."""
 
     def without(self, addresses: Sequence[Address]) -> Space:
-        """The same where these nuisances are not: they are effects of the model that is looked at."""
+        """Space where what is like these parameters is no nuisance: it is an effect of the model that is looked at."""
         gone = frozenset(n for a in addresses for n in self.alike.get(a, ()))
         if not gone:
             return self
@@ -117,85 +117,95 @@ class Space:
         return self._without[gone]
 
     def less(self, names: Collection[Address]) -> Space:
-        """The same for good without these nuisances."""
+        """A space of its own that has all nuisances but these; this one where none of them is here."""
         kept = [i for i, name in enumerate(self.names) if name not in names]
         if len(kept) == len(self.names):
             return self
         return Space(self.y, self.blocks, self.nuisances[:, kept], [self.names[i] for i in kept])
 
     def moved(self, left: FloatArray) -> FloatArray:
-        """Deviations by which the nuisances are moved to explain the residual `left`, [m]."""
+        """Standard deviations by which the nuisances are moved to explain the residual `left` [n]: (I + B'B)^-1 B' left, [m]."""
         return np.asarray(self._inner @ (self.nuisances.T @ left))
 
     def divided(self, blocks: Mapping[str, slice]) -> Space:
-        """The same with other blocks."""
+        """Space with the same y, divided into other blocks: name -> its part of y."""
         space = Space(self.y, blocks, self.nuisances, self.names, self._products, self.gone)
         space.alike = self.alike
         return space
 
-    def find_alike(self, columns: Mapping[Address, FloatArray], scales: Mapping[Address, float]) -> None:
-        """Note which nuisances have (nearly) the same column as a parameter; `columns` are per prior scale [unit of the parameter]."""
+    def find_alike(self, sensitivities: Mapping[Address, FloatArray], scales: Mapping[Address, float]) -> None:
+        """Note in `alike` which nuisances have (nearly) the same sensitivity as a parameter.
+
+        That is a correlation |b'v| / (|b| |v|) above SAME_SIGNATURE, or the same address. `sensitivities`: parameter -> v [n], per prior
+        scale; `scales`: these prior scales [unit of the parameter].
+        """
         sizes = np.sqrt(np.diag(self._products))
         places = {name: i for i, name in enumerate(self.names)}
-        projected = self.nuisances.T @ np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(sizes), 0))
-        for (a, c), products in zip(columns.items(), projected.T, strict=True):
-            energy = float(c @ c) + 1e-300
-            same = np.abs(products) > ALIKE * sizes * float(np.linalg.norm(c))
+        projected = self.nuisances.T @ np.stack(list(sensitivities.values()), axis=1) if sensitivities else np.zeros((len(sizes), 0))
+        for (a, c), products in zip(sensitivities.items(), projected.T, strict=True):
+            square = float(c @ c) + 1e-300
+            same = np.abs(products) > SAME_SIGNATURE * sizes * float(np.linalg.norm(c))
             if a in places:
                 same[places[a]] = True
-            self.alike[a] = {self.names[i]: float(abs(products[i]) / energy * scales[a]) for i in np.flatnonzero(same)}
+            self.alike[a] = {self.names[i]: float(abs(products[i]) / square * scales[a]) for i in np.flatnonzero(same)}
 
     def explained(self, left: FloatArray) -> FloatArray:
-        """What the nuisances make of the residual `left`."""
+        """What the nuisances make of the residual `left` [n]: B (I + B'B)^-1 B' left, [n]."""
         return np.asarray(self.nuisances @ self.moved(left))
 
     def dot(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """Inner product of vectors or of the columns of matrices."""
+        """Inner product <a, b> of vectors [n], or of the columns of matrices [n, k] and [n, l]: [k, l]."""
         left = self.nuisances.T @ a
         right = left if b is a else self.nuisances.T @ b
         return np.asarray(a.T @ b - left.T @ (self._inner @ right))
 
     def gram(self, matrix: FloatArray) -> Gram:
-        """Inner products of the columns of a matrix, for this space and those that are it `without` some nuisances."""
+        """Products of the columns of a matrix [n, k], for `within` of this space and of those that are it `without` some nuisances."""
         return Gram(matrix.T @ matrix, self.nuisances.T @ matrix)
 
     def within(self, gram: Gram, chosen: Sequence[int]) -> FloatArray:
-        """The inner products of some of these columns, here."""
+        """The inner products of the `chosen` columns in this space, [chosen, chosen]."""
         part = gram.projected[:, chosen]
         return np.asarray(gram.plain[np.ix_(chosen, chosen)] - part.T @ (self._inner @ part))
 
-    def energies(self, vectors: FloatArray) -> FloatArray:
-        """Inner product of each column of [n, k] with itself, [k]."""
+    def chi2_of(self, vectors: FloatArray) -> FloatArray:
+        """chi2 of each column of [n, k], <v, v>: [k]."""
         left = self.nuisances.T @ vectors
         return np.asarray((vectors * vectors).sum(axis=0) - (left * (self._inner @ left)).sum(axis=0))
 
     def only(self, blocks: Sequence[str]) -> Space:
-        """The same restricted to some conditions."""
+        """Space restricted to the rows of some conditions; it has no blocks."""
         rows = np.concatenate([np.arange(self.y.size)[self.blocks[b]] for b in blocks])
         return Space(self.y[rows], {}, self.nuisances[rows], self.names, None, self.gone)
 
     def rows(self, blocks: Sequence[str]) -> FloatArray:
-        """Indices of the rows of some conditions."""
+        """Indices of the rows of y that belong to some conditions."""
         return np.concatenate([np.arange(self.y.size)[self.blocks[b]] for b in blocks])
 
 
-def quadratic_fit(model: Model, y: FloatArray, base: FloatArray, columns: FloatArray, start: FloatArray, space: Space) -> Fit:
-    """The best x for the signature base + columns (x - start), with bounds and priors; float64[k] in prior scales."""
+def quadratic_fit(model: Model, y: FloatArray, base: FloatArray, sensitivities: FloatArray, start: FloatArray, space: Space) -> Fit:
+    """The best x for the signature base + sensitivities (x - start), with bounds and priors.
+
+    `y`, `base` [n]; `sensitivities` [n, k] per prior scale; `start` [k] in prior scales.
+    """
     own = space.without([a for c in model for a in c.addresses])
-    together = np.column_stack([columns, y - base + columns @ start])
+    together = np.column_stack([sensitivities, y - base + sensitivities @ start])
     return solved(model, own.dot(together, together), space, own)
 
 
 def solved(model: Model, products: FloatArray, space: Space, own: Space) -> Fit:
-    """The same from the inner products of the columns and, last, of the residual at x = 0; `own`: `space` without what the model has."""
+    """The best x from inner products [k + 1, k + 1] in `own`: those of the k sensitivities and, last, of the residual at x = 0.
+
+    `own`: `space` without the nuisances that the model has as effects.
+    """
     hessian, gradient, constant = products[:-1, :-1], products[:-1, -1], float(products[-1, -1])
-    fit = solve(model, hessian, gradient, constant, space.energy, *scaled_bounds(model))
+    fit = solve(model, hessian, gradient, constant, space.chi2, *scaled_bounds(model))
     fit.log_evidence += 0.5 * (space.log_determinant - own.log_determinant)
     return fit
 
 
 def scaled_bounds(model: Model) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Scales [unit] and bounds [scales] of the parameters of a model."""
+    """Prior scales [unit], lower and upper bounds [prior scales] of the parameters of a model, [k] each."""
     scales, low, high = [], [], []
     for c in model:
         for _ in c.parameters:
@@ -210,12 +220,18 @@ def solve(
     hessian: FloatArray,
     gradient: FloatArray,
     constant: float,
-    energy: float,
+    chi2: float,
     scales: FloatArray,
     low: FloatArray,
     high: FloatArray,
 ) -> Fit:
-    """Minimise (x'Hx - 2 g'x + constant) / 2 within the bounds; evidence relative to `energy` / 2."""
+    """The best x within the bounds, and the evidence: the integral of exp(-(chi2(x) - chi2) / 2) prior(x).
+
+    chi2(x) = x'Hx - 2 g'x + constant is minimised together with the prior's part, taken as normal.
+
+    H = `hessian` [k, k], g = `gradient` [k], x in prior scales; `chi2`: that of the nominal model, to which the evidence is relative.
+    `scales` [unit], `low` and `high` [prior scales], [k] each. One parameter: the integral is numerical; several: Laplace's approximation.
+    """
     addresses = [a for c in model for a in c.addresses]
     priors = [c.prior for c in model for _ in c.parameters]
     k = len(addresses)
@@ -233,14 +249,14 @@ def solve(
     if k == 1:
         c = model[0]
         u = _points(c, float(x[0]), math.sqrt(covariance[0, 0]))
-        terms = -0.5 * (hessian[0, 0] * u * u - 2.0 * gradient[0] * u + constant - energy)
+        terms = -0.5 * (hessian[0, 0] * u * u - 2.0 * gradient[0] * u + constant - chi2)
         density = np.array([c.prior.log_density(v * scales[0]) for v in u]) + math.log(scales[0])
         weights = np.log(np.maximum(np.gradient(u), 1e-300))
         log_evidence = float(logsumexp(terms + density + weights))
     else:
         density_at = sum(p.log_density(float(v) * s) + math.log(s) for p, v, s in zip(priors, x, scales, strict=True))
         log_evidence = (
-            0.5 * (energy - remaining) + density_at + 0.5 * k * math.log(2.0 * math.pi) - 0.5 * float(np.linalg.slogdet(regular)[1])
+            0.5 * (chi2 - remaining) + density_at + 0.5 * k * math.log(2.0 * math.pi) - 0.5 * float(np.linalg.slogdet(regular)[1])
         )
     size = sum(len(c.parameters) for c in model)
     assert size == k
@@ -262,7 +278,10 @@ def _points(c: Candidate, x: float, width: float) -> FloatArray:
 
 
 def log_priors(models: Sequence[Model], candidates: Sequence[Candidate]) -> list[float]:
-    """Log of the probability of each model before the data: effects share that of their number, locations that of their effect."""
+    """Log of the probability of each model before the data: effects share that of their number, locations that of their effect.
+
+    log P(m) = log PRIOR_OF_SIZE[n] - log(sets of n of the effects) - sum of log(locations of an effect), with n effects in m.
+    """
     effects = len({c.effect for c in candidates})
     out = []
     for m in models:
@@ -273,7 +292,7 @@ def log_priors(models: Sequence[Model], candidates: Sequence[Candidate]) -> list
 
 
 def probabilities(fits: Sequence[Fit], candidates: Sequence[Candidate]) -> FloatArray:
-    """Of the models in `fits`, after the data."""
+    """Probabilities of the models in `fits` after the data, float64[fits]: evidence times prior, over the sum of that of all fits."""
     priors = log_priors([f.model for f in fits], candidates)
     scores = np.array([f.log_evidence + p for f, p in zip(fits, priors, strict=True)])
     return np.asarray(np.exp(scores - logsumexp(scores)))
@@ -281,20 +300,23 @@ def probabilities(fits: Sequence[Fit], candidates: Sequence[Candidate]) -> Float
 
 @dataclass(frozen=True)
 class LeftOut:
-    """One part of the data, and what the others say about it."""
+    """One part of the data, left out of the fit, and what the others say about it."""
 
     predicted: float
-    """Gain in log score there when the model is fitted to all the others (linear about the best values)."""
+    """Gain in log score there [nats] when the model is fitted to all the others (linear about the best values)."""
     fitted: float
-    """The same at the best values."""
+    """Gain in log score there [nats] at the best values of all parts together."""
     determined: bool
     """Whether the others say how large the effects are: not if an effect shows in this part only."""
 
 
 def leave_one_out(fit: Fit, space: Space) -> dict[str, LeftOut]:
-    """Each part (block of the space), left out of the fit; empty where there is one part only."""
+    """Each part (block of the space), left out of the fit: name -> what the others say of it; empty where there is one part only.
+
+    With x the fit to the others, the gain in a part is (chi2 of y - chi2 of y - s(x)) / 2 there, s linear about the best values.
+    """
     assert fit.signature is not None
-    assert fit.columns is not None
+    assert fit.sensitivities is not None
     scales, low, high = scaled_bounds(fit.model)
     addresses = [a for c in fit.model for a in c.addresses]
     best = np.array([fit.values[a] for a in addresses]) / scales
@@ -306,16 +328,16 @@ def leave_one_out(fit: Fit, space: Space) -> dict[str, LeftOut]:
             return {}
         rest, here = space.rows(others), space.rows([name])
         inner = own.only(others)
-        target = inner.y - fit.signature[rest] + fit.columns[rest] @ best
-        columns = fit.columns[rest]
-        refit = solve(fit.model, inner.dot(columns, columns), inner.dot(columns, target), 0.0, 0.0, scales, low, high)
+        target = inner.y - fit.signature[rest] + fit.sensitivities[rest] @ best
+        sensitivities = fit.sensitivities[rest]
+        refit = solve(fit.model, inner.dot(sensitivities, sensitivities), inner.dot(sensitivities, target), 0.0, 0.0, scales, low, high)
         x = np.array([refit.values[a] for a in addresses]) / scales
         there, plain = own.only([name]), space.only([name])
         left = there.y - fit.signature[here]
-        moved = left - fit.columns[here] @ (x - best)
+        moved = left - fit.sensitivities[here] @ (x - best)
         gains[name] = LeftOut(
-            float(0.5 * (plain.energy - there.dot(moved, moved))),
-            float(0.5 * (plain.energy - there.dot(left, left))),
+            float(0.5 * (plain.chi2 - there.dot(moved, moved))),
+            float(0.5 * (plain.chi2 - there.dot(left, left))),
             all(refit.deviations[a] < UNDETERMINED * size for c in fit.model for a, size in c.sizes(fit.values).items()),
         )
     return gains

@@ -1,4 +1,7 @@
-"""What the search works on: whitened residuals, columns of the candidates, and all that is no effect.
+"""What the search works on: whitened residuals, sensitivities of the candidates, and all that is no effect.
+
+The residual of condition i is y_i = sqrt(n_i) W (mean of its repeats - mean of the nominal simulations), with W the whitening, and n_i
+the repeats that it is worth; signatures and sensitivities are changes of the simulation, whitened in the same way.
 
 What repeats do is in the whitening (`noise`). What two systems that are the same but not quite leave is in nuisances: calibrated
 numbers within their tolerances, channels that are a part of a step late, own noise of single runs.
@@ -44,19 +47,19 @@ class Evidence:
     space: Space
     whitening: Whitening
     active: npt.NDArray[np.bool_]
-    """Of all channels those that some effect changes. The others say nothing; the gate has looked at them."""
+    """Which of all channels some effect changes, [channels]. The others say nothing; the gate has looked at them."""
     nominals: Sequence[Sequence[FloatArray]]
     """Nominal simulations with different noise, [samples, channels]."""
     sudden: list[FloatArray]
     """Standard deviation that single runs have beyond the noise where a channel changes suddenly, [samples, channels]."""
     residuals: list[list[FloatArray]]
     """Per repeat: whitened measured minus nominal, in single-run units."""
-    columns: dict[Address, FloatArray]
-    """Whitened change per prior scale, for each parameter that changes anything."""
+    sensitivities: dict[Address, FloatArray]
+    """ds/dx: whitened change per prior scale, [n], for each parameter that changes anything."""
     repeats: list[float]
     """Repeats that the mean residual is worth, the scatter of the simulated mean and DEPENDENCE included."""
     expected: FloatArray
-    """Energy that noise alone leaves in each sample of y, [n]: by channel and condition, from repeats and from simulations."""
+    """chi2 that noise alone leaves in each sample of y, [n]: by channel and condition, from repeats and from simulations."""
     scatter: FloatArray
     """Variance of a whitened run that is not repeated, by channel."""
     late: frozenset[Address]
@@ -65,11 +68,14 @@ class Evidence:
     """What two independent means of nominal simulations are away from the mean of all, whitened."""
 
     def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
-        """Whitened change of simulations of all conditions (all channels) against the nominal ones; None if one of them failed."""
+        """Whitened change [n] of simulations of all conditions, [samples, all channels] each, against the nominal ones.
+
+        None if one of them failed.
+        """
         return self._white(results, [n[0] for n in self.nominals])
 
     def mean_signature(self, groups: Sequence[Sequence[FloatArray] | None]) -> FloatArray | None:
-        """The same of means over simulations with different noise."""
+        """Whitened change [n] of means over simulations with different noise against means of as many nominal ones; None if one failed."""
         means = [None if g is None else np.asarray(np.mean(g, axis=0)) for g in groups]
         return self._white(means, [np.asarray(np.mean(n[: len(g or n)], axis=0)) for n, g in zip(self.nominals, groups, strict=True)])
 
@@ -100,7 +106,7 @@ def gather(
     `changes` were simulated at `sizes` [unit of the parameter]; `scales` are the prior scales of the candidates' parameters,
     `tolerances` the standard deviations of calibrated ones; `clocks` those among the candidates that are late clocks, or times of a
     component. `left`: what a model leaves of each run, from which the noise is guessed where there are no repeats (else what the nominal
-    one leaves). `like`: channels, whitening and what is no nuisance are those of this one, so that energies can be compared. DataError if
+    one leaves). `like`: channels, whitening and what is no nuisance are those of this one, so that chi2 can be compared. DataError if
     no parameter changes anything.
     """
     active = _moved(changes) if like is None else like.active
@@ -133,7 +139,7 @@ def gather(
         blocks[name] = slice(start, start + mean.size)
         start += mean.size
     raw = {a: white(change) for a, change in changes.items()}
-    columns = {a: raw[a] * (scales[a] / sizes[a]) for a in scales if a in raw}
+    sensitivities = {a: raw[a] * (scales[a] / sizes[a]) for a in scales if a in raw}
     nuisances = {a: raw[a] * (tolerances[a] / sizes[a]) for a in tolerances if a in raw}
     names = [c for c, on in zip(laboratory.channels, active, strict=True) if on]
     for component in dict.fromkeys(name.partition(".")[0] for name in names):
@@ -160,8 +166,8 @@ def gather(
     space = Space(y, blocks, np.concatenate([np.stack(list(nuisances.values()), axis=1), *own], axis=1), doubtful)
     late = _late(space, clocks, names, LATENESS * laboratory.system.step) if like is None else like.late
     space = space.less(late)
-    space.find_alike(columns, scales)
-    return Evidence(space, w, active, nominals, sudden, residuals, columns, counts, expected, np.mean(alone, axis=0), late, halves)
+    space.find_alike(sensitivities, scales)
+    return Evidence(space, w, active, nominals, sudden, residuals, sensitivities, counts, expected, np.mean(alone, axis=0), late, halves)
 
 
 def _late(space: Space, clocks: Sequence[Candidate], channels: Sequence[str], size: float) -> frozenset[Address]:

@@ -24,18 +24,16 @@ CONFUSABLE = 3.0
 class Pair:
     """Two candidates that can stand for each other, and how far apart they are."""
 
-    one: Candidate
-    other: Candidate
+    pair: tuple[str, str]
+    """Their names, in alphabetical order."""
     distance: float
-
-    @property
-    def confusable(self) -> bool:
-        """Whether the data cannot tell them apart."""
-        return self.distance < CONFUSABLE
+    """Whitened distance of their signatures [deviations of noise]."""
+    confusable: bool
+    """Whether the data cannot tell them apart: closer than CONFUSABLE."""
 
 
 def distance(one: Fit, other: Fit, space: Space) -> float:
-    """Between the signatures of two fitted models, in deviations of noise."""
+    """Distance of the signatures of two fitted models in deviations of noise: sqrt(<s1 - s2, s1 - s2>)."""
     assert one.signature is not None
     assert other.signature is not None
     difference: FloatArray = one.signature - other.signature
@@ -55,5 +53,6 @@ def pairs(fits: Sequence[Fit], surviving: Sequence[Candidate], space: Space) -> 
         far = distance(f, g, space)
         key = frozenset((a, b))
         if key not in closest or far < closest[key].distance:
-            closest[key] = Pair(a, b, far) if a.name < b.name else Pair(b, a, far)
-    return sorted(closest.values(), key=lambda p: (p.distance, p.one.name, p.other.name))
+            names = (a.name, b.name) if a.name < b.name else (b.name, a.name)
+            closest[key] = Pair(names, far, far < CONFUSABLE)
+    return sorted(closest.values(), key=lambda p: (p.distance, p.pair))

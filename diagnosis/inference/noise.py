@@ -22,7 +22,7 @@ FAST = 5
 ORDER = 3
 """Order of the autoregressive models, in (decimated) samples."""
 SPELL = 125
-"""Length [communication steps] of the spells in which it is looked at, too."""
+"""Length [communication steps] of the spells in which the noise is looked at, too."""
 RARE = 2.5
 """Variance of a spell, over that of white noise, that chance rarely gives to so few repeats."""
 SLOW = (0, 1, 2, 4, 8)
@@ -33,7 +33,7 @@ SHRINKAGE = 0.05
 
 @dataclass(frozen=True)
 class Whitening:
-    """`apply` turns residuals into white noise of standard deviation 1."""
+    """`apply` turns residuals into white noise of standard deviation 1: innovations e of the channels, then L^-1 e with L = `factor`."""
 
     coefficients: FloatArray
     """a[channel, lag]: e(t) = x(t) - sum_k a[k] x(t - 1 - k)."""
@@ -68,13 +68,13 @@ def whitening(
     begin: int = ORDER,
     left: Sequence[Sequence[FloatArray]] = (),
 ) -> Whitening:
-    """From the repeats [samples, channels] of each condition; `floor` [unit] per channel is added as white noise.
+    """The whitening from the repeats [samples, channels] of each condition; `floor` [unit] per channel is added as white noise.
 
     The first `begin` samples of a run do not count, nor the first ORDER ones: what comes before these is not known. Without repeats the
     noise is the fast part of what a model leaves of each run (`left`; `groups` are that, if it is not given).
     """
     deviations, freedom, total = [], 0.0, 0
-    guessed = all(len(g) < 2 for g in groups)
+    guessed = all(len(g) <= 1 for g in groups)
     for group in left if guessed and left else groups:
         if guessed:
             deviations += [fast(x) for x in group]
@@ -122,7 +122,7 @@ def own_noise(groups: Sequence[Sequence[FloatArray]], channels: int, rows_of_a_s
 
     `groups`: whitened repeats, flat [samples * channels], measured ones and simulated ones with different noise. Offsets and drifts
     (cosines, in the bands of SLOW) and spells (boxes) of each channel should scatter from repeat to repeat by 1. Where they do by
-    more, the excess is a column: an axis that stands a little off until it moves again is no white noise.
+    more, the excess is a nuisance, one column: an axis that stands a little off until it moves again is no white noise.
     """
     runs = [np.stack(g).reshape(len(g), -1, channels) for g in groups if len(g) > 1]
     if not runs:

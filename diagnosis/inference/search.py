@@ -1,4 +1,4 @@
-"""The search for the effects that explain the gap: screening, refinement on real simulations, pairs and triples."""
+"""The search for the effects that explain the gap: linear fits of all, refinement on real simulations, pairs and triples."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from robomill.diagnosis.catalogue import LOGGING, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
 from robomill.diagnosis.inference.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
 from robomill.diagnosis.inference.evidence import DEPENDENCE
-from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Screening
+from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Sensitivities
 from robomill.orchestration.slaves.protocol import FloatArray
 
 POLISH, POLISHED = 6, 8
@@ -19,14 +19,15 @@ POLISH, POLISHED = 6, 8
 SHARPENED, ROUGH = 2, 1.15
 """How many models of each size are fitted with slopes of their own place, if they leave more than this times noise."""
 SHARPER, BETTER = 5, 0.99
-"""How often at most, and the part of the energy that must not be left for it to go on."""
-PROMISING = 12.0
-"""Gain in evidence [nats] that columns must promise for a further effect to be looked at."""
+"""How often slopes are taken anew at most, and the part of chi2 that must not be left for it to go on."""
+GROWTH_GAIN = 12.0
+"""Gain in evidence [nats], as sensitivities have it, from which models with a further effect are simulated."""
 SUBSTANTIAL = 0.05
 """Part of what is left beyond noise that another effect must explain."""
 FAULT = 0.67
-"""The same for a fault of the log. It can be modelled exactly: what is left of something else is no reason to reject a log."""
-PARTS = 6
+"""Part of what is left beyond noise that a fault of the log must explain. It can be modelled exactly: what is left of something else is no
+reason to reject a log."""
+TIME_PARTS = 6
 """Parts of each condition for the test whether an effect is the same all along."""
 TOLD = 0.1
 """Part of the gain that must be where the other parts say how large an effect is, for that to be a test."""
@@ -38,12 +39,16 @@ HIDDEN = 0.1
 """Part of a gap without the tolerances like it that a candidate leaves, which is looked at though with them it seems to be of no use."""
 GUESSES = 4
 """How often noise is guessed anew from what the best model leaves: once more than a model has effects, at most."""
-LARGEST, GROWN = 3, 4
+LARGEST, GROWTH_ROUNDS = 3, 4
 """Effects of the largest models, and how often models are grown: once more where the best one loses an effect that is too small."""
 
 
 class Search:
-    """Fits on the first `len(groups)` conditions of the simulator's laboratory; `groups` are their measured repeats."""
+    """Fits on the first `len(groups)` conditions of the simulator's laboratory; `groups` are their measured repeats [samples, channels].
+
+    `evidence`: whitened residuals, sensitivities and nuisances; `candidates`: those that change anything; `starts`: where fits begin that
+    do not begin at zero.
+    """
 
     def __init__(
         self,
@@ -56,28 +61,31 @@ class Search:
         """`left`: what a model leaves of each run, from which noise is guessed where nothing was repeated."""
         self.nuisances = nuisances
         self.catalogue, self.simulator, self.groups = catalogue, simulator, groups
-        screening = Screening(catalogue, simulator, groups, nuisances, left)
-        self.evidence, self.candidates, self.starts = screening.evidence, screening.candidates, screening.starts
+        sensitivities = Sensitivities(catalogue, simulator, groups, nuisances, left)
+        self.evidence, self.candidates, self.starts = sensitivities.evidence, sensitivities.candidates, sensitivities.starts
 
     def nominal(self) -> Fit:
-        """No effect."""
+        """The fit of the nominal model, which has no effect: log evidence 0, signature 0."""
         s = self.evidence.space
-        return Fit((), {}, {}, 0.0, s.energy, True, np.zeros_like(s.y), np.zeros((s.y.size, 0)))
+        return Fit((), {}, {}, 0.0, s.chi2, np.zeros_like(s.y), np.zeros((s.y.size, 0)))
 
-    def screen(self, bases: Sequence[Fit]) -> list[Fit]:
-        """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion."""
+    def linear_fits(self, bases: Sequence[Fit]) -> list[Fit]:
+        """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion: s + (ds/dx) (x - best) + v x'.
+
+        v is the sensitivity of the candidate, x' its size; no simulation is made. The parameters of the base are fitted again, too.
+        """
         space = self.evidence.space
         order = list(dict.fromkeys(a for c in self.candidates for a in c.addresses))
-        stacked = np.stack([self.evidence.columns[a] for a in order], axis=1)
+        stacked = np.stack([self.evidence.sensitivities[a] for a in order], axis=1)
         place = {a: i for i, a in enumerate(order)}
         found: dict[frozenset[str], Fit] = {}
         for base in bases:
             assert base.signature is not None
-            assert base.columns is not None
+            assert base.sensitivities is not None
             scales, _, _ = scaled_bounds(base.model)
             best = np.array([base.values[a] for c in base.model for a in c.addresses]) / (scales if len(scales) else 1.0)
-            target = space.y - base.signature + base.columns @ best
-            gram = space.gram(np.column_stack([base.columns, stacked, target]))
+            target = space.y - base.signature + base.sensitivities @ best
+            gram = space.gram(np.column_stack([base.sensitivities, stacked, target]))
             k = len(best)
             for c in self.candidates:
                 model = (*base.model, c)
@@ -86,8 +94,10 @@ class Search:
                     continue
                 there = self.starts.get(c.addresses[0])
                 if there is not None:
-                    columns = np.concatenate([base.columns, there.column[:, None]], axis=1)
-                    found[key] = quadratic_fit(model, space.y, base.signature + there.signature, columns, np.append(best, there.x), space)
+                    sensitivities = np.concatenate([base.sensitivities, there.sensitivity[:, None]], axis=1)
+                    found[key] = quadratic_fit(
+                        model, space.y, base.signature + there.signature, sensitivities, np.append(best, there.x), space
+                    )
                     continue
                 own = space.without([a for m in model for a in m.addresses])
                 products = own.within(gram, [*range(k), *(k + place[a] for a in c.addresses), k + len(order)])
@@ -95,15 +105,20 @@ class Search:
         return list(found.values())
 
     def refine(self, fits: Sequence[Fit], rounds: int = 5) -> list[Fit]:
-        """Gauss-Newton on real simulations, all models together (one simulation of each per round)."""
+        """Gauss-Newton on real simulations, all models together (one simulation of each per round): the best of each that was simulated.
+
+        Sensitivities S follow by Broyden's rule from the step dx and what it did: S + (ds - S dx) dx' / dx'dx.
+        """
         space = self.evidence.space
         states = []
         for f in fits:
             addresses = [a for c in f.model for a in c.addresses]
             there = [self.starts.get(a) for a in addresses]
-            columns = np.stack([self.evidence.columns[a] if t is None else t.column for a, t in zip(addresses, there, strict=True)], axis=1)
+            sensitivities = np.stack(
+                [self.evidence.sensitivities[a] if t is None else t.sensitivity for a, t in zip(addresses, there, strict=True)], axis=1
+            )
             beginning: FloatArray = sum((t.signature for t in there if t is not None), np.zeros_like(space.y))
-            states.append(_State(f, columns, np.array([0.0 if t is None else t.x for t in there]), beginning))
+            states.append(_State(f, sensitivities, np.array([0.0 if t is None else t.x for t in there]), beginning))
         for _ in range(rounds):
             active = [s for s in states if not s.settled]
             if not active:
@@ -116,36 +131,37 @@ class Search:
         return [s.best for s in states]
 
     def mean_signature(self, changes: Setting) -> FloatArray | None:
-        """Whitened change that these settings make, as a mean over noise; None where the system cannot run."""
+        """Whitened change that these settings make, [n], as a mean over POLISH simulations; None where the system cannot run."""
         return self.evidence.mean_signature(self.simulator.repeated(range(len(self.groups)), changes, POLISH, "fits"))
 
-    def polish(self, fits: Sequence[Fit], promised: Sequence[Fit]) -> list[Fit]:
+    def polish(self, fits: Sequence[Fit], linear: Sequence[Fit]) -> list[Fit]:
         """The best of `fits` again, with simulations that are means over noise; a single one scatters as a measured run does.
 
-        `promised`: the same models as columns have them. Where an effect takes the noise out, a single simulation looks worse than it is.
+        `linear`: the linear fits of the same models. Where an effect takes the noise out, a single simulation looks worse than it is, so
+        the better of both evidences counts for which ones are the best.
         """
         if not self.simulator.laboratory.seeds:
             return list(fits)
         polished = []
         best = max((f.log_evidence for f in fits), default=0.0)
-        hopes = {f.name: max(f.log_evidence, p.log_evidence) for f, p in zip(fits, promised, strict=True)}
-        near = [f for f in fits if hopes[f.name] > best - max(FAR, NEARBY * best)]
-        for f in sorted(near, key=lambda f: -hopes[f.name])[:POLISHED]:
+        expected = {f.name: max(f.log_evidence, p.log_evidence) for f, p in zip(fits, linear, strict=True)}
+        near = [f for f in fits if expected[f.name] > best - max(FAR, NEARBY * best)]
+        for f in sorted(near, key=lambda f: -expected[f.name])[:POLISHED]:
             signature = self.mean_signature(setting(f.values))
             if signature is None:
                 continue
-            assert f.columns is not None
-            polished.append(self._about(f, signature, f.columns))
+            assert f.sensitivities is not None
+            polished.append(self._about(f, signature, f.sensitivities))
         return polished
 
-    def _about(self, fit: Fit, signature: FloatArray, columns: FloatArray) -> Fit:
+    def _about(self, fit: Fit, signature: FloatArray, sensitivities: FloatArray) -> Fit:
         """The best fit near the values of another one, where the signature and its slopes are these."""
         scales, _, _ = scaled_bounds(fit.model)
         addresses = [a for c in fit.model for a in c.addresses]
         x = np.array([fit.values[a] for a in addresses]) / scales
-        better = quadratic_fit(fit.model, self.evidence.space.y, signature, columns, x, self.evidence.space)
+        better = quadratic_fit(fit.model, self.evidence.space.y, signature, sensitivities, x, self.evidence.space)
         move = np.array([better.values[a] for a in addresses]) / scales - x
-        better.exact, better.columns, better.signature = True, columns, signature + columns @ move
+        better.sensitivities, better.signature = sensitivities, signature + sensitivities @ move
         return better
 
     def sharpen(self, fit: Fit) -> Fit:
@@ -155,7 +171,7 @@ class Search:
         own = space.without(addresses)
         scales, _, high = scaled_bounds(fit.model)
 
-        def energy(signature: FloatArray) -> float:
+        def chi2(signature: FloatArray) -> float:
             return float(own.dot(space.y - signature, space.y - signature))
 
         here = self.mean_signature(setting(fit.values))
@@ -174,42 +190,42 @@ class Search:
             slopes = [(x - known[0]) * (scale / step) for x, scale, (_, step) in zip(known[1:], scales, moved, strict=True)]
             trial = self._about(fit, here, np.stack(slopes, axis=1))
             there = self.mean_signature(setting(trial.values))
-            if there is None or energy(there) > BETTER * energy(here):
+            if there is None or chi2(there) > BETTER * chi2(here):
                 break
-            assert trial.columns is not None
-            fit, here = self._about(trial, there, trial.columns), there
+            assert trial.sensitivities is not None
+            fit, here = self._about(trial, there, trial.sensitivities), there
         return fit
 
     def _sharpened(self, fits: Sequence[Fit]) -> list[Fit]:
-        """The same, the best of them sharper where they leave more than noise."""
+        """These fits, best first; the SHARPENED best `sharpen`ed where they leave more than ROUGH times noise."""
         noise = float(self.evidence.expected.sum())
         best = sorted(fits, key=_evidence, reverse=True)
-        return [self.sharpen(f) if k < SHARPENED and f.energy > ROUGH * noise else f for k, f in enumerate(best)]
+        return [self.sharpen(f) if k < SHARPENED and f.chi2 > ROUGH * noise else f for k, f in enumerate(best)]
 
     def run(self) -> list[Fit]:
-        """All models looked at on real simulations, the nominal one first."""
+        """All models that were fitted on real simulations, the nominal one first; `linear_singles` are all singles by sensitivities."""
         space = self.evidence.space
         fits = [self.nominal()]
-        screened = sorted(self.screen(fits), key=_evidence, reverse=True)
-        self.screened = screened
-        gain = space.energy - min((f.energy for f in screened), default=space.energy)
-        chosen = [f for f in screened if space.energy - f.energy > WORTH * gain][:SINGLES] or screened[:SINGLES]
-        chosen += [f for f in screened if f not in chosen and self._hidden(f)]
+        singles = sorted(self.linear_fits(fits), key=_evidence, reverse=True)
+        self.linear_singles = singles
+        gain = space.chi2 - min((f.chi2 for f in singles), default=space.chi2)
+        chosen = [f for f in singles if space.chi2 - f.chi2 > WORTH * gain][:SINGLES] or singles[:SINGLES]
+        chosen += [f for f in singles if f not in chosen and self._hidden(f)]
         level = self._sharpened(self.polish(self.refine(chosen), chosen))
         fits += level
         bases = self._best(level, BASES)
-        for _ in range(GROWN):
+        for _ in range(GROWTH_ROUNDS):
             if not bases or len(bases[0].model) == LARGEST:
                 break
             best = max(f.log_evidence for f in fits)
-            grown = sorted(self.screen(bases), key=_evidence, reverse=True)
-            promising = [f for f in grown if f.log_evidence > best + PROMISING][: EXTENSIONS * len(bases)]
-            hidden = {frozenset(f.model) for f in grown if f not in promising and self._hidden(f)}
-            promising += [f for f in grown if frozenset(f.model) in hidden]
-            if not promising:
+            grown = sorted(self.linear_fits(bases), key=_evidence, reverse=True)
+            chosen = [f for f in grown if f.log_evidence > best + GROWTH_GAIN][: EXTENSIONS * len(bases)]
+            hidden = {frozenset(f.model) for f in grown if f not in chosen and self._hidden(f)}
+            chosen += [f for f in grown if frozenset(f.model) in hidden]
+            if not chosen:
                 break
-            level = [f for f in self._sharpened(self.polish(self.refine(promising), promising)) if self._worth(f, fits)]
-            level = [f for f in level if frozenset(f.model) not in hidden or f.log_evidence > best + PROMISING]
+            level = [f for f in self._sharpened(self.polish(self.refine(chosen), chosen)) if self._worth(f, fits)]
+            level = [f for f in level if frozenset(f.model) not in hidden or f.log_evidence > best + GROWTH_GAIN]
             smaller = self._smaller(level, fits)
             again = {frozenset(f.model) for f in smaller}
             fits = [f for f in fits if frozenset(f.model) not in again] + level + smaller
@@ -220,13 +236,13 @@ class Search:
         return fits
 
     def _hidden(self, fit: Fit) -> bool:
-        """Whether the last effect of a model explains nearly all of a large gap that tolerances explain better, as far as columns can tell.
+        """Whether the last effect of a model explains nearly all of a large gap that tolerances explain better, by its linear fit.
 
-        Against a gap that is hundreds of times the noise no column is exact enough; a simulation is.
+        Against a gap that is hundreds of times the noise no sensitivity is exact enough; a simulation is.
         """
         space = self.evidence.space
         own, before = space.without(list(fit.values)), space.without([a for c in fit.model[:-1] for a in c.addresses])
-        return own is not before and own.energy > LARGE * float(self.evidence.expected.sum()) and fit.energy < HIDDEN * own.energy
+        return own is not before and own.chi2 > LARGE * float(self.evidence.expected.sum()) and fit.chi2 < HIDDEN * own.chi2
 
     def _best(self, level: Sequence[Fit], count: int) -> list[Fit]:
         return sorted(level, key=_evidence, reverse=True)[:count]
@@ -234,7 +250,7 @@ class Search:
     def _smaller(self, level: Sequence[Fit], known: Sequence[Fit]) -> list[Fit]:
         """Models that are left of others when effects too small to count are out, where they beat all that is known of them.
 
-        A strong effect that its own column misses may come as the partner of what stood in for it.
+        A strong effect that its own sensitivity misses may come as the partner of what stood in for it.
         """
         found: list[Fit] = []
         left = [f for f in level if not f.large_enough()]
@@ -243,7 +259,7 @@ class Search:
             model = tuple(c for c in fit.model if c.large_enough(fit.values))
             if not model:
                 continue
-            assert fit.columns is not None
+            assert fit.sensitivities is not None
             addresses = [a for c in fit.model for a in c.addresses]
             kept = [i for i, a in enumerate(addresses) if any(a in c.addresses for c in model)]
             values = {addresses[i]: fit.values[addresses[i]] for i in kept}
@@ -251,7 +267,7 @@ class Search:
             if signature is None:
                 continue
             trial = Fit(model, values, {a: fit.deviations[a] for a in values}, 0.0, 0.0)
-            better = self.sharpen(self._about(trial, signature, fit.columns[:, kept]))
+            better = self.sharpen(self._about(trial, signature, fit.sensitivities[:, kept]))
             same = [f for f in (*known, *found) if set(f.model) == set(model)]
             if all(better.log_evidence > f.log_evidence for f in same):
                 found = [f for f in found if f not in same] + [better]
@@ -269,18 +285,19 @@ class Search:
             return FAULT if any(c.component == LOGGING for c in fit.model if c not in known.model) else SUBSTANTIAL
 
         without = [f for f in fits if set(f.model) < set(fit.model)]
-        return all(f.energy > noise and fit.energy - noise < (1.0 - part(f)) * (f.energy - noise) for f in without)
+        return all(f.chi2 > noise and fit.chi2 - noise < (1.0 - part(f)) * (f.chi2 - noise) for f in without)
 
     def kept(self, fit: Fit) -> float:
         """Part of the gain in evidence that stays when parts of the time are predicted from the others: an effect is the same all along.
 
-        1 where that cannot be told, because the effect shows in one part only.
+        Sum of the predicted gains over the sum of the fitted ones, over those of the TIME_PARTS of each condition whose others say how
+        large the effects are. 1 where that cannot be told, because the effect shows in one part only.
         """
         space, channels = self.evidence.space, int(self.evidence.active.sum())
         parts: dict[str, slice] = {}
         for name, block in space.blocks.items():
             rows = (block.stop - block.start) // channels
-            edges = block.start + channels * np.linspace(0, rows, PARTS + 1).astype(int)
+            edges = block.start + channels * np.linspace(0, rows, TIME_PARTS + 1).astype(int)
             parts |= {f"{name}, part {i + 1}": slice(int(a), int(b)) for i, (a, b) in enumerate(itertools.pairwise(edges))}
         every = leave_one_out(fit, space.divided(parts)).values()
         told = [part for part in every if part.determined]
@@ -290,7 +307,7 @@ class Search:
     def gap(self, fit: Fit, *, calibrated: bool = True) -> tuple[float, float]:
         """G: mean over pairs of repeats of r_a' W r_b with the model taken out, and its deviation by noise.
 
-        `calibrated`: the nuisances are taken out too. Without repeats: energy less its expectation. In single-run units,
+        `calibrated`: the nuisances are taken out too. Without repeats: chi2 less its expectation. In single-run units,
         summed over the conditions.
         """
         space = self.evidence.space
@@ -313,7 +330,7 @@ class Search:
 def searched(
     catalogue: Catalogue, simulator: Simulator, groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
 ) -> tuple[Search, list[Fit]]:
-    """A search and the models that it has looked at.
+    """A search and the models that it has fitted, the nominal one first.
 
     Where nothing was repeated, noise is what the best model leaves: guessed from what the nominal one leaves, and again from what is left
     of the best one, until that is the same model. What is measured itself says nothing of noise: it moves.
@@ -346,11 +363,11 @@ def _evidence(fit: Fit) -> float:
 class _State:
     """One model under refinement."""
 
-    def __init__(self, fit: Fit, columns: FloatArray, x: FloatArray, signature: FloatArray) -> None:
-        self.fit, self.columns, self.x, self.signature = fit, columns, x, signature
+    def __init__(self, fit: Fit, sensitivities: FloatArray, x: FloatArray, signature: FloatArray) -> None:
+        self.fit, self.sensitivities, self.x, self.signature = fit, sensitivities, x, signature
         self.scales, _, _ = scaled_bounds(fit.model)
         self.best, self.settled = fit, False
-        self.energy = np.inf
+        self.chi2 = np.inf
 
     def update(self, signature: FloatArray | None, space: Space) -> None:
         """Take the simulation at the fit's values into account, fit again."""
@@ -363,17 +380,17 @@ class _State:
         move = new - self.x
         length = float(move @ move)
         if length > 0.0:
-            self.columns = self.columns + np.outer(signature - self.signature - self.columns @ move, move) / length
+            self.sensitivities = self.sensitivities + np.outer(signature - self.signature - self.sensitivities @ move, move) / length
         left = space.y - signature
-        energy = float(space.without(addresses).dot(left, left))
-        fit = quadratic_fit(self.fit.model, space.y, signature, self.columns, new, space)
-        if energy < self.energy:
-            # its evidence is that of the quadratic about these values, at their real energy
-            self.energy = energy
+        chi2 = float(space.without(addresses).dot(left, left))
+        fit = quadratic_fit(self.fit.model, space.y, signature, self.sensitivities, new, space)
+        if chi2 < self.chi2:
+            # its evidence is that of the quadratic about these values, at their real chi2
+            self.chi2 = chi2
             spread = fit.deviations
             values = dict(self.fit.values)
-            evidence = fit.log_evidence - 0.5 * max(energy - fit.energy, 0.0)
-            self.best = Fit(self.fit.model, values, spread, evidence, energy, True, signature, self.columns)
+            evidence = fit.log_evidence - 0.5 * max(chi2 - fit.chi2, 0.0)
+            self.best = Fit(self.fit.model, values, spread, evidence, chi2, signature, self.sensitivities)
         step = np.array([fit.values[a] for a in addresses]) / self.scales - new
         width = np.array([fit.deviations[a] for a in addresses]) / self.scales
         self.settled = bool(np.all(np.abs(step) < np.maximum(0.3 * width, 0.002 * np.abs(new))))

@@ -1,4 +1,8 @@
-"""What each candidate does by itself: simulated at its prior scale, and at other sizes where that does not say enough."""
+"""What each candidate does by itself: simulated at its prior scale, and at other sizes where that does not say enough.
+
+The sensitivity of a parameter is ds/dx, s the whitened change of all channels and conditions [n], x its value / prior scale: by one
+difference, s(x) / x at x = 1, or at another size x where that fits better.
+"""
 
 from __future__ import annotations
 
@@ -16,37 +20,39 @@ from robomill.diagnosis.inference.evidence import gather
 from robomill.orchestration.slaves.protocol import FloatArray
 
 BENT = 0.9
-"""Cosine of the columns at two sizes below which an effect is not taken as proportional to its size."""
+"""Cosine of the sensitivities at two sizes below which an effect is not taken as proportional to its size."""
 TURNED = 0.7
 """Cosine below which many sizes are tried."""
 SMALLER, NOTED = 0.2, 8.0
 """Part of its prior scale below which an effect that seems to explain this much [nats] is tried at sizes in between, too."""
 WORTH = 0.2
-"""Part of the best candidate's gain (as columns have it) from which a candidate is looked at on more simulations."""
+"""Part of the best candidate's gain (as sensitivities have it) from which a candidate is looked at on more simulations."""
 LARGE, LOST = 10.0, 0.5
-"""Energy over that of noise, and the part of it that the best candidate leaves, from which effects that turn are tried at EVENLY sizes."""
+"""chi2 over that of noise, and the part of it that the best candidate leaves, from which effects that turn are tried at EVENLY sizes."""
 EVENLY = 64
 """Sizes up to the largest one: in a loop that begins to swing, a delay must be right to a part of the period."""
 NOMINAL = 8
 """Simulations of the nominal system with different noise, of each condition."""
 TOLERANCES = 3.0
-"""Standard deviations of a calibrated number that its column is simulated at."""
+"""Standard deviations of a calibrated number that its sensitivity is simulated at."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """A size from which an effect is fitted [prior scales], its signature, and the change of that per prior scale."""
+    """A size from which an effect is fitted."""
 
     x: float
+    """Value / prior scale."""
     signature: FloatArray
-    column: FloatArray
+    """s(x), [n]."""
+    sensitivity: FloatArray
+    """ds/dx there, [n]: by the difference to the better one of the neighbouring sizes."""
 
 
-class Screening:
-    """Evidence, the candidates that change anything, and where their fits start.
+class Sensitivities:
+    """Evidence with the sensitivity of every parameter, the candidates that change anything, and where their fits start.
 
-    A column is the change of the whitened channels per prior scale. What is not proportional to its size has a column from another
-    size, or a start.
+    What is not proportional to its size has a sensitivity from another size, or an entry in `starts` (parameter -> Start).
     """
 
     def __init__(
@@ -75,17 +81,17 @@ class Screening:
         names = [simulator.laboratory.conditions[i].name for i in self.conditions]
         clocks = [c for c in catalogue.candidates if c.unit == "s" and (c.component != LOGGING or c.parameters[0].startswith("lag "))]
         self.evidence = gather(simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks, left)
-        self.single = {a: c for a, c in single.items() if a in self.evidence.columns}
+        self.single = {a: c for a, c in single.items() if a in self.evidence.sensitivities}
         self.starts: dict[Address, Start] = {}
         self._try_other_sizes()
-        self.candidates = [c for c in catalogue.candidates if all(a in self.evidence.columns for a in c.addresses)]
+        self.candidates = [c for c in catalogue.candidates if all(a in self.evidence.sensitivities for a in c.addresses)]
 
     def _try_other_sizes(self) -> None:
-        """Columns from a smaller size, where one fits better, and starts from the best of many sizes for effects that turn with theirs.
+        """Sensitivities from a smaller size, where one fits better; starts from the best of many sizes for effects that turn with theirs.
 
         A delay of 50 ms does not look like one of 25 ms, twice.
         """
-        columns, space, single = self.evidence.columns, self.evidence.space, self.single
+        sensitivities, space, single = self.evidence.sensitivities, self.evidence.space, self.single
         smaller = {a: _smaller(c) for a, c in single.items()}
         # the first place of an effect tells for the others whether they are to be tried, too
         places: dict[str, list[Address]] = {}
@@ -93,21 +99,21 @@ class Screening:
             places.setdefault(c.effect, []).append(a)
         other: dict[Address, FloatArray] = {}
         for some in ([p[0] for p in places.values()], [a for p in places.values() for a in p[1:]]):
-            wanted = [a for a in some if _bends(places[single[a].effect][0], other, columns)]
+            wanted = [a for a in some if _bends(places[single[a].effect][0], other, sensitivities)]
             tried = self._signatures({a: [smaller[a]] for a in wanted})
             other |= {a: tried[a, smaller[a]] / smaller[a] for a in wanted if (a, smaller[a]) in tried}
-        alike = {a: _cosine(column, columns[a]) for a, column in other.items()}
+        alike = {a: _cosine(sensitivity, sensitivities[a]) for a, sensitivity in other.items()}
         for a, cosine in alike.items():
             if cosine < BENT:
                 self._take_if_better(a, other[a])
         turned = [a for a, cosine in alike.items() if cosine < TURNED]
         sizes = {**self._much_smaller(), **{a: _sizes(single[a]) for a in turned}}
         # which nuisances these are like at one size says nothing of another
-        space.find_alike({a: np.zeros_like(columns[a]) for a in sizes}, self.scales)
+        space.find_alike({a: np.zeros_like(sensitivities[a]) for a in sizes}, self.scales)
         self._start_from(sizes)
-        if space.energy > LARGE * float(self.evidence.expected.sum()) and self._least() > LOST * space.energy:
+        if space.chi2 > LARGE * float(self.evidence.expected.sum()) and self._least() > LOST * space.chi2:
             self._start_from({a: _evenly(single[a]) for a in turned})
-        space.find_alike({a: self.starts[a].column if a in self.starts else columns[a] for a in {**alike, **sizes}}, self.scales)
+        space.find_alike({a: self.starts[a].sensitivity if a in self.starts else sensitivities[a] for a in {**alike, **sizes}}, self.scales)
 
     def _start_from(self, sizes: Mapping[Address, Sequence[float]]) -> None:
         """The best of these sizes [prior scales], and between the last that does nothing and the next one."""
@@ -115,46 +121,46 @@ class Screening:
         tried |= self._signatures({a: _where_it_begins([(x, tried[a, x]) for x in xs if (a, x) in tried]) for a, xs in sizes.items()})
         for a in sizes:
             found = sorted(((x, signature) for (b, x), signature in tried.items() if b == a), key=lambda pair: pair[0])
-            if len(found) < 2:
+            if len(found) <= 1:
                 continue
             own = self.evidence.space.without([a])
-            energies = own.energies(own.y[:, None] - np.stack([f for _, f in found], axis=1))
-            i = int(np.argmin(energies))
-            _, j = min((energies[k], k) for k in (i - 1, i + 1) if 0 <= k < len(found))
+            chi2 = own.chi2_of(own.y[:, None] - np.stack([f for _, f in found], axis=1))
+            i = int(np.argmin(chi2))
+            _, j = min((chi2[k], k) for k in (i - 1, i + 1) if 0 <= k < len(found))
             (x, signature), (near, neighbour) = found[i], found[j]
-            if energies[i] < self._energy(a, self.evidence.space.energy):
+            if chi2[i] < self._chi2(a, self.evidence.space.chi2):
                 self.starts[a] = Start(x, signature, (signature - neighbour) / (x - near))
 
-    def _energy(self, address: Address, otherwise: float) -> float:
-        """What is left where the fit of an effect starts."""
+    def _chi2(self, address: Address, otherwise: float) -> float:
+        """chi2 that is left where the fit of an effect starts; `otherwise` where it has no start."""
         start, own = self.starts.get(address), self.evidence.space.without([address])
         return otherwise if start is None else float(own.dot(own.y - start.signature, own.y - start.signature))
 
     def _least(self) -> float:
-        """Energy that the best candidate leaves, by columns or where its fit starts."""
-        left = [self.evidence.space.energy]
+        """chi2 that the best candidate leaves, by sensitivities or where its fit starts."""
+        left = [self.evidence.space.chi2]
         for a, c in self.single.items():
             own = self.evidence.space.without([a])
-            left.append(self._energy(a, own.energy - _gain(own, self.evidence.columns[a], c)))
+            left.append(self._chi2(a, own.chi2 - _gain(own, self.evidence.sensitivities[a], c)))
         return min(left)
 
     def _much_smaller(self) -> dict[Address, list[float]]:
         """Sizes between where an effect fits and where it was simulated, if these are far apart: large, it may hide how it begins."""
         found, gains = {}, {}
         for a, c in self.single.items():
-            own, column = self.evidence.space.without([a]), self.evidence.columns[a]
-            x = float(own.dot(column, own.y) / (own.dot(column, column) + 1e-300))
-            gains[a] = self.evidence.space.energy - own.energy + _gain(own, column, c)
+            own, sensitivity = self.evidence.space.without([a]), self.evidence.sensitivities[a]
+            x = float(own.dot(sensitivity, own.y) / (own.dot(sensitivity, sensitivity) + 1e-300))
+            gains[a] = self.evidence.space.chi2 - own.chi2 + _gain(own, sensitivity, c)
             if abs(x) < SMALLER and 0.5 * gains[a] > NOTED:
                 found[a] = [x * 1.6**k for k in range(math.ceil(math.log(SMALLER / abs(x), 1.6)) + 1)]
         best = max(gains.values(), default=0.0)
         return {a: sizes for a, sizes in found.items() if gains[a] > WORTH * best}
 
-    def _take_if_better(self, address: Address, column: FloatArray) -> None:
-        """Another column, if it takes away more energy."""
-        own, known = self.evidence.space.without([address]), self.evidence.columns[address]
-        if _gain(own, column, self.single[address]) > _gain(own, known, self.single[address]):
-            self.evidence.columns[address] = column
+    def _take_if_better(self, address: Address, sensitivity: FloatArray) -> None:
+        """Put another sensitivity in place of the known one, if it takes away more of chi2."""
+        own, known = self.evidence.space.without([address]), self.evidence.sensitivities[address]
+        if _gain(own, sensitivity, self.single[address]) > _gain(own, known, self.single[address]):
+            self.evidence.sensitivities[address] = sensitivity
 
     def _signatures(self, sizes: Mapping[Address, Sequence[float]]) -> dict[tuple[Address, float], FloatArray]:
         """Signatures at sizes [prior scales]: (address, size) -> whitened change; without those that cannot run."""
@@ -220,16 +226,16 @@ def _where_it_begins(found: Sequence[tuple[float, FloatArray]]) -> list[float]:
     return []
 
 
-def _bends(first: Address, other: Mapping[Address, FloatArray], columns: Mapping[Address, FloatArray]) -> bool:
-    """Whether the column at another size is another one, or not known yet."""
-    return first not in other or _cosine(other[first], columns[first]) < BENT
+def _bends(first: Address, other: Mapping[Address, FloatArray], sensitivities: Mapping[Address, FloatArray]) -> bool:
+    """Whether the sensitivity at another size points elsewhere (cosine below BENT), or is not known yet."""
+    return first not in other or _cosine(other[first], sensitivities[first]) < BENT
 
 
 def _cosine(a: FloatArray, b: FloatArray) -> float:
     return float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-300))
 
 
-def _gain(space: Space, column: FloatArray, candidate: Candidate) -> float:
-    """Energy that the column takes away at its best size."""
-    product, energy = float(space.dot(column, space.y)), float(space.dot(column, column))
-    return product * product / (energy + 1e-300) if product > 0.0 or candidate.both_signs else 0.0
+def _gain(space: Space, sensitivity: FloatArray, candidate: Candidate) -> float:
+    """chi2 that the sensitivity v takes away at its best size: <v, y>^2 / <v, v>; 0 where that size has a sign it cannot have."""
+    product, square = float(space.dot(sensitivity, space.y)), float(space.dot(sensitivity, sensitivity))
+    return product * product / (square + 1e-300) if product > 0.0 or candidate.both_signs else 0.0

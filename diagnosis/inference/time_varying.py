@@ -1,7 +1,7 @@
 """What effects of the catalogue would do if they changed with time: the mark of something that is in no catalogue.
 
 A catalogue says what is wrong, not that it comes late (creep) or grows (wear of the tool, warming). What does so leaves little beside
-an entry that resembles it, and may hold in new conditions as well as that. So the columns of the search are also looked at as they
+an entry that resembles it, and may hold in new conditions as well as that. So the sensitivities of the search are also looked at as they
 would be if an effect came late, or grew during the run. It takes no simulations and names no cause; it tells what the cause is like.
 """
 
@@ -20,17 +20,17 @@ from robomill.diagnosis.inference.estimation import log_priors
 from robomill.diagnosis.inference.search import Search
 from robomill.orchestration.slaves.protocol import FloatArray
 
-LATE = (1 / 32, 1 / 16, 1 / 8, 1 / 4)
+COMING_LATE = (1 / 32, 1 / 16, 1 / 8, 1 / 4)
 """Time constants with which an effect may come late, as parts of a run."""
-GROWN = 1 / 4
+GROWING = 1 / 4
 """Time constant with which an effect may grow from the beginning of a run to its end, as a part of it; or it grows steadily."""
 TOGETHER = 16
-"""Candidates whose columns are made at the same time: all of them would take much memory, one by one would take long."""
+"""Candidates whose sensitivities are made at the same time: all of them would take much memory, one by one would take long."""
 
 
 @dataclass(frozen=True)
 class Changing:
-    """An effect of the catalogue as the catalogue does not have it."""
+    """An effect of the catalogue that changes with time, as the catalogue does not have it."""
 
     candidate: Candidate
     how: str
@@ -44,53 +44,55 @@ class Changing:
 def changing(search: Search) -> Changing | None:
     """The likeliest effect that changes with time; None where there is no candidate with one parameter.
 
-    Effects count as proportional to their size, by the column of the search or that where its fit starts. A size is not believed
-    to be near that of the prior: an unknown cause has another one. Its prior is as wide as the value itself.
+    Of a whitened sensitivity v that changes, chi2 = <y, y> - e with e = <v, y>^2 / <v, v>, and the log of the odds is
+    (e - log max(e, 1)) / 2 + log of the prior of the candidate - log of the number of ways to change. Effects count as proportional to
+    their size, by the sensitivity of the search or the signature where its fit starts. A size is not believed to be near that of the prior:
+    an unknown cause has another one. Its prior is as wide as the value itself.
     """
     space, channels = search.evidence.space, int(search.evidence.active.sum())
     candidates = [c for c in search.candidates if len(c.parameters) == 1 and c.component != LOGGING]
     best: tuple[float, float, Candidate, str] | None = None
-    least = space.energy
+    least = space.chi2
     for first in range(0, len(candidates), TOGETHER):
         some = candidates[first : first + TOGETHER]
         made = []
         for c in some:
             start = search.starts.get(c.addresses[0])
-            column = search.evidence.columns[c.addresses[0]] if start is None else start.signature
-            made.append({"": column, **_changed(column, space.blocks, channels)})
+            sensitivity = search.evidence.sensitivities[c.addresses[0]] if start is None else start.signature
+            made.append({"": sensitivity, **_changed(sensitivity, space.blocks, channels)})
         gram = space.gram(np.column_stack([*chain.from_iterable(m.values() for m in made), space.y]))
         priors = log_priors([(c,) for c in some], search.candidates)
-        for k, (c, columns, prior) in enumerate(zip(some, made, priors, strict=True)):
-            n, own = len(columns), space.without(c.addresses)
+        for k, (c, ways, prior) in enumerate(zip(some, made, priors, strict=True)):
+            n, own = len(ways), space.without(c.addresses)
             products = own.within(gram, [*range(k * n, (k + 1) * n), n * len(some)])
             size, along = np.diag(products)[:-1], products[:-1, -1]
             explained = along**2 / np.where(size > 0.0, size, np.inf)
-            energies = products[-1, -1] - explained
-            least = min(least, float(energies[0]))
-            i = 1 + int(energies[1:].argmin())
-            evidence = 0.5 * (space.energy - energies[i] + space.log_determinant - own.log_determinant - math.log(max(explained[i], 1.0)))
+            left = products[-1, -1] - explained
+            least = min(least, float(left[0]))
+            i = 1 + int(left[1:].argmin())
+            evidence = 0.5 * (space.chi2 - left[i] + space.log_determinant - own.log_determinant - math.log(max(explained[i], 1.0)))
             log_odds = float(evidence) + prior - math.log(n - 1)
             if best is None or log_odds > best[0]:
-                best = (log_odds, float(energies[i]), c, list(columns)[i])
+                best = (log_odds, float(left[i]), c, list(ways)[i])
     if best is None:
         return None
-    log_odds, energy, candidate, how = best
-    return Changing(candidate, how, log_odds, 0.5 * (least - energy))
+    log_odds, chi2, candidate, how = best
+    return Changing(candidate, how, log_odds, 0.5 * (least - chi2))
 
 
-def _changed(column: FloatArray, blocks: Mapping[str, slice], channels: int) -> dict[str, FloatArray]:
-    """The column as it would be with every way to change, in every run anew."""
+def _changed(sensitivity: FloatArray, blocks: Mapping[str, slice], channels: int) -> dict[str, FloatArray]:
+    """The sensitivity [n] as it would be with every way to change, in every run anew: way in words -> [n]."""
     found: dict[str, FloatArray] = {}
     for block in blocks.values():
-        x = column[block].reshape(-1, channels)
+        x = sensitivity[block].reshape(-1, channels)
         n = len(x)
         t = (np.arange(n) / n)[:, None]
         made = {}
-        for part in LATE:
+        for part in COMING_LATE:
             step = -math.expm1(-1.0 / (part * n))
             made[f"comes late, by a time constant of 1/{round(1 / part)} of a run"] = lfilter([step], [1.0, step - 1.0], x, axis=0)
         made["grows steadily during a run"] = x * t
-        made["grows quickly at first, slowly later in a run"] = -np.expm1(-t / GROWN) * x
+        made["grows quickly at first, slowly later in a run"] = -np.expm1(-t / GROWING) * x
         for how, y in made.items():
-            found.setdefault(how, np.zeros_like(column))[block] = y.ravel()
+            found.setdefault(how, np.zeros_like(sensitivity))[block] = y.ravel()
     return found

@@ -1,8 +1,8 @@
 """Whether a model holds in conditions that it was not fitted to: a wrong one that fits a run does not fit the next.
 
-A model with fitted values promises a gain in log score in new conditions: that of its signature there. What it gains is how much
-better it predicts the measured runs than the nominal system does. If the model is right the two are equal but for noise; of what only
-looks like it in the diagnosed runs, the gain is a part of what was promised, or a loss.
+A model with fitted values has an expected gain in log score in new conditions: <s, s> / 2 of its signature s there. Its gain is how much
+better it predicts the measured runs than the nominal system does: (<y, y> - <y - s, y - s>) / 2. If the model is right the two are equal
+but for noise; of what only looks like it in the diagnosed runs, the gain is a part of the expected one, or a loss.
 
 Calibrated numbers may be off there as in the diagnosed runs: within their tolerances, and whoever moves them pays for it. If they were
 given as the diagnosed runs have them, the nominal system would bring along for nothing what it has to move there in place of the effect.
@@ -23,45 +23,46 @@ from robomill.diagnosis.inference.sensitivities import NOMINAL, TOLERANCES, chan
 from robomill.orchestration.slaves.protocol import FloatArray
 
 TELLING = 20.0
-"""Promised gain [nats] from which having it says that a model is right: it scatters by the root of twice the promise."""
+"""Expected gain [nats] from which having it says that a model is right: the gain scatters by the root of twice that."""
 HOLDS = 0.6
-"""Part of the promised gain that a model must have, if that is not chance."""
+"""Part of the expected gain that a model must have, if less is not chance."""
 CHANCE = 3.0
-"""Deviations by which the gain of a right model may be short of the promise."""
+"""Deviations by which the gain of a right model may be short of the expected one."""
 SURPLUS, BY_FAR = 2.0, 8.0
-"""The promise is exceeded by something else that grows there, not by another effect beside: as a factor and in deviations."""
+"""The expected gain is exceeded by something else that grows there, not by another effect beside: as a factor and in deviations."""
 
 
 @dataclass(frozen=True)
 class Transfer:
-    """What a model is worth in new conditions."""
+    """What a model is worth in new conditions, with y the whitened residual there and s the signature of the model."""
 
     before: float
     after: float
-    """Energy that the nominal system, and that the model leaves there, over that of noise."""
+    """chi2 that the nominal system, and that the model leaves there, over that of noise."""
     gain: float
-    promised: float
-    """What the model gains against the nominal system, and what it would if it were right [nats]."""
+    """What the model gains there against the nominal system [nats], (<y, y> - <y - s, y - s>) / 2, with `doubt` s one more nuisance."""
+    expected_gain: float
+    """What it would gain if it were right [nats], <s, s> / 2."""
     doubt: float = 0.0
-    """Deviation of the fitted values, relative to them."""
+    """Standard deviation of the fitted values, relative to them."""
 
     @property
     def tells(self) -> bool:
-        """Whether a model that holds is right there: not if the effect would hardly show."""
-        return self.promised > TELLING
+        """Whether a model that holds is right there: not if the effect would hardly show (expected gain up to TELLING)."""
+        return self.expected_gain > TELLING
 
     @property
     def holds(self) -> bool:
-        """Whether the model is worth there what it promised, or may be but for chance."""
-        # of noise, and of the fitted values: the promise goes with their square
-        deviation = math.hypot(math.sqrt(2.0 * max(self.promised, 0.0)), 2.0 * self.doubt * self.promised)
-        short = self.gain < HOLDS * self.promised and self.promised - self.gain > CHANCE * deviation
-        beyond = self.gain > SURPLUS * self.promised and self.gain - self.promised > BY_FAR * deviation
+        """Whether the model has its expected gain g there, or may have it but for chance: deviation sqrt(2 g + (2 doubt g)^2)."""
+        # of noise, and of the fitted values: the expected gain goes with their square
+        deviation = math.hypot(math.sqrt(2.0 * max(self.expected_gain, 0.0)), 2.0 * self.doubt * self.expected_gain)
+        short = self.gain < HOLDS * self.expected_gain and self.expected_gain - self.gain > CHANCE * deviation
+        beyond = self.gain > SURPLUS * self.expected_gain and self.gain - self.expected_gain > BY_FAR * deviation
         return not short and not beyond
 
 
 def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Mapping[Address, float], doubt: float) -> Transfer | None:
-    """Of the model with these values; None where there is no new condition, or the system cannot run there.
+    """What the model with these values [unit] is worth in new conditions; None where there are none, or the system cannot run there.
 
     `groups`: measured repeats of every condition of the laboratory, those that were diagnosed first; repeats of these that were
     held out are not used. `doubt`: part by which what the model does may be too large or too small.
@@ -86,15 +87,15 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Map
     signature = e.mean_signature(there)
     assert signature is not None
     space = e.space
-    before, after = _energy(space, space.y, None), _energy(space, space.y - signature, doubt * signature)
+    before, after = _chi2(space, space.y, None), _chi2(space, space.y - signature, doubt * signature)
     noise = float(e.expected.sum())
-    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * _energy(space, signature, None), doubt)
+    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * _chi2(space, signature, None), doubt)
 
 
-def _energy(space: Space, left: FloatArray, unsure: FloatArray | None) -> float:
-    """Of a residual, with one more nuisance."""
-    energy = float(space.dot(left, left))
+def _chi2(space: Space, left: FloatArray, unsure: FloatArray | None) -> float:
+    """<u, u> of the residual u = `left` [n], with one more nuisance of standard deviation 1, `unsure` [n]."""
+    chi2 = float(space.dot(left, left))
     if unsure is None:
-        return energy
+        return chi2
     product = float(space.dot(left, unsure))
-    return energy - product * product / (1.0 + float(space.dot(unsure, unsure)))
+    return chi2 - product * product / (1.0 + float(space.dot(unsure, unsure)))

@@ -29,7 +29,7 @@ class Projection:
     """How a residual comes about by small displacements of named coordinates (joints)."""
 
     names: tuple[str, ...]
-    """Of the coordinates: `joint 1`, ..."""
+    """Names of the coordinates: `joint 1`, ..."""
     jacobian: Callable[[Mapping[str, FloatArray]], FloatArray] = field(repr=False)
     """Measured columns by name, float64[n] each -> float64[n, elements of the residual, coordinates]; KeyError if one is not measured."""
 
@@ -37,7 +37,8 @@ class Projection:
 def alignment(residual: FloatArray, jacobian: FloatArray, noise: FloatArray | None = None) -> FloatArray:
     """Part of the squared residual [n, d] along the directions of each coordinate alone, `jacobian` [n, d, k]; float64[k] in 0..1.
 
-    1 = all of it could come from this coordinate. `noise`: variance per element of the residual, taken off above and below.
+    For coordinate k: sum_n (r_n . j_nk / |j_nk|)^2 / sum_n r_n . r_n; 1 = all of it could come from this coordinate.
+    `noise`: variance per element of the residual, taken off above and below.
     """
     length = np.sqrt((jacobian**2).sum(axis=1)) + 1e-300
     unit = jacobian / length[:, None, :]
@@ -54,7 +55,10 @@ def alignment(residual: FloatArray, jacobian: FloatArray, noise: FloatArray | No
 
 
 def discoveries(p: Sequence[float], rate: float = FALSE_DISCOVERIES) -> list[bool]:
-    """Benjamini-Hochberg: which of these are found, when a part `rate` of what is found may be false."""
+    """Benjamini-Hochberg: which of these are found, when a part `rate` of what is found may be false.
+
+    The k smallest of the n probabilities `p`, with k the largest for which the k-th of them is at most `rate` k / n.
+    """
     order = np.argsort(p)
     limits = rate * np.arange(1, len(p) + 1) / max(len(p), 1)
     below = np.flatnonzero(np.asarray(p, dtype=np.float64)[order] <= limits)
@@ -89,13 +93,13 @@ def variables(inputs: Mapping[str, FloatArray], units: Mapping[str, str], t: Flo
 
 @dataclass(frozen=True)
 class Dependence:
-    """Of a residual on a variable."""
+    """How a residual depends on a variable; or what of it is in a band of frequency."""
 
     variable: str
     share: float
     """Part of the squared residual that it explains by itself, linearly."""
-    p: float
-    """Probability of as much by noise."""
+    p: float | None
+    """Probability of as much by noise; None where that was not tested."""
 
 
 def dependences(
@@ -105,7 +109,7 @@ def dependences(
 
     `filtered` makes of a series [n] what the whitening makes of it for each of the d channels, [n, d].
     """
-    tested = []
+    tested, chances = [], []
     total = float((residual**2).sum())
     for name, series in candidates.items():
         explained, freedom = 0.0, 0
@@ -116,8 +120,9 @@ def dependences(
             u = u[:, sizes > 1e-6 * sizes.max(initial=1e-300)]
             explained += float(((u.T @ residual[:, k]) ** 2).sum())
             freedom += u.shape[1]
-        tested.append(Dependence(name, explained / (total + 1e-300), float(chi2.sf(explained / temperature, freedom))))
-    found = [d for d, yes in zip(tested, discoveries([d.p for d in tested]), strict=True) if yes]
+        chances.append(float(chi2.sf(explained / temperature, freedom)))
+        tested.append(Dependence(name, explained / (total + 1e-300), chances[-1]))
+    found = [d for d, yes in zip(tested, discoveries(chances), strict=True) if yes]
     return sorted(found, key=lambda d: -d.share)
 
 

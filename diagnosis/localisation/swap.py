@@ -17,8 +17,8 @@ from itertools import combinations
 
 import numpy as np
 
-from robomill.diagnosis.experiment.component_replay import Bench
-from robomill.diagnosis.experiment.repeats import RESAMPLES, as_share, bootstrapped, over_pairs
+from robomill.diagnosis.experiment.component_replay import ComponentReplay
+from robomill.diagnosis.experiment.repeats import REPEAT_RESAMPLES, as_share, bootstrapped, over_pairs
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -27,7 +27,10 @@ PLAYERS = 6
 
 
 def shapley(players: Sequence[str], value: Callable[[frozenset[str]], FloatArray]) -> dict[str, FloatArray]:
-    """Exact Shapley values of a game; `value` of a subset is a number or an array of any shape, and so are the shares."""
+    """Exact Shapley values of a game; `value` of a subset is a number or an array of any shape, and so are the shares.
+
+    phi_p = sum over subsets s without p of |s|! (n - |s| - 1)! / n! (value(s + p) - value(s)), n players.
+    """
     worth = {frozenset(s): np.asarray(value(frozenset(s))) for k in range(len(players) + 1) for s in combinations(players, k)}
     n = len(players)
     shares: dict[str, FloatArray] = {}
@@ -42,7 +45,7 @@ def shapley(players: Sequence[str], value: Callable[[frozenset[str]], FloatArray
 
 @dataclass(frozen=True)
 class Share:
-    """Part of a component in the gap of one figure."""
+    """Part of a component in the gap of one figure: its Shapley value, 0..1."""
 
     figure: str
     component: str
@@ -52,24 +55,28 @@ class Share:
     """90 %, bootstrap over the repeats; None where nothing was repeated."""
 
 
-def shares(benches: Sequence[Bench], players: Sequence[str], figures: Mapping[str, FloatArray], seed: int = 0) -> list[Share]:
-    """Shares of `players` in each figure, which is the weight of each channel (0: not in it). None where a run with swaps fails."""
+def shares(replays: Sequence[ComponentReplay], players: Sequence[str], figures: Mapping[str, FloatArray], seed: int = 0) -> list[Share]:
+    """Shares of `players` in each figure, with intervals over the repeats; no share where a run with swaps fails, or no gap is there.
+
+    `replays`: one for each condition; `figures`: name -> weight of each channel [1 / unit] (0: not in it). The worth of a subset is
+    1 - G(subset) / G(nothing), G the mean over pairs of repeats of the products of what is left, less the simulation's own noise.
+    """
     cells: dict[frozenset[str], list[FloatArray]] = {}
     try:
         for k in range(len(players) + 1):
             for s in combinations(players, k):
-                cells[frozenset(s)] = [b.swapped(frozenset(s)) for b in benches]
+                cells[frozenset(s)] = [b.swapped(frozenset(s)) for b in replays]
     except OrchestrationError:
         return []
     rng = np.random.default_rng(seed)
-    counts = [rng.multinomial(len(b.measured), np.full(len(b.measured), 1.0 / len(b.measured)), RESAMPLES) for b in benches]
+    counts = [rng.multinomial(len(b.measured), np.full(len(b.measured), 1.0 / len(b.measured)), REPEAT_RESAMPLES) for b in replays]
     found = []
     for figure, weight in figures.items():
 
         def gap(s: frozenset[str], weight: FloatArray = weight) -> FloatArray:
             """G of the repeats as they are, then of the resampled ones."""
-            total = np.zeros(1 + RESAMPLES)
-            for b, sim, chosen in zip(benches, cells[s], counts, strict=True):
+            total = np.zeros(1 + REPEAT_RESAMPLES)
+            for b, sim, chosen in zip(replays, cells[s], counts, strict=True):
                 left = np.stack([((x - sim) * weight)[:, weight > 0.0].ravel() for x in b.measured])
                 noise = float((b.scatter * weight**2).sum()) * len(sim)
                 total += over_pairs(left @ left.T, np.concatenate([np.ones((1, len(left))), chosen])) - noise
@@ -81,7 +88,7 @@ def shares(benches: Sequence[Bench], players: Sequence[str], figures: Mapping[st
         before = np.where(nothing > 0.0, nothing, np.nan)
         values = shapley(players, partial(_closed, gap, before))
         for p in players:
-            interval = bootstrapped(values[p][1:], max(len(b.measured) for b in benches))
+            interval = bootstrapped(values[p][1:], max(len(b.measured) for b in replays))
             share = as_share(float(values[p][0]))
             found.append(Share(figure, p, share, [as_share(x) for x in interval] if interval else None))
     return found

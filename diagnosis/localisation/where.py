@@ -4,34 +4,35 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from robomill.diagnosis.catalogue import Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.experiment.repeats import as_share
-from robomill.diagnosis.experiment.segments import array_of, structure
+from robomill.diagnosis.experiment.segments import Structure, array_of, structure
 from robomill.diagnosis.experiment.simulation import Laboratory
 from robomill.diagnosis.inference.marginal import TEMPERATURE
 from robomill.diagnosis.localisation import localise
-from robomill.diagnosis.localisation.localise import Projection
-from robomill.diagnosis.localisation.replay_attribution import Replay
+from robomill.diagnosis.localisation.localise import Dependence, Projection
+from robomill.diagnosis.localisation.replay_attribution import Reading, Replay
 from robomill.diagnosis.localisation.swap import PLAYERS, Share, shares
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.runs.recorder import frame_of
 from robomill.orchestration.slaves.protocol import FloatArray
 
-CLEAR = 12.0
+ONE_MORE = 12.0
 """Log of the odds (in tempered noise) from which one more component is blamed."""
 MINOR, INSIDE = 2e-3, 0.1
 """Part of what is explained already that one more component must add; the same where those before could have done all that it does."""
 BLAMED = 3
-ALIKE, CLOSE = 6.0, 0.6
+"""Components that are blamed at most."""
+ALTERNATIVE, CLOSE = 6.0, 0.6
 """Log of the odds up to which another component could be to blame as well; part of the evidence that makes it one where no effect of
 the catalogue explains the residual: then what else the components can do says little about which of them did it."""
 WHOLE = "all channels, whitened"
+"""The figure of the whole gap."""
 EXTRA = ("log_odds", "alternatives", "outputs", "alignment", "shares", "dependence")
 """What replay and swaps add to a component that was fitted."""
 ALIGNED = 0.9
@@ -49,8 +50,59 @@ class Blame:
     """Components that the replay cannot tell from it."""
 
 
+@dataclass(frozen=True)
+class Where:
+    """What is said of a component that has a share in the gap; what replay and swaps add (EXTRA) is None where they do not blame it."""
+
+    component: str
+    share: float
+    interval: list[float] | None
+    """Part of the whole gap, whitened, 0..1, with its 90 % interval; None where nothing was repeated."""
+    location: str
+    """Place in the component; "" where nobody knows."""
+    direction: str
+    channel: str
+    """Channel in which it shows most, and its axis of a frame (`B.y`); the channel again where that is none."""
+    regime: list[list[float]]
+    """Times when it is there, [from, to] [s]."""
+    log_odds: float | None = None
+    alternatives: tuple[str, ...] | None = None
+    """As in `Blame`."""
+    outputs: tuple[str, ...] | None = None
+    """Measured outputs in its reach whose replay leaves more than noise."""
+    alignment: dict[str, float] | None = None
+    """Coordinate -> alignment of the residual with it, 0..1; None where an output has no coordinates too."""
+    shares: dict[str, Share] | None = None
+    """Figure -> its share in the gap there."""
+    dependence: list[Dependence] | None = None
+    """What the residual depends on, strongest first; then the bands of frequency that it is in."""
+
+
+@dataclass(frozen=True)
+class Replayed(Where):
+    """A component as replay and swaps alone blame it."""
+
+    nearest: str | None = None
+    """Candidate of the catalogue that explains most of what is left there; None where none explains any of it."""
+
+
+@dataclass(frozen=True)
+class Located:
+    """Components to blame by replay, and what that rests on."""
+
+    where: tuple[Replayed, ...] = ()
+    replay: tuple[Reading, ...] = ()
+    swap: tuple[Share, ...] = ()
+    structure: Structure | None = None
+    not_replayed: str | None = None
+    """Why the replay failed, if it did."""
+
+
 def blame(replay: Replay) -> tuple[Blame, ...]:
-    """The components to blame: added one by one as long as the evidence grows clearly."""
+    """The components to blame, highest log of the odds first: added one by one as long as the evidence grows clearly.
+
+    Log of the odds of c: evidence of all the blamed ones less that of them without c [nats, tempered].
+    """
     known: dict[frozenset[str], float] = {}
 
     def evidence(members: frozenset[str]) -> float:
@@ -65,20 +117,20 @@ def blame(replay: Replay) -> tuple[Blame, ...]:
         best = max((c for c in replay.effects if c not in members), key=lambda c: evidence(members | {c}))
         gain, before = evidence(members | {best}) - evidence(members), evidence(members) - nothing
         reached = set().union(*(replay.reach[c] for c in members))
-        if gain < max(CLEAR, (INSIDE if replay.reach[best] <= reached else MINOR) * before):
+        if gain < max(ONE_MORE, (INSIDE if replay.reach[best] <= reached else MINOR) * before):
             break
         members |= {best}
         order.append(best)
     while len(order) > 1:  # one that others have made needless
         weakest = min(order, key=lambda c: -evidence(members - {c}))
-        if evidence(members) - evidence(members - {weakest}) >= CLEAR:
+        if evidence(members) - evidence(members - {weakest}) >= ONE_MORE:
             break
         members -= {weakest}
         order.remove(weakest)
     found = []
     for c in order:
         without = evidence(members - {c})
-        least = evidence(members) - ALIKE
+        least = evidence(members) - ALTERNATIVE
         if replay.unexplained(sorted(members), c):
             least = min(least, without + CLOSE * (evidence(members) - without))
         others = [o for o in replay.effects if o not in members and evidence(members - {c} | {o}) > least]
@@ -86,8 +138,8 @@ def blame(replay: Replay) -> tuple[Blame, ...]:
     return tuple(sorted(found, key=lambda b: -b.log_odds))
 
 
-def locate(replay: Replay, figures: Mapping[str, FloatArray], projections: Mapping[str, Projection]) -> dict[str, Any]:
-    """The entries of `where`, and what they rest on: `where`, `replay`, `swap` as they stand in diagnosis.json.
+def locate(replay: Replay, figures: Mapping[str, FloatArray], projections: Mapping[str, Projection]) -> Located:
+    """Who is to blame by replay, and how much of the gap that is by swaps.
 
     `figures`: name -> weight of each channel; the whole gap, whitened, is added to them. `projections`: output array -> projection.
     """
@@ -100,24 +152,9 @@ def locate(replay: Replay, figures: Mapping[str, FloatArray], projections: Mappi
             left.append(max(mine, key=lambda r: r.unexplained))
     players = list(dict.fromkeys(r.output.partition(".")[0] for r in left))[:PLAYERS] if blamed else []
     all_figures = {WHOLE: replay.weights, **figures}
-    swapped = shares(replay.benches, players, all_figures) if players else []
-    return {
-        "where": [_entry(replay, b, blamed, swapped, [r.output for r in left], projections) for b in blamed],
-        "replay": [
-            {
-                "output": r.output,
-                "components": list(r.components),
-                "residual": r.residual,
-                "interval": r.interval,
-                "unit": replay.unit(r.output),
-                "whitened": r.whitened,
-                "unexplained": r.unexplained,
-                "significant": r.significant,
-            }
-            for r in readings
-        ],
-        "swap": [{"figure": s.figure, "component": s.component, "share": s.share, "interval": s.interval} for s in swapped],
-    }
+    swapped = shares(replay.replayed, players, all_figures) if players else []
+    where = (_entry(replay, b, blamed, swapped, [r.output for r in left], projections) for b in blamed)
+    return Located(tuple(where), tuple(readings), tuple(swapped))
 
 
 def _entry(
@@ -127,34 +164,48 @@ def _entry(
     swapped: Sequence[Share],
     significant: Sequence[str],
     projections: Mapping[str, Projection],
-) -> dict[str, Any]:
+) -> Replayed:
     """What is said of one component."""
     parts: dict[str, list[FloatArray]] = {}
     for s in swapped:
         part = replay.part(b.component, [x.component for x in blamed], s.component)
         parts.setdefault(s.figure, []).append(part * np.array([s.share, *(s.interval or ())]))
-    totals = {figure: [as_share(float(x)) for x in np.sum(p, axis=0)] for figure, p in parts.items()}
-    share = totals.pop(WHOLE, [0.0])
+    totals = {}
+    for figure, p in parts.items():
+        share, *interval = (as_share(float(x)) for x in np.sum(p, axis=0))
+        totals[figure] = Share(figure, b.component, share, interval or None)
+    whole = totals.pop(WHOLE, Share(WHOLE, b.component, 0.0, None))
     inside = Inside(replay, b.component, [x.component for x in blamed if x is not b])
     outputs = [o for o in significant if replay.arrays.index(o) in replay.reach[b.component]]
-    return {
-        "component": b.component,
-        "share": share[0],
-        "interval": share[1:] or None,
-        "log_odds": b.log_odds,
-        "alternatives": list(b.alternatives),
-        "outputs": outputs,
-        **inside.place(outputs, projections),
-        "shares": {figure: {"share": t[0], "interval": t[1:] or None} for figure, t in totals.items()},
-        "dependence": inside.dependence(outputs),
-    }
+    (condition, strongest), regime = replay.worst(inside.left, outputs)
+    channel, nearest = replay.channels[strongest], inside.candidate()
+    alignment = next((inside.aligned(array, projections[array], condition) for array in outputs if array in projections), {})
+    location = nearest.location if nearest is not None else ""
+    if alignment and max(alignment.values()) >= ALIGNED and inside.unexplained:
+        location = max(alignment, key=lambda k: alignment[k])
+    return Replayed(
+        b.component,
+        whole.share,
+        whole.interval,
+        location,
+        direction_of(channel),
+        channel,
+        regime,
+        b.log_odds,
+        b.alternatives,
+        tuple(outputs),
+        alignment or None,
+        totals,
+        inside.dependence(outputs),
+        nearest.name if nearest is not None else None,
+    )
 
 
 def direction_of(channel: str) -> str:
     """`compliance.p_BT_B[2]` -> B.y; the channel itself where it is not one of three axes."""
     port = channel.partition(".")[2]
-    match = re.fullmatch(r"(\w+)\[(\d)\]", port)
-    if not match or int(match[2]) > 3:
+    match = re.fullmatch(r"(\w+)\[([123])\]", port)
+    if not match:
         return channel
     frame = frame_of(match[1])
     return f"{frame}.{'xyz'[int(match[2]) - 1]}" if frame else channel
@@ -176,69 +227,56 @@ class Inside:
         return out
 
     def candidate(self) -> Candidate | None:
-        """The place in the catalogue that explains most of the residual of the replay by itself."""
+        """The place in the catalogue that explains most of the residual r of the replay by itself; None where none explains any of it.
+
+        Explained: g' (V' r(V) + I)^-1 g with g = V'r, V the sensitivities of its parameters and r(V) what the others leave of them.
+        """
         replay, best, most = self.replay, None, 0.0
         for c in replay.candidates:
-            if c.component != self.component or not all(a in replay.columns for a in c.addresses):
+            if c.component != self.component or not all(a in replay.sensitivities for a in c.addresses):
                 continue
-            v = np.stack([replay.columns[a] for a in c.addresses], axis=1)
+            v = np.stack([replay.sensitivities[a] for a in c.addresses], axis=1)
             gain = v.T @ self.left
             explained = float(gain @ np.linalg.solve(v.T @ self._without(v) + np.eye(v.shape[1]), gain))
             if explained > most:
                 best, most = c, explained
         return best
 
-    def place(self, outputs: Sequence[str], projections: Mapping[str, Projection]) -> dict[str, Any]:
-        """Location, direction and times."""
-        replay = self.replay
-        at, rows = replay.worst(self.left, outputs)
-        condition, channel = at
-        nearest = self.candidate()
-        location, aligned = (nearest.location if nearest is not None else ""), {}
-        for array in outputs:
-            if array in projections:
-                aligned = self.aligned(array, projections[array], condition)
-                if aligned and max(aligned.values()) >= ALIGNED and self.unexplained:
-                    location = max(aligned, key=lambda k: aligned[k])
-                break
-        return {
-            "location": location,
-            "nearest": nearest.name if nearest is not None else None,
-            "direction": direction_of(replay.channels[channel]),
-            "channel": replay.channels[channel],
-            "regime": rows,
-            **({"alignment": aligned} if aligned else {}),
-        }
-
     def aligned(self, array: str, projection: Projection, condition: int) -> dict[str, float]:
-        """Alignment of the residual of an output with each coordinate; empty where what the projection needs is not measured."""
+        """Alignment of the residual of an output with each coordinate, name -> 0..1; empty where what it needs is not measured."""
         replay = self.replay
-        bench, here = replay.benches[condition], replay.at[replay.of == replay.arrays.index(array)]
+        replayed, here = replay.replayed[condition], replay.at[replay.of == replay.arrays.index(array)]
         try:
-            jacobian = projection.jacobian(bench.signals())
+            jacobian = projection.jacobian(replayed.signals())
         except KeyError:
             return {}
-        noise = np.var(np.stack(bench.residuals), axis=0, ddof=min(1, len(bench.residuals) - 1)).mean(axis=0)[here] / len(bench.residuals)
-        values = localise.alignment(np.mean(bench.residuals, axis=0)[:, here], jacobian, noise)
+        noise = np.var(np.stack(replayed.residuals), axis=0, ddof=min(1, len(replayed.residuals) - 1)).mean(axis=0)[here] / len(
+            replayed.residuals
+        )
+        values = localise.alignment(np.mean(replayed.residuals, axis=0)[:, here], jacobian, noise)
         return {name: float(v) for name, v in zip(projection.names, values, strict=True)}
 
-    def dependence(self, outputs: Sequence[str]) -> list[dict[str, Any]]:
+    def dependence(self, outputs: Sequence[str]) -> list[Dependence]:
         """Variables that the residual depends on, and the bands of frequency that it is in."""
         replay = self.replay
         if not outputs:
             return []
         (condition, _), _ = replay.worst(self.left, outputs)
-        bench = replay.benches[condition]
+        replayed = replay.replayed[condition]
         channels = np.flatnonzero(np.isin(replay.of, [replay.arrays.index(o) for o in outputs]))
         residual = replay.table(self.left, condition)[:, channels]
-        inputs = bench.inputs(self.component)
+        inputs = replayed.inputs(self.component)
         found = localise.dependences(
-            residual, localise.variables(inputs, bench.units(inputs), bench.times()), lambda s: replay.filtered(s, channels), TEMPERATURE
+            residual,
+            localise.variables(inputs, replayed.units(inputs), replayed.times()),
+            lambda s: replay.filtered(s, channels),
+            TEMPERATURE,
         )
-        listed: list[dict[str, Any]] = [{"variable": d.variable, "share": d.share, "p": d.p} for d in found]
-        return listed + [
-            {"variable": f"frequency {a:g} .. {b:g} Hz", "share": s, "p": None}
-            for (a, b), s in localise.bands(np.mean(bench.residuals, axis=0)[:, replay.at[channels]] / replay.noise[channels], bench.step())
+        return found + [
+            Dependence(f"frequency {a:g} .. {b:g} Hz", s, None)
+            for (a, b), s in localise.bands(
+                np.mean(replayed.residuals, axis=0)[:, replay.at[channels]] / replay.noise[channels], replayed.step()
+            )
         ]
 
 
@@ -249,28 +287,27 @@ def located(
     nuisances: Sequence[Nuisance],
     figures: Mapping[str, FloatArray],
     projections: Mapping[str, Projection],
-) -> dict[str, Any]:
+) -> Located:
     """`locate` on those of the first `n` conditions that the system itself made. Nothing is said where it cannot be replayed."""
     own = [i for i in range(n) if laboratory.conditions[i].system is None]
     cuts = structure(laboratory.system, list(dict.fromkeys(map(array_of, laboratory.channels))))
-    nothing: dict[str, Any] = {"where": [], "replay": [], "swap": [], "structure": cuts}
     if not own:
-        return nothing
+        return Located(structure=cuts)
     try:
-        return nothing | locate(Replay(laboratory, own, catalogue, nuisances), figures, projections)
+        return replace(locate(Replay(laboratory, own, catalogue, nuisances), figures, projections), structure=cuts)
     except (DataError, OrchestrationError) as error:
-        return {**nothing, "not_replayed": str(error)}
+        return Located(structure=cuts, not_replayed=str(error))
 
 
-def combined(verdict: str, fitted: Sequence[dict[str, Any]], found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def combined(verdict: str, fitted: Sequence[Where], found: Sequence[Replayed]) -> tuple[Where, ...]:
     """`where` of the fitted effects and that of replay and swaps as one list, largest share first.
 
     What is fitted says more about a component, but only of effects in the catalogue. So with `unknown`, and where the fits are
     ambiguous and the replay clears the component that they blame first, the replay decides.
     """
-    possible = {c for w in found for c in (w["component"], *w["alternatives"])}
-    cleared = bool(found) and bool(fitted) and fitted[0]["component"] not in possible
+    possible = {c for w in found for c in (w.component, *(w.alternatives or ()))}
+    cleared = bool(found) and bool(fitted) and fitted[0].component not in possible
     if found and (verdict == "unknown" or (verdict == "ambiguous" and cleared)):
-        return sorted(found, key=lambda w: -float(w["share"]))
-    extra = {w["component"]: {k: w[k] for k in EXTRA if k in w} for w in found}
-    return [{**w, **extra.get(w["component"], {})} for w in fitted]
+        return tuple(sorted(found, key=lambda w: -w.share))
+    extra = {w.component: {k: getattr(w, k) for k in EXTRA} for w in found}
+    return tuple(replace(w, **extra.get(w.component, {})) for w in fitted)

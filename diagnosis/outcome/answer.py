@@ -1,4 +1,4 @@
-"""The answer as data: what diagnosis.json holds, and what the report draws."""
+"""The answer: what diagnosis.json holds, and what the report draws."""
 
 from __future__ import annotations
 
@@ -12,14 +12,27 @@ from typing import Any
 import numpy as np
 
 from robomill.diagnosis.catalogue import Address
+from robomill.diagnosis.experiment.segments import Structure
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, decimate
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.isolability import Pair
+from robomill.diagnosis.inference.time_varying import Changing
+from robomill.diagnosis.inference.transfer import Transfer
 from robomill.diagnosis.localisation.localise import Projection
-from robomill.diagnosis.outcome import next_run
+from robomill.diagnosis.localisation.replay_attribution import Reading
+from robomill.diagnosis.localisation.swap import Share
+from robomill.diagnosis.localisation.where import Where
+from robomill.diagnosis.outcome.closure import HowFar
+from robomill.diagnosis.outcome.next_run import NextRun, Offer
+from robomill.diagnosis.outcome.verdict import Verdict, stands
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
 
 SCHEMA = "robomill-diagnosis/1"
+NULL = ("next_run", "interval", "nearest", "p", "closure", "ceiling", "ceiling_by", "ratio", "why_no_ceiling")
+"""What is null in diagnosis.json where there is none; the rest is not there."""
+REPLAYED = ("component", "share", "interval", "log_odds", "alternatives", "outputs", "location", "nearest")
+"""What an entry of `where` that comes from replay and swaps begins with in diagnosis.json."""
 
 
 @dataclass(frozen=True)
@@ -28,15 +41,131 @@ class Menu:
 
     projections: Mapping[str, Projection] = field(default_factory=dict)
     """output -> the coordinates (joints) that its residual is projected on."""
-    offers: Callable[[], Mapping[str, next_run.Offer]] = dict
+    offers: Callable[[], Mapping[str, Offer]] = dict
     """Kinds of runs that could be made next; called when they are needed."""
 
 
 @dataclass(frozen=True)
-class Diagnosis:
-    """The result as data, and what the report draws."""
+class Estimate:
+    """Fitted value of a parameter."""
 
-    result: dict[str, Any]
+    value: float
+    interval: list[float]
+    """90 %."""
+    unit: str
+
+
+@dataclass(frozen=True)
+class Which:
+    """A candidate of the catalogue that may be the cause."""
+
+    effect: str
+    component: str
+    location: str
+    probability: float
+    parameters: dict[str, Estimate]
+    """Parameter of the component -> its value in the likeliest model that has the candidate."""
+    confusable_with: list[str]
+    """Names of candidates that the runs cannot tell from it."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Whitened squares summed over the diagnosed runs, noise taken off (`Search.gap`)."""
+
+    before: float
+    within_calibration: float
+    """With the nominal system, and the part of it that the tolerances of calibrated numbers explain."""
+    after: float
+    noise: float
+    """With the best model and these tolerances, and the standard deviation of that by noise."""
+    unexplained: float
+    """Share of what is beyond noise and calibration that the best model leaves, 0..1."""
+    noise_is_a_guess: bool
+    """Whether nothing was repeated."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """What is known of an effect that is not in the catalogue: where and when the best model leaves most, or as the replay has it."""
+
+    channels: dict[str, float]
+    """Channel -> its share in what the best model leaves, 0..1, largest first."""
+    component: str
+    direction: str
+    regime: list[list[float]]
+    """As in `Where`."""
+    nearest: str
+    """Name of the best model."""
+    changes: Changing | None = None
+    """What it is like if it changes with time."""
+
+
+@dataclass(frozen=True)
+class Visible:
+    """The smallest value of a parameter that would have been seen."""
+
+    effect: str
+    location: str
+    parameter: str
+    value: float
+    """5 standard deviations [unit]."""
+    unit: str
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What the diagnosis took."""
+
+    seconds: float = 0.0
+    simulations: int = 0
+    taken_over: int = 0
+    """Simulations that were there already."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What diagnosis.json holds, in its order; what is None is not part of this answer."""
+
+    verdict: Verdict
+    findings: tuple[gate.Finding, ...] = ()
+    """What is to be said of the log."""
+    where: tuple[Where, ...] = ()
+    """Largest share first."""
+    which: tuple[Which, ...] = ()
+    """Likeliest first."""
+    how_far: tuple[HowFar, ...] = ()
+    next_run: NextRun | None = None
+    isolability: tuple[Pair, ...] | None = None
+    gap: Gap | None = None
+    transfer: Transfer | None = None
+    """What the best model is worth in held-out conditions."""
+    smallest_visible: tuple[Visible, ...] | None = None
+    probability_none: float | None = None
+    """Probability that there is no effect."""
+    replay: tuple[Reading, ...] | None = None
+    swap: tuple[Share, ...] | None = None
+    structure: Structure | None = None
+    not_replayed: str | None = None
+    """Why the replay failed."""
+    predictive: dict[str, dict[str, float]] | None = None
+    """Model -> condition -> gain in log score there [nats] when it is fitted to the others."""
+    unknown: Unknown | None = None
+    effort: Effort = field(default_factory=Effort)
+    skipped: tuple[str, ...] = ()
+    """What of the catalogue the system does not have, in words."""
+
+    @property
+    def guessed(self) -> bool:
+        """Whether the answer rests on a guess of the noise."""
+        return self.gap is not None and self.gap.noise_is_a_guess
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The answer, `adopted`: the values [unit] that adopt.ssv holds, and more for the report."""
+
+    answer: Answer
     adopted: dict[Address, float]
     fits: tuple[Fit, ...] = ()
     channels: tuple[str, ...] = ()
@@ -47,6 +176,11 @@ class Diagnosis:
     """channel -> the port of the system that it was measured at."""
     titles: Mapping[str, str] = field(default_factory=dict)
     """array -> what the difference there is called; those that count as figures of their own."""
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """What diagnosis.json holds."""
+        return to_json(self.answer)
 
 
 def titles_of(named: Mapping[str, str], ports: Mapping[str, PortData]) -> dict[str, str]:
@@ -65,17 +199,29 @@ def _described(array: str, members: Sequence[PortData]) -> str:
     return f"{text} ({array})" if text else array
 
 
-def result_of(verdict: str, findings: Sequence[gate.Finding]) -> dict[str, Any]:
-    """diagnosis.json as far as it is the same for all verdicts, without `effort_of` it."""
-    return {
-        "schema": SCHEMA,
-        "verdict": verdict,
-        "gate": {"usable": verdict != "bad_log", "findings": [asdict(f) for f in findings]},
-        "where": [],
-        "which": [],
-        "how_far": [],
-        "next_run": None,
-    }
+def to_json(answer: Answer) -> dict[str, Any]:
+    """The data of diagnosis.json."""
+    data = asdict(answer, dict_factory=_there)
+    found = {"usable": answer.verdict != "bad_log", "findings": data.pop("findings")}
+    data = {"schema": SCHEMA, "verdict": answer.verdict, "gate": found, **data}
+    for w in data["where"]:
+        if "shares" in w:
+            w["shares"] = {figure: {"share": s["share"], "interval": s["interval"]} for figure, s in w["shares"].items()}
+    data["where"] = [{k: w[k] for k in REPLAYED} | w if "nearest" in w else w for w in data["where"]]
+    if answer.transfer is not None:
+        data["transfer"]["stands"] = stands(answer.transfer)
+    if known := answer.unknown:
+        data["unknown"]["channels"] = [{"channel": c, "share": share} for c, share in known.channels.items()]
+        if other := known.changes:
+            data["unknown"]["changes"] = {"like": other.candidate.name, "how": other.how, "gain": other.by_change}
+    if answer.gap is None:  # a log that the gate refused
+        data["effort"] = data.pop("effort")
+    return data
+
+
+def _there(fields: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Fields of a record without what is None and not in NULL."""
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in fields if v is not None or k in NULL}
 
 
 def as_json(result: Mapping[str, Any]) -> str:
@@ -91,9 +237,9 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def effort_of(began: float, simulator: Simulator) -> dict[str, Any]:
+def effort_of(began: float, simulator: Simulator) -> Effort:
     """What it took so far; `began`: when, by the monotonic clock [s]."""
-    return {"seconds": round(time.monotonic() - began, 1), "simulations": simulator.count, "taken_over": simulator.found}
+    return Effort(round(time.monotonic() - began, 1), simulator.count, simulator.found)
 
 
 def curves_of(

@@ -14,7 +14,7 @@ import numpy as np
 
 from robomill.orchestration.slaves.protocol import FloatArray
 
-PARTS = 6
+FOLDS = 6
 """Parts of the condition that are predicted from the others; and of what is known, to choose the strength of the ridge."""
 RIDGES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 """Strengths of the ridge that are tried, per sample; the best for each channel is taken."""
@@ -32,7 +32,7 @@ def predicted_gap(signals: FloatArray, gap: FloatArray, known: Sequence[tuple[Fl
     pace = np.sqrt(np.mean(np.concatenate([np.gradient(z, axis=0) for z in scaled]) ** 2, axis=0)) + 1e-300
     here, *others = [_features(z, pace) for z in scaled]
     predicted = np.empty_like(gap)
-    edges = np.linspace(0, len(gap), PARTS + 1).astype(int)
+    edges = np.linspace(0, len(gap), FOLDS + 1).astype(int)
     for low, high in itertools.pairwise(edges):
         rest = np.r_[0:low, high : len(gap)]
         x, y = np.concatenate([here[rest], *others]), np.concatenate([gap[rest], *(g for _, g in known)])
@@ -48,7 +48,7 @@ def _features(z: FloatArray, pace: FloatArray) -> FloatArray:
 def _ridge(x: FloatArray, y: FloatArray) -> FloatArray:
     """Coefficients [features, channels] with the ridge that predicts parts of the rows best from the others."""
     gram, products = x.T @ x, x.T @ y
-    edges = np.linspace(0, len(x), PARTS + 1).astype(int)
+    edges = np.linspace(0, len(x), FOLDS + 1).astype(int)
     error = np.zeros((len(RIDGES), y.shape[1]))
     for low, high in itertools.pairwise(edges):
         a, b = x[low:high], y[low:high]

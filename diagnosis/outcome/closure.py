@@ -11,26 +11,57 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from robomill.orchestration.slaves.protocol import FloatArray
 
-BLOCKS, RESAMPLES = 24, 1000
+BLOCKS, BLOCK_RESAMPLES = 24, 1000
+"""Blocks of time that a condition is divided into, and how often the bootstrap draws them anew."""
 
 
 @dataclass(frozen=True)
 class Products:
-    """Per block of time: G before, G after, and what is left when the mean of other repeats is taken away."""
+    """Sums over each block of time, [blocks], in the square of the unit of the figure."""
 
     before: FloatArray
+    """G of the nominal simulation."""
     after: FloatArray
+    """G with the adopted effects."""
     noise: FloatArray
+    """What noise is expected to give for a single run."""
     floor: FloatArray
+    """What is left when the mean of other repeats (or what a regression makes of the gap) is taken away, noise taken off."""
     regressed: bool
     """Whether the floor is that of a regression."""
     samples: FloatArray
+    """Samples in the block."""
+
+
+@dataclass(frozen=True)
+class HowFar:
+    """How far the gap of one figure shrinks on one kind of runs."""
+
+    metric: str
+    channel: str
+    """What people call the figure, and the measured array that it is of ("all channels, whitened": the whole gap)."""
+    unit: str
+    on: str
+    """"diagnosed runs", "held-out repeat" or "held-out condition"."""
+    before: float
+    after: float
+    floor: float
+    """Root mean squares [unit]: of the gap with the nominal system and with the adopted effects, noise taken off; of noise."""
+    closure: float | None = None
+    interval: list[float] | None = None
+    """1 - G_after / G_before with its 90 % interval; None, like what follows, where the gap is not `measurable` beside the noise."""
+    ceiling: float | None = None
+    ceiling_by: str | None = None
+    """Closure that any model could have, and what says so: "repeats" or "regression"."""
+    ratio: float | None = None
+    """`closure` / `ceiling`, if that is more than 0."""
+    measurable: bool = True
+    why_no_ceiling: str | None = None
 
 
 Halves = tuple[FloatArray, FloatArray]
@@ -79,35 +110,27 @@ def products(
     return Products(pairs(*before, 0.0), pairs(*after, 0.0), lengths * float(variance.sum()), floor, regressed, lengths)
 
 
-def figures(parts: Sequence[Products], seed: int = 0) -> dict[str, Any]:
-    """Root mean squares before and after, closure, its interval, ceiling and closure / ceiling (`ratio`), over several conditions.
+def figures(parts: Sequence[Products], metric: str = "", channel: str = "", unit: str = "1", on: str = "", seed: int = 0) -> HowFar:
+    """How far the gap shrinks over several conditions; `metric`, `channel`, `unit` and `on` say of which figure, and where.
 
-    `why_no_ceiling` is the reason where there is none.
+    closure = 1 - sum of `after` / sum of `before`, ceiling = 1 - sum of `floor` / sum of `before`, over all blocks; the interval (90 %)
+    is that of blocks drawn anew.
     """
     before, after = np.concatenate([p.before for p in parts]), np.concatenate([p.after for p in parts])
     samples, noise = np.concatenate([p.samples for p in parts]), np.concatenate([p.noise for p in parts])
     rng = np.random.default_rng(seed)
-    choice = rng.integers(0, len(before), (RESAMPLES, len(before)))
+    choice = rng.integers(0, len(before), (BLOCK_RESAMPLES, len(before)))
     b, a = before[choice].sum(axis=1), after[choice].sum(axis=1)
     measurable = bool(np.quantile(b, 0.05) > 0.0 and before.sum() > 0.05 * noise.sum() / max(np.sqrt(len(before)), 1.0))
-    result: dict[str, Any] = {
-        "before": float(np.sqrt(max(before.sum(), 0.0) / samples.sum())),
-        "after": float(np.sqrt(max(after.sum(), 0.0) / samples.sum())),
-        "floor": float(np.sqrt(noise.sum() / samples.sum())),
-        "closure": None,
-        "interval": None,
-        "ceiling": None,
-        "ceiling_by": None,
-        "ratio": None,
-        "measurable": measurable,
-        "why_no_ceiling": None if measurable else "the gap before is not measurable: its interval includes 0",
-    }
-    if measurable:
-        ratio = 1.0 - a / np.maximum(b, 1e-300)
-        result["closure"] = min(float(1.0 - after.sum() / before.sum()), 1.0)  # no more than what there was
-        result["interval"] = [min(float(np.quantile(ratio, q)), 1.0) for q in (0.05, 0.95)]
-        ceiling = min(1.0, 1.0 - sum(float(p.floor.sum()) for p in parts) / float(before.sum()))
-        result["ceiling"] = max(ceiling, result["closure"])  # what is closed can be closed
-        result["ceiling_by"] = "regression" if any(p.regressed for p in parts) else "repeats"
-        result["ratio"] = result["closure"] / result["ceiling"] if result["ceiling"] > 0.0 else None
-    return result
+    rms, left, floor = (float(np.sqrt(max(x.sum(), 0.0) / samples.sum())) for x in (before, after, noise))
+    if not measurable:
+        why = "the gap before is not measurable: its interval includes 0"
+        return HowFar(metric, channel, unit, on, rms, left, floor, measurable=False, why_no_ceiling=why)
+    closed = 1.0 - a / np.maximum(b, 1e-300)
+    closure = min(float(1.0 - after.sum() / before.sum()), 1.0)  # no more than what there was
+    interval = [min(float(np.quantile(closed, q)), 1.0) for q in (0.05, 0.95)]
+    ceiling = min(1.0, 1.0 - sum(float(p.floor.sum()) for p in parts) / float(before.sum()))
+    ceiling = max(ceiling, closure)  # what is closed can be closed
+    by = "regression" if any(p.regressed for p in parts) else "repeats"
+    ratio = closure / ceiling if ceiling > 0.0 else None
+    return HowFar(metric, channel, unit, on, rms, left, floor, closure, interval, ceiling, by, ratio)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
-from itertools import combinations
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,14 +15,15 @@ from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.inference import isolability
 from robomill.diagnosis.inference.estimation import Fit, probabilities
 from robomill.diagnosis.inference.search import Search
-from robomill.diagnosis.inference.time_varying import changing
+from robomill.diagnosis.inference.time_varying import Changing, changing
 from robomill.diagnosis.inference.transfer import Transfer, transfer
 from robomill.diagnosis.localisation.replay_attribution import intervals
-from robomill.diagnosis.localisation.where import combined, direction_of, located
+from robomill.diagnosis.localisation.swap import shapley
+from robomill.diagnosis.localisation.where import Located, Where, combined, direction_of, located
 from robomill.diagnosis.outcome import next_run
-from robomill.diagnosis.outcome.answer import Diagnosis, Menu, curves_of, effort_of, result_of, titles_of
+from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Menu, Unknown, Visible, Which, curves_of, titles_of
 from robomill.diagnosis.outcome.how_far import CLOSING, how_far, metrics
-from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, over_noise, stands, unexplained
+from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, over_noise, unexplained
 from robomill.orchestration.slaves.protocol import FloatArray
 
 ELSE = 0.03
@@ -45,7 +44,10 @@ LISTED = 0.01
 
 
 class Conclusion:
-    """From fits to the answer."""
+    """The verdict on fitted models, and all that belongs to it; `answer` says it.
+
+    `weights`: probability of each fit; `best`: the likeliest one.
+    """
 
     def __init__(
         self,
@@ -58,24 +60,23 @@ class Conclusion:
         findings: list[gate.Finding],
         menu: Menu,
         repair: bool,
-        began: float,
     ) -> None:
         self.laboratory, self.simulator, self.search, self.fits, self.groups, self.n = laboratory, simulator, search, fits, groups, n
-        self.findings, self.menu, self.repair, self.began = findings, menu, repair, began
+        self.findings, self.menu, self.repair = findings, menu, repair
         self.titles = titles_of(search.catalogue.titles, laboratory.ports)
         self.weights = probabilities(fits, search.candidates)
         self.best = fits[int(self.weights.argmax())]
 
     def marginal(self) -> dict[Candidate, float]:
-        """Probability of each candidate: of all models that it is in."""
+        """Probability of each candidate, largest first: (1 - ELSE) times the sum of those of all models that it is in."""
         total: dict[Candidate, float] = {}
         for f, p in zip(self.fits, self.weights, strict=True):
             for c in f.model:
                 total[c] = total.get(c, 0.0) + (1.0 - ELSE) * float(p)
         return dict(sorted(total.items(), key=lambda item: -item[1]))
 
-    def diagnosis(self) -> Diagnosis:
-        """Verdict, then all that belongs to it."""
+    def answer(self) -> tuple[Answer, dict[Address, float]]:
+        """Verdict, where, which, how far, next run; and the values that are adopted [unit]."""
         before, noise = self.search.gap(self.fits[0], calibrated=False)
         calibrated, _ = self.search.gap(self.fits[0])
         after, _ = self.search.gap(self.best)
@@ -93,78 +94,64 @@ class Conclusion:
                 place=c.location, value=1e3 * value if c.unit == "s" else value, unit="ms" if c.unit == "s" else c.unit
             )
             self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, not self.repair, self.repair))
-        result = result_of(verdict, self.findings)
-        self.pairs = isolability.pairs(self.fits, [c for c, p in marginal.items() if p >= LISTED], self.search.evidence.space)
-        result["isolability"] = [
-            {"pair": [p.one.name, p.other.name], "distance": p.distance, "confusable": p.confusable} for p in self.pairs
-        ]
-        result["gap"] = {
-            "before": before,
-            "within_calibration": min(max(before - calibrated, 0.0), max(before, 0.0)),
-            "after": after,
-            "noise": noise,
-            "unexplained": min(unexplained(over_noise(search, nominal), over_noise(search, self.best)), 1.0),
-            "noise_is_a_guess": self.search.evidence.whitening.guessed,
-        }
-        if moved is not None:
-            result["transfer"] = {**asdict(moved), "stands": stands(moved)}
-        adopted = physical(self.best.values) if verdict in ("identified", "ambiguous", "unknown") else {}
+        pairs = isolability.pairs(self.fits, [c for c, p in marginal.items() if p >= LISTED], self.search.evidence.space)
+        gap = Gap(
+            before,
+            min(max(before - calibrated, 0.0), max(before, 0.0)),
+            after,
+            noise,
+            min(unexplained(over_noise(search, nominal), over_noise(search, self.best)), 1.0),
+            self.search.evidence.whitening.guessed,
+        )
+        which = self.which(marginal, pairs)
+        answer = Answer(verdict, tuple(self.findings), which=which, isolability=tuple(pairs), gap=gap, transfer=moved)
+        acts = verdict in ("identified", "ambiguous", "unknown")
+        adopted = physical(self.best.values) if acts else {}
         if verdict == "none":
-            result["smallest_visible"] = self.smallest()
-            result["which"] = self.which(marginal)
-            result["probability_none"] = (1.0 - ELSE) * float(self.weights[0])
+            answer = replace(answer, smallest_visible=self.smallest(), probability_none=(1.0 - ELSE) * float(self.weights[0]))
         else:
-            result["which"] = self.which(marginal)
             found = located(self.laboratory, self.n, self.search.catalogue, self.search.nuisances, self.figures(), self.menu.projections)
-            result |= found | {"where": combined(verdict, self.where(), found["where"])}
-            result["how_far"] = how_far(self.search, self.groups, adopted, self.titles) if adopted else []
-            result["next_run"] = self.next_run(verdict) if verdict in ("identified", "ambiguous", "unknown") else None
-            result["predictive"] = {f.name: f.predictive for f in self.fits if f.predictive}
+            answer = replace(
+                answer,
+                where=combined(verdict, self.where(), found.where),
+                how_far=how_far(self.search, self.groups, adopted, self.titles) if adopted else (),
+                next_run=self.next_run(verdict) if acts else None,
+                replay=found.replay,
+                swap=found.swap,
+                structure=found.structure,
+                not_replayed=found.not_replayed,
+                predictive={f.name: f.predictive for f in self.fits if f.predictive},
+            )
         if verdict == "unknown":
-            first = result["where"][0] if found["where"] else {}
-            result["unknown"] = self.describe() | {k: first[k] for k in ("component", "direction", "regime") if first}
-            if other is not None and changes(search, self.best, other):
-                result["unknown"]["changes"] = {"like": other.candidate.name, "how": other.how, "gain": other.by_change}
-                # the replay knows only effects that do not change
-                if first and all(other.candidate.component not in (w["component"], *w["alternatives"]) for w in found["where"]):
-                    first["alternatives"] = [*first["alternatives"], other.candidate.component]
-        result["effort"] = effort_of(self.began, self.simulator)
-        channels, ports = tuple(self.laboratory.channels), self.laboratory.ports
-        return Diagnosis(result, adopted, tuple(self.fits), channels, self.curves(adopted), ports, self.titles)
+            answer = self.described(answer, found, other if other is not None and changes(search, self.best, other) else None)
+        return answer, adopted
 
     def transfer(self) -> Transfer | None:
-        """What the best model is worth in conditions that were held out."""
+        """What the best model is worth in held-out conditions; its doubt is sqrt((WIDER deviation / size)^2 + BIAS^2), at most 1."""
         fit = self.best
         sizes = {a: size for c in fit.model for a, size in c.sizes(fit.values).items()}
         doubt = max(math.hypot(BIAS, WIDER * fit.deviations[a] / (size + 1e-300)) for a, size in sizes.items())
         return transfer(self.search, self.groups, fit.values, min(doubt, 1.0))
 
-    def which(self, marginal: Mapping[Candidate, float]) -> list[dict[str, Any]]:
-        """Every candidate above 1 %."""
+    def which(self, marginal: Mapping[Candidate, float], pairs: Sequence[isolability.Pair]) -> tuple[Which, ...]:
+        """Every candidate with a probability of LISTED or more."""
         listed = []
         sets: dict[str, list[str]] = {}
-        for pair in self.pairs:
-            if pair.confusable:
-                sets.setdefault(pair.one.name, []).append(pair.other.name)
-                sets.setdefault(pair.other.name, []).append(pair.one.name)
+        for one, other in (p.pair for p in pairs if p.confusable):
+            sets.setdefault(one, []).append(other)
+            sets.setdefault(other, []).append(one)
         for c, p in marginal.items():
             if p < LISTED:
                 continue
             fit = max((f for f in self.fits if c in f.model), key=lambda f: float(self.weights[self.fits.index(f)]))
-            listed.append(
-                {
-                    "effect": c.effect,
-                    "component": c.component,
-                    "location": c.location,
-                    "probability": p,
-                    "parameters": self.parameters(c, fit),
-                    "confusable_with": sets.get(c.name, []),
-                }
-            )
-        return listed
+            listed.append(Which(c.effect, c.component, c.location, p, self.parameters(c, fit), sets.get(c.name, [])))
+        return tuple(listed)
 
-    def parameters(self, c: Candidate, fit: Fit) -> dict[str, dict[str, Any]]:
-        """Values with their intervals, by the parameters of the component."""
+    def parameters(self, c: Candidate, fit: Fit) -> dict[str, Estimate]:
+        """Parameter of the component -> its value, 90 % interval and unit.
+
+        Half of the interval: 1.645 sqrt((WIDER deviation)^2 + tolerance^2 + (BIAS size)^2).
+        """
         sizes, values = c.sizes(fit.values), physical({a: fit.values[a] for a in c.addresses})
         # a calibrated number's own tolerance, and what the models are not trusted to, come on top of noise
         half = [1.645 * math.hypot(WIDER * fit.deviations[a], self.tolerance(a), BIAS * sizes[a]) for a in c.addresses]
@@ -174,51 +161,43 @@ class Conclusion:
         listed = {}
         for name, h, unit in zip(c.named, half, units, strict=True):
             value = values[c.component, name]
-            listed[name] = {"value": value, "interval": [value - h, value + h], "unit": unit}
+            listed[name] = Estimate(value, [value - h, value + h], unit)
         return listed
 
     def tolerance(self, address: Address) -> float:
         """Standard deviation to which the nominal value is believed [unit]."""
         return math.hypot(*self.search.evidence.space.alike.get(address, {}).values())
 
-    def where(self) -> list[dict[str, Any]]:
-        """Share of each component in the gap: exact Shapley values of the effects of the best model, and what remains."""
+    def where(self) -> list[Where]:
+        """Share of each component in the gap, largest first: exact Shapley values of the effects of the best model.
+
+        The worth of a subset of components is 1 - G(their effects) / G(nothing).
+        """
         parts = list(dict.fromkeys(c.component for c in self.best.model))
         before, noise = self.search.gap(self.fits[0], calibrated=False)
-        kept: dict[tuple[str, ...], float] = {(): 0.0}
-        for size in range(1, len(parts) + 1):
-            for subset in combinations(parts, size):
-                values = {a: v for a, v in self.best.values.items() if a[0] in subset}
-                signature = self.search.mean_signature(setting(values))
-                if signature is None:
-                    kept[subset] = 0.0
-                    continue
-                trial = Fit((), {}, {}, 0.0, 0.0, True, signature, None)
-                kept[subset] = 1.0 - self.search.gap(trial, calibrated=False)[0] / before if before > 0.0 else 0.0
+
+        def closed(members: frozenset[str]) -> FloatArray:
+            """Part of the gap that the effects in these components close."""
+            values = {a: v for a, v in self.best.values.items() if a[0] in members}
+            signature = self.search.mean_signature(setting(values)) if values else None
+            if signature is None or before <= 0.0:
+                return np.zeros(())
+            trial = Fit((), {}, {}, 0.0, 0.0, signature)
+            return np.array(1.0 - self.search.gap(trial, calibrated=False)[0] / before)
+
+        worth = shapley(parts, closed)
         shares = []
         for part in parts:
-            rest = [p for p in parts if p != part]
-            value = 0.0
-            for size in range(len(rest) + 1):
-                weight = math.factorial(size) * math.factorial(len(parts) - size - 1) / math.factorial(len(parts))
-                for subset in combinations(rest, size):
-                    joined = tuple(p for p in parts if p in subset or p == part)
-                    value += weight * (kept[joined] - kept[subset])
+            value = float(worth[part])
             half = 1.645 * noise / before if before > 0.0 else 1.0
             here = [c for c in self.best.model if c.component == part]
-            shares.append(
-                {
-                    "component": part,
-                    "share": as_share(value),
-                    "interval": [as_share(value - half), as_share(value + half)],
-                    "location": ", ".join(dict.fromkeys(c.location for c in here)),
-                    **self.local(here),
-                }
-            )
-        return sorted(shares, key=lambda s: -float(str(s["share"])))
+            interval, location = [as_share(value - half), as_share(value + half)], ", ".join(dict.fromkeys(c.location for c in here))
+            strongest, regime = self.local(here)
+            shares.append(Where(part, as_share(value), interval, location, direction_of(strongest), strongest, regime))
+        return sorted(shares, key=lambda s: -s.share)
 
-    def local(self, members: Sequence[Candidate]) -> dict[str, Any]:
-        """Channel with the strongest signature, its direction, and the times when it is there."""
+    def local(self, members: Sequence[Candidate]) -> tuple[str, list[list[float]]]:
+        """Channel with the strongest signature, and the times [s] when it is there."""
         values = {a: self.best.values[a] for c in members for a in c.addresses}
         results = self.simulator.many([(i, self.simulator.seeded(setting(values))) for i in range(self.n)], "shares")
         active = self.search.evidence.active
@@ -228,32 +207,30 @@ class Conclusion:
         for i, r in enumerate(results):
             if r is None:
                 continue
-            energy = (r[:, active] - self.search.evidence.nominals[i][0]) ** 2 / (variance + np.median(variance) * 1e-12)
-            total += energy.sum(axis=0)
-            over = energy.sum(axis=1)
+            squares = (r[:, active] - self.search.evidence.nominals[i][0]) ** 2 / (variance + np.median(variance) * 1e-12)
+            total += squares.sum(axis=0)
+            over = squares.sum(axis=1)
             if i == 0 and over.max() > 0.0:
                 regime = intervals(over > 0.1 * over.max(), self.laboratory.conditions[0].grid, self.laboratory.decimation)
-        strongest = names[int(total.argmax())]
-        return {"direction": direction_of(strongest), "channel": strongest, "regime": regime}
+        return names[int(total.argmax())], regime
 
     def figures(self) -> dict[str, FloatArray]:
-        """Weights of the channels in each figure."""
+        """Weights of the channels in each figure, name -> [channels]: 1 for those in it, 0 for the others."""
         every = np.arange(len(self.laboratory.channels))
         return {name: np.isin(every, members).astype(np.float64) for name, members in metrics(self.search, self.titles).items()}
 
-    def smallest(self) -> list[dict[str, Any]]:
-        """What would have been seen: 5 deviations of the fit, by candidate."""
+    def smallest(self) -> tuple[Visible, ...]:
+        """What would have been seen: 5 standard deviations of the linear fit [unit], by candidate and parameter."""
         listed = []
-        for f in self.search.screened:
+        for f in self.search.linear_singles:
             c = f.model[0]
             deviations = dict(zip(c.parameters, (f.deviations[a] for a in c.addresses), strict=True))
             if c.has_phase:
                 deviations = {c.named[0]: max(deviations.values())}
-            for name, deviation in deviations.items():
-                listed.append({"effect": c.effect, "location": c.location, "parameter": name, "value": 5.0 * deviation, "unit": c.unit})
-        return listed
+            listed += [Visible(c.effect, c.location, name, 5.0 * deviation, c.unit) for name, deviation in deviations.items()]
+        return tuple(listed)
 
-    def next_run(self, verdict: str) -> dict[str, Any] | None:
+    def next_run(self, verdict: str) -> next_run.NextRun | None:
         """The run on the menu that tells the likely models apart; None where there is only one, or no menu."""
         rivals = next_run.rivals(self.fits, self.weights, self.search, known=verdict != "unknown")
         offers = self.menu.offers() if len(rivals) > 1 else {}
@@ -263,30 +240,38 @@ class Conclusion:
         with self.simulator.beside(next_run.laboratory(self.laboratory, offers)) as simulator:
             return next_run.recommend(fits, weights, offers, self.search, simulator)
 
-    def describe(self) -> dict[str, Any]:
-        """What is known of an effect that is not in the catalogue: where its energy is."""
+    def described(self, answer: Answer, found: Located, other: Changing | None) -> Answer:
+        """The answer with what is known of an effect that is not in the catalogue; `other`: what it is like if it changes with time."""
+        unknown, where = self.unknown(), answer.where
+        if found.where:
+            first = where[0]
+            unknown = replace(unknown, component=first.component, direction=first.direction, regime=first.regime)
+        if other is not None:
+            unknown = replace(unknown, changes=other)
+            also, named = other.candidate.component, {c for w in found.where for c in (w.component, *(w.alternatives or ()))}
+            if found.where and also not in named:  # the replay knows only effects that do not change
+                where = (replace(first, alternatives=(*(first.alternatives or ()), also)), *where[1:])
+        return replace(answer, unknown=unknown, where=where)
+
+    def unknown(self) -> Unknown:
+        """Channels and times that what the best model leaves is in."""
         space, search = self.search.evidence.space, self.search
         assert self.best.signature is not None
         names = [c for c, on in zip(self.laboratory.channels, search.evidence.active, strict=True) if on]
-        energy = np.zeros(len(names))
+        chi2 = np.zeros(len(names))
         regime: list[list[float]] = []
         for i, (_, block) in enumerate(space.blocks.items()):
             left = (space.y - self.best.signature)[block].reshape(-1, len(names)) ** 2
-            energy += left.sum(axis=0)
+            chi2 += left.sum(axis=0)
             if i == 0:
                 over = left.sum(axis=1)
                 regime = intervals(over > 0.1 * over.max(), self.laboratory.conditions[0].grid, self.laboratory.decimation)
-        order = np.argsort(-energy)[:5]
-        return {
-            "channels": [{"channel": names[k], "share": float(energy[k] / energy.sum())} for k in order],
-            "component": names[int(order[0])].partition(".")[0],
-            "direction": direction_of(names[int(order[0])]),
-            "regime": regime,
-            "nearest": self.best.name,
-        }
+        channels = {names[k]: float(chi2[k] / chi2.sum()) for k in np.argsort(-chi2)[:5]}
+        first = next(iter(channels))
+        return Unknown(channels, first.partition(".")[0], direction_of(first), regime, self.best.name)
 
     def curves(self, adopted: Mapping[Address, float]) -> dict[str, dict[str, FloatArray]]:
-        """Means over the repeats beside both simulations."""
+        """Means over the repeats beside both simulations, for each condition; see `Diagnosis.curves`."""
         everywhere = range(len(self.laboratory.conditions))
         before, after = (self.simulator.repeated(everywhere, changes, CLOSING) for changes in ((), setting(adopted)))
         return curves_of(self.laboratory, self.groups, before, after)

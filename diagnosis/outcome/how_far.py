@@ -22,7 +22,7 @@ Groups = Sequence[Sequence[FloatArray]]
 
 
 def metrics(search: Search, titles: Mapping[str, str]) -> dict[str, list[int]]:
-    """Arrays of channels that count as one figure: those with a title, or all."""
+    """Arrays of channels that count as one figure, array -> indices of its active channels: those with a title, or all."""
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(search.simulator.laboratory.channels):
         if search.evidence.active[i]:
@@ -31,8 +31,11 @@ def metrics(search: Search, titles: Mapping[str, str]) -> dict[str, list[int]]:
     return {g: groups[g] for g in wanted}
 
 
-def how_far(search: Search, groups: Groups, adopted: Mapping[Address, float], titles: Mapping[str, str]) -> list[dict[str, Any]]:
-    """The closed loop simulated with the adopted values; `groups`: measured repeats of every condition, the diagnosed ones first."""
+def how_far(search: Search, groups: Groups, adopted: Mapping[Address, float], titles: Mapping[str, str]) -> tuple[closure.HowFar, ...]:
+    """Closure and ceiling of each figure: the closed loop simulated with the `adopted` values [unit].
+
+    `groups`: measured repeats of every condition, the diagnosed ones first; `titles`: array -> what the difference there is called.
+    """
     laboratory, simulator, whitening = search.simulator.laboratory, search.simulator, search.evidence.whitening
     conditions, n = laboratory.conditions, len(search.groups)
     after = simulator.repeated(range(len(conditions)), setting(adopted), CLOSING, "closure")
@@ -49,7 +52,7 @@ def how_far(search: Search, groups: Groups, adopted: Mapping[Address, float], ti
     for name, members in metrics(search, titles).items():
         figures.append((name, conditions[0].runs[0].unit(name), np.array(members), np.ones(len(scale))))
     predicted = _predicted(before, groups, n, search.evidence.active)
-    listed: list[dict[str, Any]] = []
+    listed = []
     for kind, members in kinds.items():
         for name, unit, index, weight in figures:
             parts = []
@@ -69,10 +72,8 @@ def how_far(search: Search, groups: Groups, adopted: Mapping[Address, float], ti
                     )
                 )
             if parts:
-                listed.append(
-                    {"metric": f"{titles.get(name, name)} rms", "channel": name, "unit": unit, "on": kind, **closure.figures(parts)}
-                )
-    return listed
+                listed.append(closure.figures(parts, f"{titles.get(name, name)} rms", name, unit, kind))
+    return tuple(listed)
 
 
 def _predicted(simulated: Sequence[Sequence[FloatArray] | None], groups: Groups, n: int, active: Any) -> dict[int, FloatArray]:

@@ -27,7 +27,7 @@ from robomill.orchestration.slaves.protocol import FloatArray
 from robomill.orchestration.system.definition import System
 
 ENOUGH = 6.0
-"""Distance from which more does not count: the pair is told apart."""
+"""Distance [deviations of noise] from which more does not count: the pair is told apart."""
 SHORT_LIST = 4
 """Runs that are looked at with the nuisances too."""
 DRAWS = 3
@@ -40,7 +40,7 @@ NEARLY = 0.9
 
 @dataclass(frozen=True)
 class Offer:
-    """A run that could be made."""
+    """A run that could be made next: the system that makes it, and what it takes."""
 
     system: System
     """What makes it: components are called as in the system that is diagnosed, but some may be others."""
@@ -53,6 +53,41 @@ class Offer:
     repeats: int
     shown: Mapping[str, Mapping[str, Any]]
     """The part of `parameters` that people want to see."""
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another run on the menu that was looked at."""
+
+    kind: str
+    distance: float
+    """Whitened distance of the two models that are closest in it [deviations of noise]."""
+    minutes: float
+    per_minute: float
+    """As in `Offer`, and `distance` over that."""
+
+
+@dataclass(frozen=True)
+class NextRun:
+    """The run on the menu that tells the likely models apart best; `kind` to `per_minute` as in `Alternative`."""
+
+    kind: str
+    separates: tuple[str, ...]
+    """Names of these models."""
+    separated: bool
+    """Whether it tells them apart: `distance` is not below CONFUSABLE."""
+    distance: float
+    now: float
+    """That distance in the given runs [deviations of noise]."""
+    minutes: float
+    per_minute: float
+    repeats: int
+    parameters: dict[str, dict[str, Any]]
+    """`Offer.shown`."""
+    models: dict[str, dict[str, dict[str, float]]]
+    """Model -> component -> parameter -> value."""
+    alternatives: tuple[Alternative, ...]
+    """The other runs, best first."""
 
 
 class _Trial:
@@ -147,8 +182,8 @@ def recommend(
     offers: Mapping[str, Offer],
     search: Search,
     simulator: Simulator,
-) -> dict[str, Any] | None:
-    """What `next_run` holds, for models of these weights; None where no run on the menu can be simulated.
+) -> NextRun | None:
+    """The run that tells models of these weights apart best; None where no run on the menu can be simulated.
 
     The laboratory of `simulator` has one condition per offer, in that order (`laboratory`).
     """
@@ -177,19 +212,19 @@ def recommend(
             trial.nominal[t.kind], trial.drawn[t.kind] = nominal, [x for x in others if x is not None]
             t.distances = {p: trial.distance(t.kind, *p) for p in shares}
     best, *rest = _ranked(tried, shares)
-    return {
-        "kind": best.kind,
-        "separates": [_name(f) for f in fits],
-        "separated": best.least >= CONFUSABLE,
-        "distance": best.least,
-        "now": min(now.values()),
-        "minutes": best.offer.minutes,
-        "per_minute": best.per_minute,
-        "repeats": best.offer.repeats,
-        "parameters": {c: dict(v) for c, v in best.offer.shown.items()},
-        "models": {_name(f): _table(f) for f in fits},
-        "alternatives": [{"kind": t.kind, "distance": t.least, "minutes": t.offer.minutes, "per_minute": t.per_minute} for t in rest],
-    }
+    return NextRun(
+        best.kind,
+        tuple(_name(f) for f in fits),
+        best.least >= CONFUSABLE,
+        best.least,
+        min(now.values()),
+        best.offer.minutes,
+        best.per_minute,
+        best.offer.repeats,
+        {c: dict(v) for c, v in best.offer.shown.items()},
+        {_name(f): _table(f) for f in fits},
+        tuple(Alternative(t.kind, t.least, t.offer.minutes, t.per_minute) for t in rest),
+    )
 
 
 def _name(fit: Fit) -> str:

@@ -17,19 +17,19 @@ Verdict = Literal["none", "identified", "ambiguous", "unknown", "bad_log"]
 CLEAR, FIRM = 3.0, 8.0
 """Log of the odds that there is an effect at all, from which that is believed; below FIRM what new conditions gain or lose counts."""
 FAINT = 0.4
-"""Part of a promise above FIRM that an answer of such odds must keep in new conditions, be it chance or not."""
+"""Part of an expected gain above FIRM that an answer of such odds must have in new conditions, be it chance or not."""
 LIKE_NOISE, AT_MOST = 1.2, 1.28
-"""Energy, over that of noise, that two systems which are the same but for calibration usually leave, and that a model may leave
-whatever its share is."""
+"""chi2, over that of noise, that two systems which are the same but for calibration usually leave, and that a model may leave whatever
+its share is."""
 UNKNOWN = 1.4
-"""Energy, over that of noise, from which there is a gap even if no candidate explains any of it (in new conditions: any more of it)."""
+"""chi2, over that of noise, from which there is a gap even if no candidate explains any of it (in new conditions: any more of it)."""
 UNEXPLAINED = 0.3
-"""Share of the energy beyond noise (calibration fitted) that an adequate model may leave, in diagnosed runs and in new conditions."""
+"""Share of chi2 beyond noise (calibration fitted) that an adequate model may leave, in diagnosed runs and in new conditions."""
 KEPT = 0.4
 """Part of its gain in evidence that a model must keep in parts of the time that it is not fitted to, where more than noise is left; and
 as much more as the share that it leaves."""
 WEAK, KEPT_BY_WEAK = 100.0, 0.5
-"""The same for gains in evidence [nats] of no more than this, whatever is left, if new conditions do not tell."""
+"""Gain in evidence [nats] up to which a model must keep this part of it there, whatever is left, if new conditions do not tell."""
 CHANGES, AS_LIKELY = 10.0, 3.0
 """Gain [nats] by which something must change with time to be believed to, and log of the odds that the best model may have against it."""
 IDENTIFIED = 0.8
@@ -37,12 +37,15 @@ IDENTIFIED = 0.8
 
 
 def over_noise(search: Search, fit: Fit) -> float:
-    """Energy that a model leaves, over that of noise."""
-    return fit.energy / float(search.evidence.expected.sum())
+    """chi2 that a model leaves, over that which noise alone is expected to leave."""
+    return fit.chi2 / float(search.evidence.expected.sum())
 
 
 def unexplained(before: float, after: float) -> float:
-    """Share of the energy beyond that of a machine without effects that a model leaves; both over that of noise."""
+    """Share of chi2 beyond that of a machine without effects that a model leaves: (after - LIKE_NOISE) / (before - LIKE_NOISE).
+
+    `before`, `after`: what the nominal system and the model leave, over that of noise (`over_noise`); the share is not below 0.
+    """
     return max(after - LIKE_NOISE, 0.0) / max(before - LIKE_NOISE, 1e-9)
 
 
@@ -72,9 +75,9 @@ def judged(
 
 
 def changes(search: Search, best: Fit, other: Changing) -> bool:
-    """Whether something changes with time, which the best model does not."""
+    """Whether something changes with time, which the best model does not: by its gain (CHANGES, SUBSTANTIAL) and its odds (AS_LIKELY)."""
     odds = best.log_evidence + log_priors([best.model], search.candidates)[0]
-    beyond = best.energy - float(search.evidence.expected.sum())  # of what a strong effect leaves, something always goes with time
+    beyond = best.chi2 - float(search.evidence.expected.sum())  # of what a strong effect leaves, something always goes with time
     return other.by_change > max(CHANGES, 0.5 * SUBSTANTIAL * beyond) and other.log_odds > odds - AS_LIKELY
 
 
@@ -84,7 +87,7 @@ def believed(nothing: float, moved: Transfer | None) -> bool:
     if moved is None or odds >= FIRM:
         return odds >= CLEAR
     # where they could make an answer firm, one that rests on little else must not gain a small part of that only
-    faint = moved.promised > FIRM and moved.gain < FAINT * moved.promised
+    faint = moved.expected_gain > FIRM and moved.gain < FAINT * moved.expected_gain
     return moved.holds and not faint and odds + moved.gain >= CLEAR
 
 
@@ -99,7 +102,7 @@ def _adequate(search: Search, nominal: Fit, best: Fit, moved: Transfer | None) -
 
 
 def stands(moved: Transfer) -> bool | None:
-    """Whether a model stands the test of new conditions: it gains there what it promised, and leaves no large share.
+    """Whether a model stands the test of new conditions: it has its expected gain there, and leaves no large share.
 
     None where the effect would hardly show there: too little for a yes, but what is lost can still be a no.
     """

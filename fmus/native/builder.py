@@ -87,19 +87,20 @@ def _build(
     content["documentation/index.html"] = index_html(interface, "native backend", NOTES, page, f"{fmi}.0").encode()
     content |= {f"documentation/reference/{name}": data for name, data in reference.items()}
     content |= {f"resources/tables/{name}.npy": _npy(rows) for name, rows in model.default_tables.items()}
-    if fmi == 2:
-        content["modelDescription.xml"] = model_description_2(interface, options)
-        content["model.png"] = ICON.read_bytes()
-        for platform, slices in linked.items():
-            library = fat(slices) if len(slices) > 1 else next(iter(slices.values()))
-            content[f"binaries/{platform}/{model.name}{PLATFORMS[platform].suffix}"] = library
-    else:
-        content["modelDescription.xml"] = model_description_3(interface, options)
-        content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals_and_icons(interface)
-        content["terminalsAndIcons/icon.png"] = ICON.read_bytes()
-        for platform, slices in linked.items():
-            for tuple_, library in slices.items():
-                content[f"binaries/{tuple_}/{model.name}{PLATFORMS[platform].suffix}"] = library
+    match fmi:
+        case 2:
+            content["modelDescription.xml"] = model_description_2(interface, options)
+            content["model.png"] = ICON.read_bytes()
+            for platform, slices in linked.items():
+                library = fat(slices) if len(slices) > 1 else next(iter(slices.values()))
+                content[f"binaries/{platform}/{model.name}{PLATFORMS[platform].suffix}"] = library
+        case 3:
+            content["modelDescription.xml"] = model_description_3(interface, options)
+            content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals_and_icons(interface)
+            content["terminalsAndIcons/icon.png"] = ICON.read_bytes()
+            for platform, slices in linked.items():
+                for tuple_, library in slices.items():
+                    content[f"binaries/{tuple_}/{model.name}{PLATFORMS[platform].suffix}"] = library
     archive.write(target, content)
     return target
 

@@ -17,6 +17,10 @@ from robomill.models.model.declaration import Model, Variable
 
 _CAUSALITIES = ("input", "output", "parameter")
 _PRINTF = set("efgEFG")
+_AS_IT_IS = {" ", *string.ascii_letters, *string.digits, *string.punctuation} - set('"\\?')
+"""Characters that stand for themselves in a C string literal; ?? would begin a trigraph."""
+_DIMENSIONS = 4
+"""Dimensions of a variable, at most: the places of `shape` in shim/component.h."""
 
 
 def data_c(interface: Interface, token: str) -> str:
@@ -63,7 +67,7 @@ def _array(declaration: str, items: Iterable[str], columns: int = 16) -> str:
 
 def _text(text: str) -> str:
     """A C string literal: UTF-8, everything unusual as an octal escape."""
-    return '"' + "".join(chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in text.encode()) + '"'
+    return '"' + "".join(chr(b) if chr(b) in _AS_IT_IS else f"\\{b:03o}" for b in text.encode()) + '"'
 
 
 def _number(value: float | None, default: str) -> str:
@@ -73,8 +77,8 @@ def _number(value: float | None, default: str) -> str:
 def _variable(v: Variable, first: int) -> str:
     unit = f" {v.unit}" if v.kind == "real" and v.unit != "1" else ""
     shape = ", ".join(map(str, v.shape)) or "0"
-    if len(v.shape) > 4:
-        raise NativeBuildError(f"variable {v.name!r} has {len(v.shape)} dimensions; at most 4 are possible")
+    if len(v.shape) > _DIMENSIONS:
+        raise NativeBuildError(f"variable {v.name!r} has {len(v.shape)} dimensions; at most {_DIMENSIONS} are possible")
     bounded = v.causality == "parameter" and v.kind != "boolean"  # bounds of inputs are for information: loops may overshoot
     low, high = (_number(v.minimum, "-INFINITY"), _number(v.maximum, "INFINITY")) if bounded else ("-INFINITY", "INFINITY")
     fixed = int(v.causality == "parameter" and not v.tunable)

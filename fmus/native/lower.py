@@ -24,8 +24,10 @@ from typing import Any
 
 import numpy as np
 
+from robomill.fmus.components import home
 from robomill.models.components.recording import ReplayModel, from_specification
 from robomill.models.model.cache import PACKAGE, prune, source_files, user_folder
+from robomill.models.model.calls import check_kernels
 from robomill.models.model.declaration import COMPILER_OPTIONS, Model
 
 FORBIDDEN = ("Py", "_Py", "NRT_", "numba_")
@@ -34,6 +36,8 @@ INEXACT = re.compile(r"\b(?:fast|contract|reassoc|arcp|afn|nnan|ninf|nsz) |llvm\
 """Marks of arithmetic that may come out differently on another processor."""
 KEPT = 40
 """Lowered models that stay in the cache folder."""
+_STATUS_BITS = 64
+"""Bits of the integer that `init` and `step` return: the shim takes it for an int64_t."""
 _GARBAGE = 200_000
 """Objects made between two collections: Numba makes millions that live, and looking at them again and again takes a tenth of the time."""
 
@@ -146,10 +150,11 @@ def _reference(model: Model, folder: Path) -> list[str]:
         (folder / "replay.json").write_text(json.dumps(model.specification, sort_keys=True), encoding="utf-8")
         np.save(folder / "recording.npy", model.default_tables["recording"])
         return ["replay", str(folder)]
-    module = model.step.__module__
-    if getattr(sys.modules.get(module), "MODEL", None) is not model:
-        raise NativeBuildError(f"model {model.name!r}: its step stands in module {module!r}, which does not hold it as MODEL")
-    return ["module", module]
+    try:
+        check_kernels(model.init, model.step)
+        return ["module", *home(model)]
+    except ValueError as error:
+        raise NativeBuildError(f"model {model.name!r}: {error}") from None
 
 
 def _cache_file(model: Model, folder: Path) -> Path | None:
@@ -158,8 +163,8 @@ def _cache_file(model: Model, folder: Path) -> Path | None:
     import numba
 
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__} {sys.version_info[:3]} {np.__version__}".encode())
-    module = "robomill.models.components.recording" if isinstance(model, ReplayModel) else model.step.__module__
     try:
+        module = "robomill.models.components.recording" if isinstance(model, ReplayModel) else home(model)[0]
         files = {*source_files(module).values(), *source_files(__name__).values(), *PACKAGE.rglob("*.toml")}
         for name, content in sorted((f.name, hashlib.sha256(f.read_bytes()).digest()) for f in (*files, *folder.iterdir())):
             digest.update(name.encode() + content)
@@ -187,15 +192,18 @@ def _read(file: Path) -> Lowered:
 
 
 def main() -> None:
-    """Lower the models named on standard input, a line each: ``["RESULT", "module", NAME]`` or ``["RESULT", "replay", FOLDER]``."""
+    """Lower the models named on standard input, a line each.
+
+    A line is ``["RESULT", "module", NAME, ATTRIBUTE]`` or ``["RESULT", "replay", FOLDER]``.
+    """
     gc.set_threshold(_GARBAGE)
     replies, sys.stdout = sys.stdout, sys.stderr
     for line in sys.stdin:
-        result, kind, where = json.loads(line)
+        result, kind, where, *attribute = json.loads(line)
         if kind == "replay":
             model: Model = from_specification(json.loads(Path(where, "replay.json").read_text()), np.load(Path(where, "recording.npy")))
         else:
-            model = import_module(where).MODEL
+            model = getattr(import_module(where), attribute[0])
         code, functions = _lower(model)
         variable_step, dependencies = _probe(model, functions)
         content = {"code": code, "variable_step": variable_step, "initial_dependencies": dependencies}
@@ -218,7 +226,7 @@ def _lower(model: Model) -> tuple[str, tuple[Any, Any]]:
         dispatcher.compile(signature)
         compiled = dispatcher.overloads[dispatcher.signatures[0]]
         returned: Any = compiled.signature.return_type
-        if getattr(returned, "bitwidth", 0) != 64 or not isinstance(returned, numba.types.Integer):
+        if getattr(returned, "bitwidth", 0) != _STATUS_BITS or not isinstance(returned, numba.types.Integer):
             raise NativeBuildError(f"{function.__name__} returns {returned}; expected a status, an integer")
         texts.append((name, compiled.fndesc.llvm_func_name, dispatcher.inspect_llvm(dispatcher.signatures[0])))
         functions.append(dispatcher)

@@ -25,7 +25,7 @@ class Slice:
     """One processor of a platform."""
 
     triple: str
-    """Of LLVM."""
+    """Target triple of LLVM."""
     processor: str
     zig: str
     """Target of `zig cc`, with the oldest system that the library is to run on."""
@@ -77,19 +77,13 @@ _FAT_MAGIC, _FAT_ALIGNMENT = 0xCAFEBABE, 14
 
 def object_code(code: str, target: Slice) -> bytes:
     """The object file of the LLVM assembly for a processor, optimised."""
-    machine, module = _optimised(code, target)
+    machine, module = optimised(code, target)
     emitted: bytes = machine.emit_object(module)
     return emitted
 
 
-def machine_code(code: str, target: Slice) -> str:
-    """The same as assembly language, to read."""
-    machine, module = _optimised(code, target)
-    return str(machine.emit_assembly(module))
-
-
-def _optimised(code: str, target: Slice) -> tuple[Any, Any]:
-    """LLVM's machine and optimised module."""
+def optimised(code: str, target: Slice) -> tuple[Any, Any]:
+    """LLVM's machine for a processor, and the LLVM assembly as an optimised module for it."""
     import llvmlite.binding as llvm
 
     llvm.initialize_all_targets()

@@ -17,21 +17,22 @@ import ast
 import hashlib
 import io
 import json
-import sys
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, distribution, version
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from uuid import UUID
 
 import numpy as np
 
 from robomill.fmus import archive, probe
+from robomill.fmus.components import home
 from robomill.fmus.documentation import index_html, licences, reference_files
 from robomill.fmus.fmi2 import model_description_2
 from robomill.fmus.interface import Interface
 from robomill.fmus.model_description import Options
 from robomill.models.components.recording import ReplayModel
 from robomill.models.model.cache import source_files
+from robomill.models.model.calls import check_kernels
 from robomill.models.model.declaration import FloatArray, Model
 from robomill.models.model.parameters import DATA
 
@@ -80,7 +81,7 @@ ComponentSlave = slave_class(MODEL, "{package}")
 '''
 
 REPLAY_IMPORTS = """import json
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -138,7 +139,7 @@ def build(model: Model, destination: str | Path, *, page: str | None = None, ref
     content["resources/slavemodule.txt"] = f"slave_{package}\n".encode()
     content[f"resources/slave_{package}.py"] = SCRIPT.replace("{package}", package).encode()
     home = f"resources/python/{package}"
-    bundled = {name.partition("/")[0] for name in sources if "/" in name}
+    bundled = {name.partition("/")[0].removesuffix(".py") for name in sources}
     for name, data in {**sources, "__init__.py": init.replace("{package}", package).encode()}.items():
         content[f"{home}/{name}"] = _renamed(name, data, package, bundled) if name.endswith(".py") else data
     archive.write(target, content)
@@ -150,19 +151,23 @@ def _sources(model: Model) -> tuple[dict[str, bytes], str]:
     if isinstance(model, ReplayModel):
         module, imports = "robomill.models.components.recording", REPLAY_IMPORTS
     else:
-        module = model.step.__module__
-        if getattr(sys.modules.get(module), "MODEL", None) is not model:
-            raise ValueError(f"model {model.name!r}: not bundled: its step stands in module {module!r}, which does not hold it as MODEL")
-        imports = f"from {module} import MODEL"
+        try:
+            check_kernels(model.init, model.step)
+            module, attribute = home(model)
+        except ValueError as error:
+            raise ValueError(f"model {model.name!r}: not bundled: {error}") from None
+        imports = f"from {module} import {attribute}{'' if attribute == 'MODEL' else ' as MODEL'}"
     try:
         modules = source_files(module) | source_files(RUNTIME) | source_files(_INSTALLER) | source_files("robomill.models.model.cache")
     except ModuleNotFoundError as error:
         raise ValueError(f"model {model.name!r}: not bundled: {error}") from None
     files: dict[str, bytes] = {}
     for name, file in modules.items():
-        is_package = file.name == "__init__.py"
-        inside = "/".join(name.split(".")) + ("/__init__.py" if is_package else ".py")
-        files[inside] = b"" if is_package else file.read_bytes().replace(b"\r\n", b"\n")
+        inside = name.replace(".", "/") + ("/__init__.py" if file.name == "__init__.py" else ".py")
+        files[inside] = file.read_bytes().replace(b"\r\n", b"\n")
+    for inside in list(files):  # packages that are only passed through
+        for folder in list(PurePosixPath(inside).parents)[:-1]:
+            files.setdefault(f"{folder}/__init__.py", b"")
     files |= {
         f"robomill/models/data/{f.relative_to(DATA).as_posix()}": f.read_bytes().replace(b"\r\n", b"\n")
         for f in sorted(DATA.rglob("*.toml"))

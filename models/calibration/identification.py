@@ -51,6 +51,63 @@ class Load:
         return force + self.offset_f, np.cross(self.cog_S, force) + self.offset_m
 
 
+@dataclass(frozen=True)
+class PayloadFit:
+    """A load with what is known of it; standard deviations are one sigma, from the residuals."""
+
+    load: Load
+    covariance_f: FloatArray
+    """[6, 6] of weight_B and offset_f, N2."""
+    covariance_m: FloatArray
+    """[6, 6] of cog_S (m) and offset_m (N.m): from the moments, and from the weight that the levers are found with."""
+    residual_f: float
+    """What is left of a force component, N rms, degrees of freedom counted."""
+    residual_m: float
+    """What is left of a moment component, N.m rms, likewise."""
+    condition_f: float
+    """Condition number of the forces' design with columns scaled to one."""
+    condition_m: float
+    """That of the moments' design."""
+
+    @property
+    def deviation_weight_B(self) -> FloatArray:
+        """[3] N."""
+        return np.asarray(np.sqrt(np.diag(self.covariance_f)[:3]))
+
+    @property
+    def deviation_offset_f(self) -> FloatArray:
+        """[3] N."""
+        return np.asarray(np.sqrt(np.diag(self.covariance_f)[3:]))
+
+    @property
+    def deviation_cog_S(self) -> FloatArray:
+        """[3] m."""
+        return np.asarray(np.sqrt(np.diag(self.covariance_m)[:3]))
+
+    @property
+    def deviation_offset_m(self) -> FloatArray:
+        """[3] N.m."""
+        return np.asarray(np.sqrt(np.diag(self.covariance_m)[3:]))
+
+    @property
+    def deviation_weight(self) -> float:
+        """Magnitude of the weight, N: along the weight found."""
+        along = self.load.weight_B / self.load.weight
+        return float(np.sqrt(along @ self.covariance_f[:3, :3] @ along))
+
+    @property
+    def tilt(self) -> FloatArray:
+        """[2] turns of the base about its x and y against a levelled one, rad, to first order: the weight is w (b, -a, -1) in B."""
+        x, y, _ = self.load.weight_B / self.load.weight
+        return np.array([-y, x])
+
+    @property
+    def deviation_tilt(self) -> FloatArray:
+        """[2] rad."""
+        x, y, _ = self.deviation_weight_B / self.load.weight
+        return np.array([y, x])
+
+
 def identify_three_poses(force: FloatArray, moment: FloatArray) -> Load:
     """Weight, centre of gravity and offsets from the orientations O1, O2, O3 (Eqs. 12-15, corrected).
 
@@ -78,10 +135,15 @@ def identify_three_poses(force: FloatArray, moment: FloatArray) -> Load:
 
 
 def identify_poses(R_BS: FloatArray, force: FloatArray, moment: FloatArray) -> Load:
+    """Weight vector, centre of gravity and offsets by least squares over N >= 3 poses: `identify_payload` without the uncertainties."""
+    return identify_payload(R_BS, force, moment).load
+
+
+def identify_payload(R_BS: FloatArray, force: FloatArray, moment: FloatArray) -> PayloadFit:
     """Weight vector, centre of gravity and offsets by least squares over N poses; a tilted base is included.
 
     f_i = R_i^T w + F_SI is linear in (w, F_SI); then m_i = r x (R_i^T w) + M_SI is linear in (r, M_SI).
-    Zhang et al. 2005 use 15 poses, Haehn & Weigold 27.
+    Zhang et al. 2005 (paper 003, sec. 5.3) use 15 poses, Haehn & Weigold 27.
 
     Parameters: `R_BS` [N, 3, 3], `force` [N, 3] N, `moment` [N, 3] N m, N >= 3.
     Errors: ValueError for shapes, values that are not finite, poses that do not determine the parameters.
@@ -92,11 +154,17 @@ def identify_poses(R_BS: FloatArray, force: FloatArray, moment: FloatArray) -> L
         raise ValueError(f"identify_poses: R_BS has shape {R_BS.shape}, expected {(len(force), 3, 3)} like the forces")
     R_SB = R_BS.transpose(0, 2, 1)
     unit = np.broadcast_to(np.eye(3), R_SB.shape)
-    weight_B, offset_f = _solve("orientations", np.concatenate([R_SB, unit], axis=2), force)
+    forces = _solve("orientations", np.concatenate([R_SB, unit], axis=2), force)
+    weight_B, offset_f = forces.solution[:3], forces.solution[3:]
     if float(np.linalg.norm(weight_B)) < 1.0:
         raise ValueError(f"identify_poses: the weight is {np.linalg.norm(weight_B):.3g} N; without weight the centre of gravity is unknown")
-    lever, offset_m = _solve("gravity directions", np.concatenate([-_skew(R_SB @ weight_B), unit], axis=2), moment)
-    return Load(weight_B, lever, offset_f, offset_m)
+    moments = _solve("gravity directions", np.concatenate([-_skew(R_SB @ weight_B), unit], axis=2), moment)
+    lever, offset_m = moments.solution[:3], moments.solution[3:]
+    # an error of the weight is one of the levers: dm_i = r x (R_i^T dw) goes through the second least squares
+    by_weight = moments.inverse @ (_skew(np.broadcast_to(lever, (len(force), 3))) @ R_SB).reshape(-1, 3)
+    covariance_m = moments.covariance + by_weight @ forces.covariance[:3, :3] @ by_weight.T
+    load = Load(weight_B, lever, offset_f, offset_m)
+    return PayloadFit(load, forces.covariance, covariance_m, forces.residual, moments.residual, forces.condition, moments.condition)
 
 
 def quaternion_from_abc(a: float, b: float, c: float) -> FloatArray:
@@ -169,8 +237,20 @@ def _wrenches(force: FloatArray, moment: FloatArray, least: int) -> tuple[FloatA
     return force, moment
 
 
-def _solve(what: str, design: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least squares of [N, 3, 6] x [6] = [N, 3], split into two vectors; ValueError if the poses leave a direction open."""
+@dataclass(frozen=True)
+class _Solved:
+    """Least squares of [N, 3, 6] x [6] = [N, 3]."""
+
+    solution: FloatArray
+    covariance: FloatArray
+    inverse: FloatArray
+    """[6, 3 N] pseudo-inverse of the design."""
+    residual: float
+    condition: float
+
+
+def _solve(what: str, design: FloatArray, right: FloatArray) -> _Solved:
+    """Least squares; ValueError if the poses leave a direction open. With three poses nothing is left to judge the noise by but rank."""
     matrix = design.reshape(-1, 6)
     solution, _, rank, singular = np.linalg.lstsq(matrix, right.ravel(), rcond=1e-9)
     if rank < 6:
@@ -179,7 +259,10 @@ def _solve(what: str, design: FloatArray, right: FloatArray) -> tuple[FloatArray
             f"(singular values {np.array2string(singular, precision=2)}); gravity must point along all three axes of the sensor"
         )
     values: FloatArray = np.asarray(solution, dtype=np.float64)
-    return values[:3], values[3:]
+    inverse: FloatArray = np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
+    variance = float(np.sum((right.ravel() - matrix @ values) ** 2)) / (len(matrix) - 6)
+    scaled = matrix / np.linalg.norm(matrix, axis=0)
+    return _Solved(values, variance * (inverse @ inverse.T), inverse, math.sqrt(variance), float(np.linalg.cond(scaled)))
 
 
 def _skew(v: FloatArray) -> FloatArray:

@@ -21,7 +21,15 @@ from robomill.models.maths.noise import uniform
 from robomill.models.model.declaration import Model, Record, Variable, kernel
 from robomill.models.model.parameters import load, quantity
 from robomill.models.robot.kinematics import ROBOT_VARIABLES, inverse
-from robomill.models.robot.virtual_joints import COMPLIANCE_VARIABLES, DRIVES, deflect, joint_angles, joint_moments, virtual_joints
+from robomill.models.robot.virtual_joints import (
+    COMPLIANCE_VARIABLES,
+    DRIVES,
+    couple_drives,
+    deflect,
+    joint_angles,
+    joint_moments,
+    virtual_joints,
+)
 
 CHANNELS = 9
 """Corrections: x, y, z in B, then A1..A6."""
@@ -111,6 +119,7 @@ def _estimate(s: Record) -> None:
         if s.stiffness_table_error[axis] != 0.0:
             for c in range(3):
                 s.joint_angle[DRIVES[axis], c] /= 1.0 + s.stiffness_table_error[axis]
+    couple_drives(s)
     deflect(s, s.d_T_B, s.theta)
     speed = math.sqrt(s.v_BT_B[0] * s.v_BT_B[0] + s.v_BT_B[1] * s.v_BT_B[1] + s.v_BT_B[2] * s.v_BT_B[2])
     if speed > 0.0 and speed >= s.least_feed:

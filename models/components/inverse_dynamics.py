@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import math
 
-from robomill.models.components.robot_drive import second_order_zoh
 from robomill.models.maths.elementary import PI, sincos, tanh
+from robomill.models.maths.filters import second_order_zoh
 from robomill.models.model.declaration import Model, Record, Variable, kernel
 from robomill.models.robot.dynamics import (
     DYNAMICS_VARIABLES,

@@ -12,12 +12,16 @@ from robomill.models.maths.elementary import TWO_PI, exp, sincos
 from robomill.models.maths.frames import matrix_to_quat, quat_multiply
 from robomill.models.model.declaration import Model, Record, Variable, kernel
 from robomill.models.robot.dynamics import DYNAMICS_VARIABLES, counterbalance_fits, counterbalance_torque
+from robomill.models.robot.geometric_stiffness import GEOMETRIC_VARIABLES, follow_levers
 from robomill.models.robot.kinematics import ROBOT_VARIABLES, SPINDLE_ACROSS
 from robomill.models.robot.virtual_joints import (
     COMPLIANCE_VARIABLES,
+    DRIVES,
     JOINTS,
     SENSOR,
+    couple_drives,
     deflect,
+    drive_moment,
     joint_angles,
     joint_frame,
     joint_moments,
@@ -175,6 +179,7 @@ VARIABLES = (
     Variable("mode_frequency", "parameter", "Undamped natural frequency of the structural mode", "Hz", (), 9.0, 0.1, 500.0),
     Variable("mode_damping", "parameter", "Damping ratio of the structural mode", "1", (), 0.02, 0.0, 0.999),
     Variable("mode_direction", "parameter", "Direction of the structural mode in B, normalised", "1", (3,), (0.0, 1.0, 0.0)),
+    *GEOMETRIC_VARIABLES,
     Variable("hysteresis_play", "state", "Torques that the play elements of the gears of A1..A6 hold", "N.m", (6, ELEMENTS)),
     Variable("mode_deflection", "state", "Deflection of the structural mode", "m"),
     Variable("mode_velocity", "state", "Velocity of the structural mode", "m/s"),
@@ -200,16 +205,11 @@ ERRORS = (
     "the step size is {fault_value} s, expected a positive one",
     "the virtual joint in frame {fault_frame} turns elastically by {fault_value} rad at t = {t} s, the model holds up to 0.05 rad; "
     "the load on the tool is f_T_B = {f_T_B} N, m_T_B = {m_T_B} N.m: check its size and whether the loop of force and deflection is stable",
+    "the stiffness matrix K_q - K_g of the axes is indefinite at t = {t} s: with axis {fault_frame} a pivot is {fault_value} N.m/rad, "
+    "expected a positive one; the load on the tool f_T_B = {f_T_B} N, m_T_B = {m_T_B} N.m folds the robot: check its size and the "
+    "stiffness, or set geometric_stiffness = 0",
 )
-_INPUT, _STIFFNESS, _EFFECTS, _QUATERNION, _MODE, _POSITIVE, _COUNTERBALANCE, _STEP, _ANGLE = range(1, 10)
-
-
-@kernel
-def drive_row(axis: int) -> int:
-    """Row among the virtual joints of the drive of axis 0..5: frames 1, 2, 4, 6, 7, 8."""
-    if axis < 2:
-        return axis
-    return 3 if axis == 2 else axis + 2
+_INPUT, _STIFFNESS, _EFFECTS, _QUATERNION, _MODE, _POSITIVE, _COUNTERBALANCE, _STEP, _ANGLE, _INDEFINITE = range(1, 11)
 
 
 @kernel
@@ -331,14 +331,27 @@ def _respond(s: Record, time: float) -> int:
     _gravity_moments(s)
     joint_angles(s)
     for i in range(6):
-        j = drive_row(i)
-        torque = s.joint_moment[j, 2] * s.axis_sign[i]
+        j = DRIVES[i]
+        moment = drive_moment(s, i)
+        torque = moment * s.axis_sign[i]
         factor = (1.0 + s.stiffness_error[i]) * (1.0 + s.stiffness_hardening[i] * (abs(torque) / s.reference_torque[i]))
         factor *= 1.0 + (s.stiffness_asymmetry[i] if torque >= 0.0 else -s.stiffness_asymmetry[i])
         lost = s.gear_hysteresis[i] * _hysteresis(s, i, torque)
-        s.joint_angle[j, 2] = s.joint_moment[j, 2] / (joint_stiffness(s, j, 2) * factor) + lost * s.axis_sign[i]
+        s.drive_stiffness[i] = joint_stiffness(s, j, 2) * factor
+        s.joint_angle[j, 2] = moment / s.drive_stiffness[i] + lost * s.axis_sign[i]
         s.joint_angle[j, 0] += s.tilt_compliance[i] * s.joint_moment[j, 0]
         s.joint_angle[j, 1] += s.tilt_compliance[i] * s.joint_moment[j, 1]
+    if s.geometric_stiffness > 0.0:
+        for i in range(6):
+            s.drive_angle[i] = s.joint_angle[DRIVES[i], 2]
+        indefinite = follow_levers(s, s.f_T_B, s.m_T_B)
+        if indefinite != 0:
+            s.fault_frame = indefinite
+            s.fault_value = s.drive_matrix[indefinite - 1, indefinite - 1]
+            return _INDEFINITE
+        for i in range(6):
+            s.joint_angle[DRIVES[i], 2] = s.drive_angle[i]
+    couple_drives(s)
     for j in range(JOINTS):
         for c in range(3):
             if not abs(s.joint_angle[j, c]) <= ANGLE_LIMIT:

@@ -18,6 +18,7 @@ import math
 from dataclasses import dataclass, field
 
 from robomill.models.maths.elementary import PI, exp, sincos
+from robomill.models.maths.filters import second_order_zoh
 from robomill.models.maths.frames import solve
 from robomill.models.model.declaration import FloatArray, Model, Record, Variable, kernel
 from robomill.models.model.parameters import load, quantity
@@ -56,33 +57,6 @@ class RsiDrive:
 
 
 RSI_DRIVE = load(RsiDrive, "control/rsi_drive")
-
-
-@kernel
-def second_order_zoh(frequency: float, damping: float, h: float, phi: FloatArray, gamma: FloatArray) -> None:
-    """Exact discretisation of y'' + 2 D w y' + w^2 y = w^2 u for u held over h.
-
-    `frequency` w [rad/s] > 0, `damping` D [1] > 0, `h` [s]. Sets `phi` [4] (row-major 2 x 2 for
-    the state (y, y')) and `gamma` [2].
-    """
-    decay = exp(-damping * frequency * h)
-    discriminant = damping * damping - 1.0
-    if discriminant < 0.0:
-        wd = frequency * math.sqrt(-discriminant)
-        s, c = sincos(wd * h)
-        s = s / wd
-    elif discriminant > 0.0:
-        wd = frequency * math.sqrt(discriminant)
-        up, down = exp(wd * h), exp(-wd * h)
-        s, c = 0.5 * (up - down) / wd, 0.5 * (up + down)
-    else:
-        s, c = h, 1.0
-    phi[0] = decay * (c + damping * frequency * s)
-    phi[1] = decay * s
-    phi[2] = -decay * frequency * frequency * s
-    phi[3] = decay * (c - damping * frequency * s)
-    gamma[0] = 1.0 - phi[0]
-    gamma[1] = -phi[2]
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Filters of sampled signals: second-order Butterworth low-pass, moving average, delay line.
+"""Filters of sampled signals: second-order Butterworth low-pass, moving average, delay line, second-order system.
 
 The kernels work on arrays that the caller declares as states, several channels at a time:
 `z` (channels, 2), `ring` (channels, capacity). Each filter has a `*_rest` that puts one channel into
@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from robomill.models.maths.elementary import PI, tan
+from robomill.models.maths.elementary import PI, exp, sincos, tan
 from robomill.models.model.declaration import kernel
 
 
@@ -101,6 +101,33 @@ def delay(ring: Any, capacity: int, position: int, samples: float, channel: int,
         older += capacity
     between: float = recent + part * (ring[channel, older] - recent)
     return between
+
+
+@kernel
+def second_order_zoh(frequency: float, damping: float, h: float, phi: Any, gamma: Any) -> None:
+    """Exact discretisation of y'' + 2 D w y' + w^2 y = w^2 u for u held over h.
+
+    `frequency` w [rad/s] > 0, `damping` D [1] > 0, `h` [s]. Sets `phi` [4] (row-major 2 x 2 for
+    the state (y, y')) and `gamma` [2].
+    """
+    decay = exp(-damping * frequency * h)
+    discriminant = damping * damping - 1.0
+    if discriminant < 0.0:
+        wd = frequency * math.sqrt(-discriminant)
+        s, c = sincos(wd * h)
+        s = s / wd
+    elif discriminant > 0.0:
+        wd = frequency * math.sqrt(discriminant)
+        up, down = exp(wd * h), exp(-wd * h)
+        s, c = 0.5 * (up - down) / wd, 0.5 * (up + down)
+    else:
+        s, c = h, 1.0
+    phi[0] = decay * (c + damping * frequency * s)
+    phi[1] = decay * s
+    phi[2] = -decay * frequency * frequency * s
+    phi[3] = decay * (c - damping * frequency * s)
+    gamma[0] = 1.0 - phi[0]
+    gamma[1] = -phi[2]
 
 
 def aliased_frequency(frequency: float, sample_rate: float) -> float:

@@ -80,12 +80,11 @@ def source_files(module: str) -> dict[str, Path]:
     """Module name -> source file of `module` and of all that it imports, also inside functions and through others.
 
     Followed are `robomill`, the top-level package of `module` itself and everything that is not installed as a
-    library. Of a package that is only passed through there is the `__init__`, but not what that imports.
+    library. A package that is only passed through on the way to a module is not among them.
     ModuleNotFoundError if one of them does not exist.
     """
     own = {"robomill", module.partition(".")[0]}
     found: dict[str, Path] = {}
-    passed: set[str] = set()
     waiting = [module]
     while waiting:
         name = waiting.pop()
@@ -95,17 +94,17 @@ def source_files(module: str) -> dict[str, Path]:
         if file is None:
             raise ModuleNotFoundError(f"no source file of module {name!r}, which {module!r} imports")
         found[name] = file
-        parents = name.split(".")[:-1]
-        passed |= {".".join(parents[: k + 1]) for k in range(len(parents))}
+        package = name if file.name == "__init__.py" else name.rpartition(".")[0]
         with _PARSING:
             tree = ast.parse(file.read_text(encoding="utf-8"))
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
                 waiting += [alias.name for alias in node.names if _followed(alias.name, own)]
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level and _followed(node.module, own):
-                waiting.append(node.module)
-                waiting += [n for alias in node.names if _file(n := f"{node.module}.{alias.name}")]
-    found |= {name: file for name in passed - found.keys() if (file := _file(name)) is not None}
+            elif isinstance(node, ast.ImportFrom):
+                source = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+                if _followed(source, own):
+                    modules = [n for alias in node.names if _file(n := f"{source}.{alias.name}")]
+                    waiting += modules if len(modules) == len(node.names) else [source, *modules]
     return dict(sorted(found.items()))
 
 

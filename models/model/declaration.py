@@ -18,6 +18,7 @@ import math
 import string
 import weakref
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, TypeVar
@@ -51,14 +52,14 @@ RESERVED_NAMES = frozenset(dir(np.record)) | frozenset(dir(np.recarray))
 def kernel(function: Function) -> Function:
     """Mark a helper that `init` or `step` calls: plain Python stays plain, compiled code compiles it.
 
-    Without Numba the function is returned as it is.
+    Without Numba the function is only marked.
     """
-    try:
+    function.is_kernel = True  # type: ignore[attr-defined]  # for `models.model.calls`
+    with suppress(ImportError):
         from numba.extending import register_jitable
-    except ImportError:
-        return function
-    marked: Function = register_jitable(**COMPILER_OPTIONS)(function)
-    return marked
+
+        register_jitable(**COMPILER_OPTIONS)(function)
+    return function
 
 
 @dataclass(frozen=True)
@@ -270,7 +271,9 @@ def _compiled(
         from numba import njit
 
         from robomill.models.model.cache import compiled_code
+        from robomill.models.model.calls import check_kernels
 
+        check_kernels(init, step)
         options = {**COMPILER_OPTIONS, "nogil": True, "cache": cache}
         with compiled_code(init, step):
             first, second = functions()

@@ -12,7 +12,7 @@ A parameter file has one table per field::
 from __future__ import annotations
 
 import tomllib
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -34,7 +34,7 @@ def load(cls: type[Parameters], path: str | Path) -> Parameters:
     """Load a parameter file into the frozen dataclass `cls`, converted to SI.
 
     `path` is a file, or a name below ``models/data`` without suffix (``robots/kr300_r2500_ultra``).
-    Numbers become float, lists become read-only float arrays, strings stay.
+    A field with a default may be missing. Numbers become float, lists become read-only float arrays, strings stay.
     Errors (ValueError, FileNotFoundError) name file, field, what was found, what is expected.
     """
     file = Path(path)
@@ -48,10 +48,11 @@ def load(cls: type[Parameters], path: str | Path) -> Parameters:
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{file.name}: not valid TOML: {error}") from None
     wanted = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]  # cls is a dataclass by contract
-    unknown, missing = sorted(set(table) - set(wanted)), sorted(set(wanted) - set(table))
+    needed = {name for name, f in wanted.items() if f.default is MISSING and f.default_factory is MISSING}
+    unknown, missing = sorted(set(table) - set(wanted)), sorted(needed - set(table))
     if unknown or missing:
         raise ValueError(f"{file.name}: unknown fields {unknown}, missing fields {missing}; {cls.__name__} has {', '.join(sorted(wanted))}")
-    values = {name: _value(f"{file.name}: {name}", table[name], dict(f.metadata)) for name, f in wanted.items()}
+    values = {name: _value(f"{file.name}: {name}", table[name], dict(f.metadata)) for name, f in wanted.items() if name in table}
     return cls(**values)
 
 

@@ -15,6 +15,9 @@ def number_at(address: int) -> float:
     return np.float64(ctypes.c_double.from_address(int(address)).value)
 
 
+number_at.is_kernel = True  # type: ignore[attr-defined]  # compiled code has one of its own, below
+
+
 @kernel
 def cell(address: int, rows: int, columns: int, row: int, column: int) -> float:
     """The number in a row and column, counted from zero, of the table of (rows, columns) numbers at an address.

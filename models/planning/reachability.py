@@ -40,7 +40,9 @@ class Reach:
     """Largest speed of each axis [rad/s] (6,) at speed ratio 1."""
 
 
-def check_reachable(plan: Plan, robot: Robot = KR300, tool: Tool = SPINDLE_ACROSS, q_start: Sequence[float] = Q_START) -> Reach:
+def check_reachable(
+    plan: Plan, robot: Robot = KR300, tool: Tool = SPINDLE_ACROSS, q_start: Sequence[float] | FloatArray = Q_START
+) -> Reach:
     """Follow the whole plan with the inverse kinematics of the path interpolator.
 
     `q_start` [rad] chooses the branch. PlanError names the line of the program, the axis, its value and its limits if a

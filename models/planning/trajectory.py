@@ -155,7 +155,7 @@ class _Turn:
         return self.R * Rotation.from_rotvec(self.axis_1 * (self.f_1 @ powers)) * Rotation.from_rotvec(self.axis_2 * (self.f_2 @ powers))
 
     def part(self, start: float) -> _Turn:
-        """The same from the path coordinate `start` on."""
+        """The turn from the path coordinate `start` on."""
         return self if self.steady else replace(self, f_1=shift(self.f_1, start), f_2=shift(self.f_2, start))
 
     def fastest(self, length: float) -> tuple[float, float]:

@@ -29,9 +29,20 @@ from robomill.models.model.parameters import load, quantity
 from robomill.models.robot.kinematics import KR300, ROBOT_VARIABLES, SPINDLE_ACROSS, Robot, forward
 
 
-@dataclass(frozen=True)
+def _none() -> FloatArray:
+    return np.zeros(6)
+
+
+def _direct() -> FloatArray:
+    return np.ones(6)
+
+
+@dataclass(frozen=True, kw_only=True)
 class RobotDynamics:
-    """Inertial data of a robot as published: link frames of the source (standard DH), axis or motor side as named."""
+    """Inertial data of a robot as published: link frames of the source (standard DH), axis or motor side as named.
+
+    What a source does not give may be left out: rotors, gears (then direct), counterbalance and friction.
+    """
 
     dh_base_roll: float = field(metadata=quantity("rad"))
     dh_d: FloatArray = field(metadata=quantity("m"))
@@ -41,22 +52,22 @@ class RobotDynamics:
     body_mass: FloatArray = field(metadata=quantity("kg", 0.0))
     body_com: FloatArray = field(metadata=quantity("m"))
     body_inertia: FloatArray = field(metadata=quantity("kg.m2"))
-    rotor_inertia: FloatArray = field(metadata=quantity("kg.m2", 0.0))
-    gear_ratio: FloatArray = field(metadata=quantity("1", 1.0))
-    counterbalance_frame_distance: float = field(metadata=quantity("m", 0.0))
-    counterbalance_lever: float = field(metadata=quantity("m", 0.0))
-    counterbalance_area: float = field(metadata=quantity("m2", 0.0))
-    counterbalance_gas: float = field(metadata=quantity("N.m", 0.0))
-    counterbalance_volume: float = field(metadata=quantity("m3", 0.0))
-    counterbalance_angle: float = field(metadata=quantity("rad"))
-    backlash_half_gap: FloatArray = field(metadata=quantity("rad", 0.0))
-    motor_viscous_friction: FloatArray = field(metadata=quantity("N.m.s/rad", 0.0))
-    motor_coulomb_friction: FloatArray = field(metadata=quantity("N.m", 0.0))
-    link_asymmetric_friction: FloatArray = field(metadata=quantity("N.m"))
-    link_viscous_friction: FloatArray = field(metadata=quantity("N.m.s/rad", 0.0))
-    link_coulomb_friction: FloatArray = field(metadata=quantity("N.m", 0.0))
-    link_step_friction: FloatArray = field(metadata=quantity("N.m", 0.0))
-    link_step_slope: FloatArray = field(metadata=quantity("s/rad", 0.0))
+    rotor_inertia: FloatArray = field(default_factory=_none, metadata=quantity("kg.m2", 0.0))
+    gear_ratio: FloatArray = field(default_factory=_direct, metadata=quantity("1", 1.0))
+    counterbalance_frame_distance: float = field(default=0.0, metadata=quantity("m", 0.0))
+    counterbalance_lever: float = field(default=0.0, metadata=quantity("m", 0.0))
+    counterbalance_area: float = field(default=0.0, metadata=quantity("m2", 0.0))
+    counterbalance_gas: float = field(default=0.0, metadata=quantity("N.m", 0.0))
+    counterbalance_volume: float = field(default=1.0, metadata=quantity("m3", 0.0))
+    counterbalance_angle: float = field(default=0.0, metadata=quantity("rad"))
+    backlash_half_gap: FloatArray = field(default_factory=_none, metadata=quantity("rad", 0.0))
+    motor_viscous_friction: FloatArray = field(default_factory=_none, metadata=quantity("N.m.s/rad", 0.0))
+    motor_coulomb_friction: FloatArray = field(default_factory=_none, metadata=quantity("N.m", 0.0))
+    link_asymmetric_friction: FloatArray = field(default_factory=_none, metadata=quantity("N.m"))
+    link_viscous_friction: FloatArray = field(default_factory=_none, metadata=quantity("N.m.s/rad", 0.0))
+    link_coulomb_friction: FloatArray = field(default_factory=_none, metadata=quantity("N.m", 0.0))
+    link_step_friction: FloatArray = field(default_factory=_none, metadata=quantity("N.m", 0.0))
+    link_step_slope: FloatArray = field(default_factory=_none, metadata=quantity("s/rad", 0.0))
     payload_inertia: FloatArray = field(metadata=quantity("kg.m2"))
     gravity_B: FloatArray = field(metadata=quantity("m/s2"))
 
@@ -93,7 +104,12 @@ def in_robot_frames(dynamics: RobotDynamics, robot: Robot) -> tuple[FloatArray, 
     return com, inertia
 
 
-KR300_DYNAMICS = load(RobotDynamics, "robots/kr300_dynamics")
+def load_dynamics(name: str) -> RobotDynamics:
+    """The rigid bodies of a robot by its name, from models/data/dynamics. FileNotFoundError lists what there is."""
+    return load(RobotDynamics, f"dynamics/{name}")
+
+
+KR300_DYNAMICS = load_dynamics("kr300_r2500_ultra")
 _COM, _INERTIA = in_robot_frames(KR300_DYNAMICS, KR300)
 
 DYNAMICS_VARIABLES: tuple[Variable, ...] = (
@@ -252,6 +268,10 @@ def newton_euler(s: Record, qd: FloatArray, qdd: FloatArray, f_T_B: FloatArray, 
         r20, r21, r22 = s.link_R[i, 2, 0], s.link_R[i, 2, 1], s.link_R[i, 2, 2]
         sign = s.axis_sign[i]
         rate, push = sign * qd[i], sign * qdd[i]
+        for j in range(i):
+            if s.axis_coupling[i, j] != 0.0:
+                rate += s.axis_coupling[i, j] * qd[j]
+                push += s.axis_coupling[i, j] * qdd[j]
         vx, vy, vz = r02 * rate, r12 * rate, r22 * rate
         bx += r02 * push + wy * vz - wz * vy
         by += r12 * push + wz * vx - wx * vz
@@ -303,6 +323,11 @@ def newton_euler(s: Record, qd: FloatArray, qdd: FloatArray, f_T_B: FloatArray, 
             + s.link_R[i, 1, 2] * (ny - pz * fx + px * fz)
             + s.link_R[i, 2, 2] * (nz - px * fy + py * fx)
         )
+    # virtual work: an axis also carries the joints that are coupled to it
+    for j in range(5):
+        for i in range(j + 1, 6):
+            if s.axis_coupling[i, j] != 0.0:
+                tau[j] += s.axis_coupling[i, j] * s.axis_sign[i] * tau[i]
 
 
 @kernel
@@ -330,15 +355,6 @@ def friction_torque(qd: float, viscous: float, coulomb: float, stribeck: float, 
     """
     ratio = qd / stribeck_speed
     return viscous * qd + (coulomb + stribeck * exp(-ratio * ratio)) * tanh(qd / smooth_speed)
-
-
-@kernel
-def link_friction_torque(qd: float, asymmetric: float, viscous: float, coulomb: float, step: float, slope: float) -> float:
-    """Friction on one axis [N m] in the form of the second identification of FACTS 1.4 (WEI).
-
-    f_asym + f_vis qd + f_coul tanh(qd / (1 rad/s)) + f_a tanh(f_b qd); `qd` [rad/s], `slope` f_b [s/rad].
-    """
-    return asymmetric + viscous * qd + coulomb * tanh(qd) + step * tanh(slope * qd)
 
 
 # ------------------------------------------------------------------ for arrays over time

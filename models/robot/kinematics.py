@@ -1,8 +1,9 @@
 """Geometry of six-axis robots with a spherical wrist: forward, inverse and differential kinematics.
 
 Modified (Craig) Denavit-Hartenberg transforms T_i = Rx(alpha) Tx(a) Rz(theta) Tz(d) with
-theta_i = sign_i A_i + offset_i, A_i the axis angles as KUKA shows them: Eq. (1) of Haehn & Weigold
-2020 with b = 0. A model that appends `ROBOT_VARIABLES` can call the kernels with its record.
+theta_i = sign_i A_i + sum_(j<i) coupling_ij A_j + offset_i, A_i the axis angles as the controller shows them: Eq. (1) of
+Haehn & Weigold 2020 with b = 0. The coupling is that of parallelograms, coupled wrists and of controllers that show the angle
+of the arm against the horizontal. A model that appends `ROBOT_VARIABLES` can call the kernels with its record.
 Frames: B base, F flange, T tool tip (x axis = tool axis, pointing out of the spindle).
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +20,8 @@ from robomill.models.maths.frames import quat_from_abc, quat_to_matrix
 from robomill.models.model.declaration import FloatArray, Record, Variable, kernel
 from robomill.models.model.parameters import load, quantity
 
+SPHERICAL = tuple(math.radians(a) for a in (0.0, -90.0, 0.0, -90.0, 90.0, -90.0))
+"""Twists of a six-axis arm with a spherical wrist [rad], in modified DH."""
 WRIST_SINGULAR = 1e-7
 """|sin A5| below which axes 4 and 6 are taken as aligned: there, roundoff alone turns A4 by 1e-9 rad."""
 
@@ -32,6 +36,10 @@ class Robot:
     dh_d: FloatArray = field(metadata=quantity("m"))
     dh_offset: FloatArray = field(metadata=quantity("rad"))
     axis_sign: FloatArray = field(metadata=quantity("1", -1.0, 1.0))
+    axis_coupling: FloatArray = field(metadata=quantity("1"))
+    """Element [i, j], j < i: what axis j+1 adds to the angle of joint i+1 [rad/rad]; zeros elsewhere."""
+    q_home: FloatArray = field(metadata=quantity("rad"))
+    """Axis angles from which a program is approached: they choose the branch of the inverse kinematics."""
     q_min: FloatArray = field(metadata=quantity("rad"))
     q_max: FloatArray = field(metadata=quantity("rad"))
     speed_max: FloatArray = field(metadata=quantity("rad/s", 0.0))
@@ -39,20 +47,33 @@ class Robot:
     repeatability: float = field(metadata=quantity("m", 0.0))
 
     def __post_init__(self) -> None:
-        """Refuse tables that the closed-form inverse cannot solve."""
-        for name in ("dh_alpha", "dh_a", "dh_d", "dh_offset", "axis_sign", "q_min", "q_max", "speed_max"):
+        """Refuse tables that are no robot."""
+        for name in ("dh_alpha", "dh_a", "dh_d", "dh_offset", "axis_sign", "q_min", "q_max", "q_home", "speed_max"):
             if np.shape(getattr(self, name)) != (6,):
                 raise ValueError(f"robot {self.name!r}: {name} has shape {np.shape(getattr(self, name))}, expected (6,)")
-        right = np.array([0.0, -90.0, 0.0, -90.0, 90.0, -90.0])
-        if not np.allclose(np.rad2deg(self.dh_alpha), right, atol=1e-9):
-            raise ValueError(f"robot {self.name!r}: dh_alpha is {np.rad2deg(self.dh_alpha)} deg, the inverse needs {right} deg")
-        zero = np.r_[self.dh_a[[0, 4, 5]], self.dh_d[[1, 2, 4]]]
-        if np.any(zero != 0.0):
-            raise ValueError(f"robot {self.name!r}: a1, a5, a6, d2, d3, d5 are {zero} m, the inverse needs zeros")
+        if np.shape(self.axis_coupling) != (6, 6) or np.any(np.triu(self.axis_coupling) != 0.0):
+            raise ValueError(
+                f"robot {self.name!r}: axis_coupling is {np.asarray(self.axis_coupling).tolist()}, expected six rows of six with zeros "
+                "on and above the diagonal: an axis turns its own joint and joints behind it"
+            )
         if np.any(np.abs(self.axis_sign) != 1.0):
             raise ValueError(f"robot {self.name!r}: axis_sign is {self.axis_sign}, expected +1 or -1")
         if np.any(self.q_min >= self.q_max):
             raise ValueError(f"robot {self.name!r}: q_min {self.q_min} rad is not below q_max {self.q_max} rad")
+
+    @property
+    def no_closed_form(self) -> str:
+        """Why `inverse` cannot solve this robot; empty if it can."""
+        right = np.array(SPHERICAL)
+        if not np.all(np.abs(self.dh_alpha - right) <= 1e-9):
+            shown = ", ".join(f"{a:g}" for a in np.rad2deg(self.dh_alpha))
+            expected = ", ".join(f"{a:g}" for a in np.rad2deg(right))
+            return f"dh_alpha is ({shown}) deg, the closed form is for a spherical wrist with ({expected}) deg"
+        zero = np.r_[self.dh_a[[0, 4, 5]], self.dh_d[[1, 2, 4]]]
+        if np.any(zero != 0.0):
+            shown = ", ".join(f"{1e3 * z:g}" for z in zero)
+            return f"a1, a5, a6, d2, d3, d5 are ({shown}) mm, the closed form is for a spherical wrist, where they are zero"
+        return ""
 
 
 @dataclass(frozen=True)
@@ -74,9 +95,22 @@ class Tool:
         return quat
 
 
-KR300 = load(Robot, "robots/kr300_r2500_ultra")
+def load_robot(name: str | Path) -> Robot:
+    """The robot of a file in models/data/robots by its name (`kr210_2`), or of any TOML file (its path ends in .toml).
+
+    FileNotFoundError lists the robots there are; ValueError names file, field, what was found, what is expected.
+    """
+    return load(Robot, name if str(name).endswith(".toml") else f"robots/{name}")
+
+
+def load_tool(name: str | Path) -> Tool:
+    """The end effector of a file in models/data/tools by its name, or of any TOML file. Errors as of `load_robot`."""
+    return load(Tool, name if str(name).endswith(".toml") else f"tools/{name}")
+
+
+KR300 = load_robot("kr300_r2500_ultra")
 """KUKA KR 300 R2500 ultra, the robot of Haehn & Weigold 2020."""
-SPINDLE_ACROSS = load(Tool, "tools/spindle_across")
+SPINDLE_ACROSS = load_tool("spindle_across")
 """Default tool; its offset is calibrated (see its file)."""
 
 
@@ -97,6 +131,14 @@ def robot_variables(robot: Robot, tool: Tool) -> tuple[Variable, ...]:
             (6,),
             robot.axis_sign,
         ),
+        Variable(
+            "axis_coupling",
+            "parameter",
+            "What axis j (column) adds to the angle of joint i (row) behind it: parallelograms, coupled wrists",
+            "1",
+            (6, 6),
+            robot.axis_coupling,
+        ),
         Variable("q_min", "parameter", "Lower limits of A1..A6", "rad", (6,), robot.q_min, display_unit="deg"),
         Variable("q_max", "parameter", "Upper limits of A1..A6", "rad", (6,), robot.q_max, display_unit="deg"),
         Variable("p_FT_F", "parameter", "Tool tip T from flange F, in F", "m", (3,), tool.p_FT_F, display_unit="mm"),
@@ -113,10 +155,20 @@ ROBOT_VARIABLES = robot_variables(KR300, SPINDLE_ACROSS)
 
 
 @kernel
+def joint_angle(s: Record, i: int, q: FloatArray) -> float:
+    """DH angle theta [rad] of joint i = 0..5 at the axis angles q [rad]."""
+    theta: float = s.axis_sign[i] * q[i] + s.dh_offset[i]
+    for j in range(i):
+        if s.axis_coupling[i, j] != 0.0:
+            theta += s.axis_coupling[i, j] * q[j]
+    return theta
+
+
+@kernel
 def forward(s: Record, q: FloatArray) -> None:
     """Fill s.link_R[i], s.link_p[i] [m] from the axis angles q [rad]: i = 0..5 DH frames 1..6, i = 6 the tool tip."""
     for i in range(6):
-        sin_t, cos_t = sincos(s.axis_sign[i] * q[i] + s.dh_offset[i])
+        sin_t, cos_t = sincos(joint_angle(s, i, q))
         sin_a, cos_a = sincos(s.dh_alpha[i])
         a = s.dh_a[i]
         d = s.dh_d[i]
@@ -176,11 +228,23 @@ def jacobian(s: Record, q: FloatArray, J: FloatArray) -> None:
         J[3, i] = z0
         J[4, i] = z1
         J[5, i] = z2
+    # an axis also turns the joints that are coupled to it: their columns, still their own, come on top of its own
+    for j in range(5):
+        for i in range(j + 1, 6):
+            if s.axis_coupling[i, j] != 0.0:
+                for k in range(6):
+                    J[k, j] += s.axis_coupling[i, j] * s.axis_sign[i] * J[k, i]
 
 
 @kernel
 def _nearest_turn(s: Record, i: int, theta: float, near: float) -> float:
-    """Axis angle of DH angle `theta` [rad], by whole turns inside the limits and nearest to `near`; beyond them if it must."""
+    """Axis angle of DH angle `theta` [rad], by whole turns inside the limits and nearest to `near`; beyond them if it must.
+
+    What the axes before it, in s.q_branch, add to the joint is taken off.
+    """
+    for j in range(i):
+        if s.axis_coupling[i, j] != 0.0:
+            theta -= s.axis_coupling[i, j] * s.q_branch[j]
     q: float = s.axis_sign[i] * (theta - s.dh_offset[i])
     q += TWO_PI * math.floor((near - q) / TWO_PI + 0.5)
     if q > s.q_max[i] and q - TWO_PI >= s.q_min[i]:
@@ -258,7 +322,7 @@ def inverse(s: Record, p: FloatArray, R: FloatArray, q_near: FloatArray, q: Floa
                     if flip == 1:
                         continue
                     # only t4 + t6 (or t4 - t6 if folded back) is determined
-                    t4 = s.axis_sign[3] * q_near[3] + s.dh_offset[3]
+                    t4 = joint_angle(s, 3, q_near)
                     if M[1, 2] > 0.0:
                         t5 = 0.0
                         t6 = atan2(-M[0, 1], M[0, 0]) - t4

@@ -11,8 +11,8 @@ stiffness k_C, k_B, k_A of Table 1. A load at T turns every one of them, and the
 rotations gives the displaced tool tip. The load acts ON the tool.
 
 A model that appends `ROBOT_VARIABLES` and `COMPLIANCE_VARIABLES` can call the kernels with its record:
-`displacement` does everything; `virtual_joints`, `joint_moments`, `joint_angles`, `deflect` are its
-four steps, for models that change one of them.
+`displacement` does everything; `virtual_joints`, `joint_moments`, `joint_angles`, `couple_drives`, `deflect` are its
+five steps, for models that change one of them.
 """
 
 from __future__ import annotations
@@ -53,7 +53,12 @@ class Compliance:
             )
 
 
-TABLE_1 = load(Compliance, "compliance/kr300_r2500_ultra")
+def load_compliance(name: str) -> Compliance:
+    """The virtual joints of a robot by its name, from models/data/compliance. FileNotFoundError lists what there is."""
+    return load(Compliance, f"compliance/{name}")
+
+
+TABLE_1 = load_compliance("kr300_r2500_ultra")
 """Table 1 of Haehn & Weigold 2020."""
 
 
@@ -174,11 +179,34 @@ def joint_stiffness(s: Record, j: int, c: int) -> float:
 
 
 @kernel
+def drive_moment(s: Record, i: int) -> float:
+    """Moment [N.m] on the drive of axis i = 0..5 about z of its joint: that on its joint, and of those that are coupled to it."""
+    moment: float = s.joint_moment[DRIVES[i], 2]
+    for m in range(i + 1, 6):
+        if s.axis_coupling[m, i] != 0.0:
+            moment += s.axis_sign[i] * s.axis_coupling[m, i] * s.joint_moment[DRIVES[m], 2]
+    return moment
+
+
+@kernel
 def joint_angles(s: Record) -> None:
-    """Fill s.joint_angle [rad] from s.joint_moment; Eq. (7)."""
+    """Fill s.joint_angle [rad] from s.joint_moment; Eq. (7). The drives do not yet turn the joints coupled to them: `couple_drives`."""
     for j in range(JOINTS):
         for c in range(3):
             s.joint_angle[j, c] = s.joint_moment[j, c] / joint_stiffness(s, j, c)
+    for i in range(5):
+        j = DRIVES[i]
+        s.joint_angle[j, 2] = drive_moment(s, i) / joint_stiffness(s, j, 2)
+
+
+@kernel
+def couple_drives(s: Record) -> None:
+    """Add to s.joint_angle what the elastic drives turn in the joints that are coupled to their axes."""
+    for k in range(5):
+        m = 5 - k  # from the last, as only drives before it are read, whose angles are still their own
+        for i in range(m):
+            if s.axis_coupling[m, i] != 0.0:
+                s.joint_angle[DRIVES[m], 2] += s.axis_coupling[m, i] * s.axis_sign[i] * s.joint_angle[DRIVES[i], 2]
 
 
 @kernel
@@ -240,27 +268,49 @@ def displacement(s: Record, q: FloatArray, f_T_B: FloatArray, m_T_B: FloatArray,
     virtual_joints(s, q)
     joint_moments(s, f_T_B, m_T_B)
     joint_angles(s)
+    couple_drives(s)
     deflect(s, d, theta)
+
+
+@kernel
+def _screw(s: Record, j: int, c: int) -> tuple[float, float, float, float, float, float]:
+    """Velocity and turn of the tool tip in B for a turn of virtual joint j about its axis c: [e x r; e]."""
+    i = joint_frame(j)
+    r0 = s.frame_p[13, 0] - s.frame_p[i, 0]
+    r1 = s.frame_p[13, 1] - s.frame_p[i, 1]
+    r2 = s.frame_p[13, 2] - s.frame_p[i, 2]
+    e0, e1, e2 = s.frame_R[i, 0, c], s.frame_R[i, 1, c], s.frame_R[i, 2, c]
+    return e1 * r2 - e2 * r1, e2 * r0 - e0 * r2, e0 * r1 - e1 * r0, e0, e1, e2
 
 
 @kernel
 def compliance_matrix(s: Record, q: FloatArray, C: FloatArray) -> None:
     """Cartesian compliance C (6, 6) at T in B, to first order: [d; theta] = C [f; m], in m, rad, N, N.m.
 
-    Sum over the virtual joints of g g^T / k with g = [e x r; e], e the axis of the joint, r its lever to T.
+    Sum over the virtual joints of g g^T / k with g = [e x r; e], e the axis of the joint, r its lever to T; the g of a
+    drive has that of the joints coupled to its axis on top.
     """
     virtual_joints(s, q)
     for a in range(6):
         for b in range(6):
             C[a, b] = 0.0
     for j in range(JOINTS):
-        i = joint_frame(j)
-        r0 = s.frame_p[13, 0] - s.frame_p[i, 0]
-        r1 = s.frame_p[13, 1] - s.frame_p[i, 1]
-        r2 = s.frame_p[13, 2] - s.frame_p[i, 2]
         for c in range(3):
-            e0, e1, e2 = s.frame_R[i, 0, c], s.frame_R[i, 1, c], s.frame_R[i, 2, c]
-            g = (e1 * r2 - e2 * r1, e2 * r0 - e0 * r2, e0 * r1 - e1 * r0, e0, e1, e2)
+            g = _screw(s, j, c)
+            for i in range(6):
+                if c == 2 and DRIVES[i] == j:
+                    for m in range(i + 1, 6):
+                        if s.axis_coupling[m, i] != 0.0:
+                            share = s.axis_sign[i] * s.axis_coupling[m, i]
+                            v = _screw(s, DRIVES[m], 2)
+                            g = (
+                                g[0] + share * v[0],
+                                g[1] + share * v[1],
+                                g[2] + share * v[2],
+                                g[3] + share * v[3],
+                                g[4] + share * v[4],
+                                g[5] + share * v[5],
+                            )
             softness = 1.0 / joint_stiffness(s, j, c)
             for a in range(6):
                 for b in range(6):

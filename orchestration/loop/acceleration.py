@@ -3,7 +3,8 @@
 All work on the residual r = G(x) - x. Signals of one loop have different units and sizes (N and um),
 so lengths are measured in scaled signals: every array divided by its size at the first round of the step.
 
-`compare` and `improve` run as they are, and compiled (`compiled_iteration`) with the same bits: scalar loops on arrays that are given.
+`compare`, `improve` and its `PARTS` run as they are, and compiled (`compiled_iteration`) with the same bits: scalar loops on arrays that
+are given.
 """
 
 from __future__ import annotations
@@ -52,13 +53,13 @@ class Iteration:
             ("unconverged", self.unconverged, UNCONVERGED),
         ):
             if value not in allowed:
-                raise SystemFileError(f"iteration: {unknown(key, value, allowed)}")
+                raise SystemFileError(unknown(key, value, allowed))
         if not 0.0 <= self.tolerance < 1.0:
-            raise SystemFileError(f"iteration: tolerance is a relative change, from 0 to below 1; found {self.tolerance}")
+            raise SystemFileError(f"the iteration's tolerance is a relative change, from 0 to below 1; found {self.tolerance}")
         if not 0.0 < self.relaxation <= 1.0:
-            raise SystemFileError(f"iteration: relaxation is above 0 and at most 1; found {self.relaxation}")
+            raise SystemFileError(f"the iteration's relaxation is above 0 and at most 1; found {self.relaxation}")
         if self.max_iterations < 1 or self.depth < 1:
-            raise SystemFileError(f"iteration: max_iterations and depth are at least 1; found {self.max_iterations} and {self.depth}")
+            raise SystemFileError(f"the iteration's max_iterations and depth are at least 1; found {self.max_iterations} and {self.depth}")
 
 
 DEFAULT = Iteration()
@@ -119,46 +120,64 @@ def improve(method: int, relaxation: float, rounds: int, n: int, x: Any, g: Any,
     if rounds == 1:
         factor[0] = relaxation
     elif method == AITKEN:
-        before = history[slots + (rounds - 2) % slots]
-        product, length = 0.0, 0.0
-        for i in range(n):
-            change = rest[i] - before[i]
-            product += before[i] * change
-            length += change * change
-        if length > 0.0 and product != 0.0:  # orthogonal residuals say nothing about w
-            factor[0] = -factor[0] * product / length
+        factor[0] = _secant(n, factor[0], history[slots + (rounds - 2) % slots], rest)
     w = factor[0]
     for i in range(n):
         x[i] = here[i] + w * rest[i]
     if method == ANDERSON and rounds > 1:
-        kept = 0
-        for age in range(1, min(rounds, slots)):
-            old = (rounds - 1 - age) % slots
-            q, p = history[2 * slots + kept], history[3 * slots - 1 + kept]
-            whole = 0.0
-            for i in range(n):
-                q[i], p[i] = rest[i] - history[slots + old, i], here[i] - history[old, i]
-                whole += q[i] * q[i]
-            for k in range(2 * kept):  # twice: once leaves round-off that stiff loops amplify
-                made = k % kept
-                share = 0.0
-                for i in range(n):
-                    share += history[2 * slots + made, i] * q[i]
-                for i in range(n):
-                    q[i] -= share * history[2 * slots + made, i]
-                    p[i] -= share * history[3 * slots - 1 + made, i]
-            left = 0.0
-            for i in range(n):
-                left += q[i] * q[i]
-            if left > _PARALLEL * _PARALLEL * whole:
-                length = math.sqrt(left)
-                share = 0.0
-                for i in range(n):
-                    q[i] /= length
-                    p[i] /= length
-                    share += q[i] * rest[i]
-                for i in range(n):
-                    x[i] -= share * (w * q[i] + p[i])
-                kept += 1
+        _combine(rounds, slots, n, w, x, here, rest, history)
     for i in range(n):
         x[i] *= scale[i]
+
+
+def _secant(n: int, w: float, before: Any, rest: Any) -> float:
+    """The relaxation of `aitken` that follows w, from the last residual but one and the last."""
+    product, length = 0.0, 0.0
+    for i in range(n):
+        change = rest[i] - before[i]
+        product += before[i] * change
+        length += change * change
+    return -w * product / length if length > 0.0 and product != 0.0 else w  # orthogonal residuals say nothing about w
+
+
+def _combine(rounds: int, slots: int, n: int, w: float, x: Any, here: Any, rest: Any, history: Any) -> None:
+    """Take from the guess x what `anderson` finds in the differences of the last rounds."""
+    kept = 0
+    for age in range(1, min(rounds, slots)):
+        old = (rounds - 1 - age) % slots
+        q, p = history[2 * slots + kept], history[3 * slots - 1 + kept]
+        whole = 0.0
+        for i in range(n):
+            q[i], p[i] = rest[i] - history[slots + old, i], here[i] - history[old, i]
+            whole += q[i] * q[i]
+        left = _orthogonal(kept, slots, n, q, p, history)
+        if left > _PARALLEL * _PARALLEL * whole:
+            length = math.sqrt(left)
+            share = 0.0
+            for i in range(n):
+                q[i] /= length
+                p[i] /= length
+                share += q[i] * rest[i]
+            for i in range(n):
+                x[i] -= share * (w * q[i] + p[i])
+            kept += 1
+
+
+def _orthogonal(kept: int, slots: int, n: int, q: Any, p: Any, history: Any) -> float:
+    """Take from a difference q of residuals what the `kept` ones before it have, and from that of guesses p alike; q squared then."""
+    for k in range(2 * kept):  # twice: once leaves round-off that stiff loops amplify
+        made = k % kept
+        share = 0.0
+        for i in range(n):
+            share += history[2 * slots + made, i] * q[i]
+        for i in range(n):
+            q[i] -= share * history[2 * slots + made, i]
+            p[i] -= share * history[3 * slots - 1 + made, i]
+    left = 0.0
+    for i in range(n):
+        left += q[i] * q[i]
+    return left
+
+
+PARTS = (_secant, _combine, _orthogonal)
+"""Functions that `improve` calls: compiled with it."""

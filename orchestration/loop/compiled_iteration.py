@@ -10,6 +10,7 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
+from numba.extending import register_jitable
 
 from robomill.orchestration.loop import acceleration, compiled
 from robomill.orchestration.loop.compiled import (
@@ -43,6 +44,8 @@ X, G, SCALE, SIZES, LARGEST = range(5)
 
 _raw_memcpy: Callable[..., Any] = cgutils.raw_memcpy
 _compare: Callable[..., tuple[float, int]] = njit(**OPTIONS)(acceleration.compare)
+for _part in acceleration.PARTS:
+    register_jitable(**OPTIONS)(_part)
 _improve: Callable[..., None] = njit(**OPTIONS)(acceleration.improve)
 
 
@@ -89,6 +92,95 @@ def _back(states: Any, m: int) -> int:
     return 0
 
 
+@njit(inline="always", **OPTIONS)
+def _save_all(first: int, end: int, states: Any, report: Any) -> bool:
+    """Keep the states of the members from `first` to `end` of a loop; false if that failed, told by `report`."""
+    for m in range(first, end):
+        status = _save(states, m)
+        if status < 0 or status > states[m, WORST_STATUS]:
+            report[0], report[1], report[2] = UNSAVED, m, status
+            return False
+    return True
+
+
+@njit(inline="always", **OPTIONS)
+def _all_back(first: int, end: int, states: Any, report: Any) -> bool:
+    """Go back to the states that are kept; false if that failed, told by `report`."""
+    for m in range(first, end):
+        status = _back(states, m)
+        if status < 0 or status > states[m, WORST_STATUS]:
+            report[0], report[1], report[2] = STUCK, m, status
+            return False
+    return True
+
+
+@njit(inline="always", **OPTIONS)
+def _take(count: int, base: int, unknowns: Any, bus: Any, to: Any) -> None:
+    """The unknowns of a loop from the bus."""
+    for i in range(count):
+        to[i] = bus[unknowns[base + i, PLACE]]
+
+
+@njit(inline="always", **OPTIONS)
+def _put(count: int, base: int, unknowns: Any, bus: Any, source: Any) -> None:
+    """The unknowns of a loop to the bus."""
+    for i in range(count):
+        bus[unknowns[base + i, PLACE]] = source[i]
+
+
+@njit(inline="always", **OPTIONS)
+def _round(
+    first: int, end: int, ops: Any, rates: bool, clocks: Any, bus: Any, n: int, places: Any, called: Any, t: float, h: float, report: Any
+) -> bool:  # fmt: skip
+    """The operations from `first` to `end`; false if one failed, told by `report`."""
+    for o in range(first, end):
+        status = operate(ops, o, rates, clocks, bus, n, places, called, t, h)
+        if status < 0 or status > ops[o, LIMIT]:
+            report[0], report[1], report[2] = FAILED, o, status
+            return False
+    return True
+
+
+@njit(inline="always", **OPTIONS)
+def _settle(
+    s: int, rates: bool, ops: Any, clocks: Any, places: Any, bus: Any, n: int, t: float, h: float, report: Any, called: Any,
+    stages: Any, states: Any, unknowns: Any, method: int, most: int, accept: bool,
+    tolerance: float, relaxation: float, scratch: Any, history: Any, factor: Any, found: Any,
+) -> tuple[int, float]:  # fmt: skip
+    """Make the step of a stage: once, or, if it is a loop, in rounds until its signals agree.
+
+    Returns rounds and residual of a loop, (0, 0) of what is none, (-1, 0) if something failed: `report` and `found` tell it.
+    """
+    x, g, scale, sizes, largest = scratch[X], scratch[G], scratch[SCALE], scratch[SIZES], scratch[LARGEST]
+    first, end = stages[s, MEMBERS], stages[s, MEMBERS_END]
+    base, count = stages[s, UNKNOWNS], stages[s, UNKNOWNS_END] - stages[s, UNKNOWNS]
+    looped = end > first
+    if not _save_all(first, end, states, report):
+        return -1, 0.0
+    _take(count, base, unknowns, bus, x)
+    for rounds in range(1, most + 1 if looped else 2):
+        if not _round(stages[s, FIRST], stages[s, END], ops, rates, clocks, bus, n, places, called, t, h, report):
+            return -1, 0.0
+        if not looped:
+            return 0, 0.0
+        _take(count, base, unknowns, bus, g)
+        residual, worst = _compare(count, x, g, unknowns[base:, ARRAY], largest, sizes)
+        if worst < 0 or residual <= tolerance or rounds == most:
+            if worst >= 0 and residual > tolerance and not accept:
+                report[0], report[1], report[2] = UNCONVERGED, s, 0
+                found[0], found[1] = residual, worst
+                return -1, 0.0
+            return rounds, residual
+        if rounds == 1:
+            for i in range(count):
+                scale[i] = sizes[i]
+        _improve(method, relaxation, rounds, count, x, g, scale, history, factor)
+        if not _all_back(first, end, states, report):
+            return -1, 0.0
+        _put(count, base, unknowns, bus, x)
+    return 0, 0.0
+
+
 def _advance(
     steps: int, ticks: Any, rates: bool, watched: int, ops: Any, clocks: Any, places: Any, bus: Any, low: Any, high: Any,
     columns: Any, report: Any, called: Any, stages: Any, states: Any, unknowns: Any, method: int, most: int, accept: bool,
@@ -100,7 +192,6 @@ def _advance(
     UNCONVERGED a stage, and `found` is [residual, unknown] then.
     """
     n, h = len(low), ticks[1] / TICK
-    x, g, scale, sizes, largest = scratch[X], scratch[G], scratch[SCALE], scratch[SIZES], scratch[LARGEST]
     for k in range(steps):
         now = ticks[0] + (ticks[2] + k) * ticks[1]
         t = now / TICK
@@ -109,45 +200,13 @@ def _advance(
         begin(rates, clocks, now)
         all_rounds, all_residual = 0, 0.0
         for s in range(len(stages)):
-            first, end = stages[s, MEMBERS], stages[s, MEMBERS_END]
-            base, count = stages[s, UNKNOWNS], stages[s, UNKNOWNS_END] - stages[s, UNKNOWNS]
-            looped = end > first
-            for m in range(first, end):
-                status = _save(states, m)
-                if status < 0 or status > states[m, WORST_STATUS]:
-                    report[0], report[1], report[2] = UNSAVED, m, status
-                    return k
-            for i in range(count):
-                x[i] = bus[unknowns[base + i, PLACE]]
-            for rounds in range(1, most + 1 if looped else 2):
-                for o in range(stages[s, FIRST], stages[s, END]):
-                    status = operate(ops, o, rates, clocks, bus, n, places, called, t, h)
-                    if status < 0 or status > ops[o, LIMIT]:
-                        report[0], report[1], report[2] = FAILED, o, status
-                        return k
-                if not looped:
-                    break
-                for i in range(count):
-                    g[i] = bus[unknowns[base + i, PLACE]]
-                residual, worst = _compare(count, x, g, unknowns[base:, ARRAY], largest, sizes)
-                if worst < 0 or residual <= tolerance or rounds == most:
-                    if worst >= 0 and residual > tolerance and not accept:
-                        report[0], report[1], report[2] = UNCONVERGED, s, 0
-                        found[0], found[1] = residual, worst
-                        return k
-                    all_rounds, all_residual = max(all_rounds, rounds), max(all_residual, residual)
-                    break
-                if rounds == 1:
-                    for i in range(count):
-                        scale[i] = sizes[i]
-                _improve(method, relaxation, rounds, count, x, g, scale, history, factor)
-                for m in range(first, end):
-                    status = _back(states, m)
-                    if status < 0 or status > states[m, WORST_STATUS]:
-                        report[0], report[1], report[2] = STUCK, m, status
-                        return k
-                for i in range(count):
-                    bus[unknowns[base + i, PLACE]] = x[i]
+            rounds, residual = _settle(
+                s, rates, ops, clocks, places, bus, n, t, h, report, called, stages, states, unknowns, method, most, accept,
+                tolerance, relaxation, scratch, history, factor, found,
+            )  # fmt: skip
+            if rounds < 0:
+                return k
+            all_rounds, all_residual = max(all_rounds, rounds), max(all_residual, residual)
         bus[n - 2], bus[n - 1] = all_rounds, all_residual
         if not finish(rates, clocks, now + ticks[1], k, bus, low, high, columns):
             report[0] = VIOLATED

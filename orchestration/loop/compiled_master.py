@@ -195,7 +195,7 @@ class CompiledLoop:
 
 
 def _length(steps: int) -> int:
-    """Of the columns of an array for so many steps: an odd number of cache lines keeps them off each other's places in the cache."""
+    """Length of the columns of an array for so many steps: an odd number of cache lines keeps them off each other's places in the cache."""
     return 8 * (-(-steps // 8) | 1)
 
 

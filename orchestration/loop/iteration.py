@@ -29,7 +29,7 @@ from robomill.orchestration.system.wiring import Wiring
 
 _AT_WORK = "first return"  # when the second proof is made
 Entry = tuple[str, Slave, npt.NDArray[np.intp], FloatArray, FloatArray]
-"""Of a component: name, slave, positions of its inputs on the bus, its input and its output buffer."""
+"""What the loop knows of a component: name, slave, positions of its inputs on the bus, its input and its output buffer."""
 
 
 class Iterated:

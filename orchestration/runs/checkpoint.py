@@ -44,7 +44,7 @@ class Snapshot:
     gather: Mapping[str, Any]
     """Positions of the inputs on the bus by component: they differ from the wiring's where inputs are overridden."""
     states: Mapping[str, Any] = field(repr=False)
-    """Of the slaves, from `Slave.get_state`."""
+    """States of the slaves, from `Slave.get_state`."""
 
     @property
     def time(self) -> float:

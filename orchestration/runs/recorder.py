@@ -71,7 +71,7 @@ class Recorder:
     overwrite: bool = False
     resume_after: int | None = None
     lock: FolderLock | None = None
-    """Of the folder, if the caller holds it; else it is taken for as long as the run lasts."""
+    """Lock of the folder, if the caller holds it; else it is taken for as long as the run lasts."""
 
     def begin(self, wiring: Wiring, step: float) -> None:
         """Choose the columns, write run.toml, open the stream."""

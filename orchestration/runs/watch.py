@@ -25,7 +25,7 @@ from robomill.orchestration.runs.run import RUN, Run, finalise, read_info
 from robomill.orchestration.system.toml_text import dump
 
 EXIT_STATUS = 70
-"""Of the process, when a component has called exit(): EX_SOFTWARE of sysexits.h."""
+"""Exit status of the process, when a component has called exit(): EX_SOFTWARE of sysexits.h."""
 _BOOT = (
     "import os, sys\n"
     "if not os.read(0, 1):\n"

@@ -9,17 +9,19 @@ import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
 
-from robomill.orchestration.errors import SlaveError
+from robomill.orchestration.errors import SlaveError, shortened
 
 MAX_TOTAL = 2 * 1024**3
 """Largest sum of the unpacked sizes of an archive [bytes]."""
 MAX_FILES = 20_000
 MAX_XML = 256 * 1024**2
 MAX_NAME, MAX_DEPTH = 1000, 50
-"""Of the path of an entry: characters, levels of folders."""
+"""Limits of the path of an entry: characters, levels of folders."""
 MAX_XML_DEPTH = 100
 """Levels of elements within each other: readers of XML follow them by recursion."""
 _CHUNK = 1024**2
+_SHOWN = 120
+"""Characters of the name of an entry that a message shows."""
 
 
 def unpack(file: Path, target: Path, max_total: int = MAX_TOTAL, max_files: int = MAX_FILES, kind: str = "FMU") -> list[str]:
@@ -129,7 +131,7 @@ def check_xml(file: Path, source: Path) -> dict[str, str]:
 
 
 def _short(name: str) -> str:
-    return repr(name if len(name) <= 120 else name[:120] + "...")
+    return repr(shortened(name, _SHOWN))
 
 
 def _kind(file: Path) -> str:

@@ -20,17 +20,19 @@ from robomill.orchestration.slaves.archive import check_xml, unpack
 from robomill.orchestration.slaves.library import problem
 from robomill.orchestration.slaves.protocol import Port, PortData, Scalar, base_name
 
+FMI_2, FMI_3 = 2, 3
+"""Versions of FMI: the number before the point."""
 _INTEGERS = tuple(f"{sign}Int{bits}" for bits in (8, 16, 32, 64) for sign in ("", "U"))
 # Type of a variable -> type of its port, and the name of the type in the functions that get and set it
 _TYPES = {
-    2: {
+    FMI_2: {
         "Real": ("real", "Real"),
         "Integer": ("integer", "Integer"),
         "Enumeration": ("integer", "Integer"),
         "Boolean": ("boolean", "Boolean"),
         "String": ("string", "String"),
     },
-    3: {
+    FMI_3: {
         "Binary": ("binary", "Binary"),
         "Clock": ("clock", "Clock"),
         "Float64": ("real", "Float64"),
@@ -49,7 +51,7 @@ _WHOLE = {
 }
 """Least and largest whole number that a type holds, and all between, by its name in the functions that get and set it."""
 MAX_ELEMENTS = 1_000_000
-"""Of all variables of an FMU: a size of an array that was mistyped must not fill the memory."""
+"""Elements of all variables of an FMU, at most: a size of an array that was mistyped must not fill the memory."""
 _CAUSALITIES = {**{c: c for c in ("input", "output", "parameter")}, "structuralParameter": "structural parameter"}
 _SUFFIX = {"linux": ".so", "darwin": ".dylib", "win32": ".dll"}
 
@@ -85,7 +87,7 @@ class FmuDescription:
     made_by_pythonfmu: bool
     """Its log messages are finished texts, not printf formats."""
     tolerance: float | None
-    """Of its solver, relative, where its default experiment names one; what others run it with."""
+    """Relative tolerance of its solver, where its default experiment names one; what others run it with."""
     carries_tables: bool
     """It is one of this project: built-in rows of its tables stand in its resources (`ssp_tables`)."""
     log_categories: tuple[str, ...]
@@ -133,7 +135,7 @@ def describe(file: Path, folder: Path, names: Sequence[str]) -> FmuDescription:
         fmi=fmi,
         file=file,
         folder=folder,
-        library=_library(file, folder, md.coSimulation.modelIdentifier, names, str(fmpy.platform if fmi == 2 else fmpy.platform_tuple)),
+        library=_library(file, folder, md.coSimulation.modelIdentifier, names, str(fmpy.platform if fmi == FMI_2 else fmpy.platform_tuple)),
         identifier=md.coSimulation.modelIdentifier,
         guid=md.guid,
         variables=variables,
@@ -180,9 +182,9 @@ _FMI3 = re.compile(r"3\.0(\.0|\.[1-9]\d*(-.+)?)?")
 def _version(file: Path, text: str) -> int:
     """2 or 3. SlaveError for every other version; a pre-release of 3.0 itself ("3.0-beta.2") has other functions than 3.0."""
     if text == "2.0":
-        return 2
+        return FMI_2
     if _FMI3.fullmatch(text):
-        return 3
+        return FMI_3
     raise SlaveError(f"{file}: has FMI version {text[:50]}; only FMI 2.0 and 3.0 can be run: export it as co-simulation of one of these")
 
 

@@ -81,7 +81,7 @@ class Fmi(ABC):
     """The functions of one FMU. `call` and the others return the status; what is wrong is for the caller to say."""
 
     prefix: str
-    """Of the functions."""
+    """What the names of the functions begin with."""
     state: StateFunctions
 
     def __init__(self, description: FmuDescription, name: str, messages: deque[tuple[int, str]], final: bool) -> None:
@@ -169,7 +169,7 @@ class Fmi(ABC):
 
 
 class Addresses(NamedTuple):
-    """Of the functions and buffers of an instance, as `orchestration.slaves.native.Native` wants them."""
+    """Addresses of the functions and buffers of an instance, as `orchestration.slaves.native.Native` wants them."""
 
     instance: int
     step: int
@@ -203,7 +203,7 @@ def _with_neighbours(library: Path) -> ctypes.CDLL:
 
 
 def address(function: Any) -> int:
-    """Of a C function that ctypes knows."""
+    """Address of a C function that ctypes knows."""
     return ctypes.cast(function, ctypes.c_void_p).value or 0
 
 

@@ -135,7 +135,7 @@ class Fmi3(Fmi):
     def step(self, t: float, h: float) -> int:
         """From `t` to `t + h` [s]."""
         status: int = self._do_step(self.instance, t, h, *self._told)
-        if 0 <= status < 2 and (self.flags[1] or self.flags[2]):
+        if 0 <= status < _DISCARD and (self.flags[1] or self.flags[2]):
             return ENDS if self.flags[1] else EARLY
         return status
 
@@ -165,7 +165,8 @@ class Fmi3(Fmi):
         """Addresses for the compiled loop, by way of functions that translate its calls; None for types that it has not."""
         from robomill.orchestration.slaves import fmi3_compiled  # only compiled loops need Numba
 
-        return fmi3_compiled.addresses(self, address(self._do_step), inputs, outputs)
+        at = (self.instance.value or 0, address(self._do_step), self.flags.ctypes.data, self.reached.ctypes.data)
+        return fmi3_compiled.addresses(at, inputs, outputs)
 
     def free(self) -> None:
         """Free the instance."""

@@ -7,7 +7,7 @@ what FMI 3.0 wants besides: numbers of values, places for what a step reports. B
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numba
 import numpy as np
@@ -19,27 +19,25 @@ from numba.extending import intrinsic as numba_intrinsic
 from robomill.orchestration.slaves.fmi import Addresses, Group, address
 from robomill.orchestration.slaves.native import BlockData
 
-if TYPE_CHECKING:
-    from robomill.orchestration.slaves.fmi3 import Fmi3
-
 # Numba's decorators change signatures in ways that types cannot say
 cfunc: Callable[..., Callable[[Callable[..., Any]], Any]] = numba_cfunc
 intrinsic: Callable[[Callable[..., Any]], Any] = numba_intrinsic
 carray: Any = getattr(numba, "carray")  # noqa: B009
 CPointer: Any = types.CPointer
 
+_WORD = ir.IntType(64)
 _DIRECT = ("float64", "int32", "int64")
 # Words of the record that stands for the instance, and of that which stands for value references
 _INSTANCE, _FUNCTION, _FLAGS, _REACHED = range(4)
 _ACCESS, _REFERENCES, _COUNT, _BYTES = range(4)
-_ENDS, _EARLY = 100, 101  # as in `fmi3`; Numba's cache does not notice constants of other modules
+_DISCARD, _ENDS, _EARLY = 2, 100, 101  # as in `fmi3`; Numba's cache does not notice constants of other modules
 
 
 def _fit(builder: Any, value: Any, kind: Any) -> Any:
     """An int64 as an address or a smaller integer; anything else as it is."""
     if isinstance(kind, ir.PointerType):
         return builder.inttoptr(value, kind)
-    return builder.trunc(value, kind) if isinstance(kind, ir.IntType) and kind.width < 64 else value
+    return builder.trunc(value, kind) if isinstance(kind, ir.IntType) and kind.width < _WORD.width else value
 
 
 def _caller(*kinds: Any) -> Any:
@@ -97,7 +95,7 @@ def _step(record: int, t: float, h: float, final: int) -> Any:
     at = words[_FLAGS]
     status = _call_step(words[_FUNCTION], words[_INSTANCE], t, h, final, at, at + 1, at + 2, words[_REACHED])
     flags = carray(_bytes(at), 3)
-    if 0 <= status < 2 and (flags[1] or flags[2]):
+    if 0 <= status < _DISCARD and (flags[1] or flags[2]):
         return _ENDS if flags[1] else _EARLY
     return status
 
@@ -127,12 +125,15 @@ def _get_booleans(record: int, block: int, n: int, buffer: int) -> Any:
     return status
 
 
-def addresses(fmi: Fmi3, step: int, inputs: Sequence[Group], outputs: Sequence[Group]) -> Addresses | None:
-    """What the compiled loop calls to step this FMU; None if it has inputs or outputs of a type that the loop does not carry."""
+def addresses(step: Sequence[int], inputs: Sequence[Group], outputs: Sequence[Group]) -> Addresses | None:
+    """What the compiled loop calls to step an FMU; None if it has inputs or outputs of a type that the loop does not carry.
+
+    `step`: addresses of the instance, of its fmi3DoStep, of the three flags and of the time that a step reports.
+    """
     kinds = {str(g.buffer.dtype) for g in (*inputs, *outputs)}
     if not kinds <= {*_DIRECT, "bool"}:
         return None
-    record = np.array([fmi.instance.value or 0, step, fmi.flags.ctypes.data, fmi.reached.ctypes.data], dtype=np.int64)
+    record = np.array(step, dtype=np.int64)
     kept: list[Any] = [record]
     ins, outs = [_block(g, _set_booleans, kept) for g in inputs], [_block(g, _get_booleans, kept) for g in outputs]
     return Addresses(record.ctypes.data, _step.address, ins, outs, kept)

@@ -76,8 +76,11 @@ class FmuSlave:
         return self.description.warnings
 
     def configure(self, parameters: Mapping[str, ParameterValue]) -> None:
-        """Take parameters (elements or whole arrays) for the next `initialise`."""
-        self._parameters.update(prepare(self._name, self.ports, parameters))
+        """Take parameters, and start values of inputs (elements or whole arrays), for the next `initialise`."""
+        inputs = {p.name for p in self.ports if p.causality == "input"}
+        starts = {name: value for name, value in parameters.items() if name in inputs}
+        self._parameters.update(prepare(self._name, self.ports, {k: v for k, v in parameters.items() if k not in starts}))
+        self._parameters.update(prepare(self._name, self.ports, starts, causality="input"))
 
     def initialise(self, start: float, stop: float, step: float) -> None:
         """Instantiate, set parameters, enter initialisation. A second call starts a fresh instance."""

@@ -124,7 +124,7 @@ class IsolatedSlave:
 
     @property
     def process_id(self) -> int:
-        """Of the process that the FMU runs in."""
+        """Number of the process that the FMU runs in."""
         return self._process.pid
 
     def configure(self, parameters: Mapping[str, ParameterValue]) -> None:

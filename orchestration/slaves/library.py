@@ -11,6 +11,8 @@ _MACHINES = {"x86_64": 62, "amd64": 62, "aarch64": 183, "arm64": 183, "i386": 3,
 _NAMES = {3: "x86", 40: "ARM", 62: "x86-64", 183: "ARM64", 21: "PowerPC", 243: "RISC-V", 8: "MIPS"}
 _HEADER = struct.Struct("<16sHHIQQQIHHHHHH")
 _SEGMENT = struct.Struct("<IIQQQQQQ")
+_WIDTH_AND_ORDER = b"\x02\x01"
+"""Bytes 4 and 5 of an ELF header that are expected: 64 bits, least significant byte first."""
 _SHARED, _LOAD, _DYNAMIC = 3, 1, 2
 _OTHERS = {b"MZ": "Windows", b"\xcf\xfa\xed\xfe": "macOS", b"\xca\xfe\xba\xbe": "macOS", b"!<ar": "static library"}
 
@@ -27,7 +29,7 @@ def problem(library: Path) -> str:
     if data[:4] != b"\x7fELF":
         other = next((name for magic, name in _OTHERS.items() if data.startswith(magic)), "")
         return f"is no Linux library{f' but one for {other}' if other else ''} ({len(data)} bytes, begins with {data[:8]!r})"
-    if len(data) < _HEADER.size or data[4] != 2 or data[5] != 1:
+    if len(data) < _HEADER.size or data[4:6] != _WIDTH_AND_ORDER:
         return "is no 64 bit library, or cut off in its header"
     _, kind, machine, _, _, at, _, _, _, size, count, *_ = _HEADER.unpack_from(data)
     expected = _MACHINES.get(platform.machine().lower(), machine)

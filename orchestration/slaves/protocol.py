@@ -109,7 +109,7 @@ class PortData:
     limits: tuple[int, int] | None = field(default=None, compare=False)
     """Least and largest whole number that its type holds, and all between; None = those of 64 bits."""
     items: tuple[tuple[str, int], ...] = ()
-    """Of an enumeration: names and values."""
+    """Names and values of an enumeration."""
 
 
 @runtime_checkable
@@ -131,7 +131,7 @@ class Slave(Protocol):
         ...
 
     def configure(self, parameters: Mapping[str, ParameterValue]) -> None:
-        """Set parameters before `initialise`, in the unit of their port.
+        """Set parameters, and start values of inputs, before `initialise`, in the unit of their port.
 
         A key is an element (`q[1]`), a scalar, or the base name of an array with a (nested) sequence of its shape.
         """

@@ -15,11 +15,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
+from xml.etree.ElementTree import Element, SubElement
 
 from robomill.orchestration.assembly import Assembly, assemble
 from robomill.orchestration.errors import SystemFileError
+from robomill.orchestration.slaves.description import FMI_2, FMI_3
 from robomill.orchestration.slaves.protocol import Port, Scalar, arrays, inputs, outputs
+from robomill.orchestration.ssp.files import literal, xml_text
+from robomill.orchestration.ssp.parameter_set import NAMESPACE, TYPES, parameter_set
 from robomill.orchestration.ssp.tables import carrying
 from robomill.orchestration.system.definition import Component, Recording, System
 from robomill.orchestration.system.parameters import Convert, same_unit_only
@@ -28,7 +31,7 @@ ANNOTATION = "com.github.robomill"
 NAMESPACES = {
     "xmlns:ssd": "http://ssp-standard.org/SSP1/SystemStructureDescription",
     "xmlns:ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",
-    "xmlns:ssv": "http://ssp-standard.org/SSP1/SystemStructureParameterValues",
+    "xmlns:ssv": NAMESPACE,
     "xmlns:osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
     "xmlns:oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
     "xmlns:robomill": "urn:robomill:ssp:1",
@@ -36,7 +39,6 @@ NAMESPACES = {
 SSD = "SystemStructure.ssd"
 RESOURCES = "resources"
 SET = "default"
-_TYPES = {"real": "Real", "integer": "Integer", "boolean": "Boolean", "string": "String"}
 _BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
@@ -54,7 +56,7 @@ def export(system: System, file: str | Path, convert: Convert = same_unit_only) 
         )
     here = replace(system, components=tuple(replace(c, isolate=False) for c in system.components))
     with assemble(here, convert=convert) as assembly:
-        new = [name for name, slave in assembly.slaves.items() if getattr(_description(slave), "fmi", 2) == 3]
+        new = [name for name, slave in assembly.slaves.items() if getattr(_description(slave), "fmi", FMI_2) == FMI_3]
         if new:
             raise SystemFileError(
                 f"{system.where(None)}an SSP 1.0 connects FMUs of FMI 2.0; of FMI 3.0: {', '.join(new)}: build them with --fmi 2"
@@ -74,7 +76,7 @@ def export(system: System, file: str | Path, convert: Convert = same_unit_only) 
 
 
 def _description(slave: Any) -> Any:
-    """Of the FMU, also one that steps at another rate."""
+    """Description of the FMU, also of one that steps at another rate; None for another slave."""
     return getattr(getattr(slave, "inside", slave), "description", None)
 
 
@@ -122,7 +124,7 @@ class _Package:
             experiment.set("stopTime", repr(float(s.stop)))
         algorithm = SubElement(_annotation(SubElement(experiment, "ssd:Annotations"), "com.opensimulationplatform"), "osp:Algorithm")
         SubElement(algorithm, "osp:FixedStepAlgorithm", baseStepSize=repr(s.step))
-        return _text(root)
+        return xml_text(root)
 
     def _for_omsimulator(self, annotation: Element) -> None:
         """The fixed step, where OMSimulator 3 (attributes; this name is that of its default for co-simulation) and 2 (element) look."""
@@ -143,7 +145,7 @@ class _Package:
             connectors = SubElement(component, "ssd:Connectors")
             for p in connected:
                 connector = SubElement(connectors, "ssd:Connector", name=p.name, kind=p.causality)
-                SubElement(connector, f"ssc:{_TYPES[p.type]}", _some(unit=p.unit if p.type == "real" else None))
+                SubElement(connector, f"ssc:{TYPES[p.type]}", _some(unit=p.unit if p.type == "real" else None))
         values |= self.assembly.inputs.get(c.name, {})
         if values:
             bindings = SubElement(component, "ssd:ParameterBindings")
@@ -159,16 +161,13 @@ class _Package:
         return carrying(fmu, tables) if tables else fmu, values
 
     def _parameter_set(self, name: str, values: Mapping[str, Scalar]) -> str:
-        root = Element("ssv:ParameterSet", {"xmlns:ssv": NAMESPACES["xmlns:ssv"], "version": "1.0", "name": SET})
-        parameters = SubElement(root, "ssv:Parameters")
         ports: dict[str, Port] = {p.name: p for p in self.ports[name]}
-        for key, set_value in values.items():
-            is_file = ports[key].type == "string" and Path(str(set_value)).is_file()
-            value = self._pack(name, key, Path(str(set_value))) if is_file else set_value
-            parameter = SubElement(parameters, "ssv:Parameter", name=key)
-            SubElement(parameter, f"ssv:{_TYPES[ports[key].type]}", value=_literal(value))
+        typed: dict[str, tuple[str, Any]] = {}
+        for key, value in values.items():
+            is_file = ports[key].type == "string" and Path(str(value)).is_file()
+            typed[key] = ports[key].type, self._pack(name, key, Path(str(value))) if is_file else value
         place = self._free(f"{RESOURCES}/{name}.ssv")
-        self.files[place] = _text(root)
+        self.files[place] = parameter_set(SET, typed)
         return place
 
     def _pack(self, name: str, key: str, file: Path) -> str:
@@ -206,8 +205,8 @@ class _Package:
             step=repr(s.step),
             algorithm=s.algorithm,
             stopWhen=s.stop_when,
-            requireConnected=_literal(s.require_connected),
-            checkRanges=_literal(s.check_ranges),
+            requireConnected=literal(s.require_connected),
+            checkRanges=literal(s.check_ranges),
         )
         master = SubElement(parent, "robomill:Master", settings)
         for (a, x), (b, y), delayed in self.pairs:
@@ -217,16 +216,16 @@ class _Package:
             default = Component("", "")
             changed = {k: getattr(c, k) for k in ("isolate", "time_limit", "rate", "every") if getattr(c, k) != getattr(default, k)}
             if changed:
-                SubElement(master, "robomill:Component", {"name": c.name, **{k: _literal(v) for k, v in changed.items()}})
+                SubElement(master, "robomill:Component", {"name": c.name, **{k: literal(v) for k, v in changed.items()}})
         if s.algorithm == "iterated":
-            SubElement(master, "robomill:Iteration", {k: _literal(v) for k, v in asdict(s.iteration).items()})
+            SubElement(master, "robomill:Iteration", {k: literal(v) for k, v in asdict(s.iteration).items()})
         recording = {f.name: getattr(s.recording, f.name) for f in fields(Recording) if f.name != "columns"}
-        record = SubElement(master, "robomill:Recording", {k: _literal(v) for k, v in recording.items()})
+        record = SubElement(master, "robomill:Recording", {k: literal(v) for k, v in recording.items()})
         for pattern in s.recording.columns:
             SubElement(record, "robomill:Column", name=pattern)
         for key, value in s.labels.items():
             if isinstance(value, bool | int | float | str):
-                SubElement(master, "robomill:Label", name=key, type=type(value).__name__, value=_literal(value))
+                SubElement(master, "robomill:Label", name=key, type=type(value).__name__, value=literal(value))
 
 
 def _annotation(annotations: Element, kind: str) -> Element:
@@ -237,19 +236,6 @@ def _some(**attributes: str | None) -> dict[str, str]:
     return {k: v for k, v in attributes.items() if v}
 
 
-def _literal(value: Any) -> str:
-    """As XML Schema writes it: doubles with all digits."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return repr(value) if isinstance(value, float) else str(value)
-
-
 def _identifier(name: str) -> str:
     """A name that every importer takes for a system: letters, digits, underscores."""
     return "".join(ch if ch.isascii() and ch.isalnum() else "_" for ch in name) or "system"
-
-
-def _text(root: Element) -> bytes:
-    indent(root, "  ")
-    text: str = tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()

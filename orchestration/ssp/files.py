@@ -11,13 +11,16 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
+from typing import Any
 from urllib.parse import unquote, urlsplit
-from xml.etree.ElementTree import Element, TreeBuilder
+from xml.etree.ElementTree import Element, TreeBuilder, indent, tostring
 
-from robomill.orchestration.errors import SystemFileError, available
+from robomill.orchestration.errors import SystemFileError, available, shortened
 from robomill.orchestration.slaves.archive import MAX_XML, MAX_XML_DEPTH
 
 MODEL = "modelDescription.xml"
+MAX_MESSAGE = 1500
+"""Characters of a message about a package, which may quote names and values of any length from it."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,7 @@ class FmuVariable:
     causality: str
     unit: str | None = None
     items: Mapping[str, int] = field(default_factory=dict)
-    """Of an enumeration: value by name."""
+    """Values of an enumeration by name."""
 
 
 class Files:
@@ -39,7 +42,7 @@ class Files:
 
     def fail(self, text: str) -> SystemFileError:
         """The error that says so of this package."""
-        return SystemFileError(f"{self.file.name}: {text if len(text) <= 1500 else text[:1500] + '...'}")
+        return SystemFileError(f"{self.file.name}: {shortened(text, MAX_MESSAGE)}")
 
     def place(self, uri: str, what: str) -> str:
         """Name in the package that a relative URI means; refused if it is not one, or there is no such file."""
@@ -135,3 +138,17 @@ def _variables(root: Element) -> dict[str, FmuVariable]:
 def child(element: Element, tag: str) -> Element | None:
     """The first child of that name."""
     return next((e for e in element if e.tag == tag), None)
+
+
+def literal(value: Any) -> str:
+    """As XML Schema writes it: doubles with all digits."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def xml_text(root: Element) -> bytes:
+    """An XML file, indented."""
+    indent(root, "  ")
+    text: str = tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()

@@ -25,8 +25,9 @@ from robomill.orchestration.slaves.archive import unpack
 from robomill.orchestration.slaves.protocol import base_name
 from robomill.orchestration.ssp.export import ANNOTATION, SSD
 from robomill.orchestration.ssp.files import Files, child
+from robomill.orchestration.ssp.parameter_set import truth
 from robomill.orchestration.ssp.structure import End, Net, Structure
-from robomill.orchestration.ssp.values import resolved, truth
+from robomill.orchestration.ssp.values import resolved
 from robomill.orchestration.system.definition import Component, Connection, Recording, System
 
 DEFAULT_ALGORITHM = "jacobi"

@@ -12,7 +12,8 @@ from xml.etree.ElementTree import Element
 
 from robomill.orchestration.errors import available
 from robomill.orchestration.ssp.files import Files, child
-from robomill.orchestration.ssp.values import Given, bindings
+from robomill.orchestration.ssp.parameter_set import Given
+from robomill.orchestration.ssp.values import bindings
 
 FMU = ("", "application/x-fmu-sharedlibrary")
 End = tuple[str, str]

@@ -1,32 +1,17 @@
-"""Parameter sets (SSV) and parameter mappings (SSM) of SSP packages: what a model element is given, name by name."""
+"""Parameter bindings of SSP packages: what an element is given, name by name, by parameter sets (SSV) and mappings (SSM)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 from xml.etree.ElementTree import Element
 
 from robomill.orchestration.ssp.files import Files, FmuVariable, child
+from robomill.orchestration.ssp.parameter_set import INTEGERS, REALS, VALUES, Given, given_by
 
 SET = ("", "application/x-ssp-parameter-set")
 MAPPING = ("", "application/x-ssp-parameter-mapping")
-_INTEGERS = tuple(f"{sign}Int{bits}" for bits in (8, 16, 32, 64) for sign in ("", "U"))
-_REALS = ("Real", "Float64", "Float32")
-
-
-@dataclass(frozen=True)
-class Given:
-    """A value of a parameter set."""
-
-    kind: str
-    """Its type: Real, Integer, Boolean, String, Enumeration, Float64, ..."""
-    value: Any
-    """Or a list of them."""
-    unit: str | None = None
-    factor: float = 1.0
-    offset: float = 0.0
-    """Of a linear transformation, after the value was turned into the unit of its target."""
 
 
 def bindings(files: Files, element: Element, what: str) -> Iterator[tuple[str, Given]]:
@@ -37,7 +22,7 @@ def bindings(files: Files, element: Element, what: str) -> Iterator[tuple[str, G
         values = _content(files, binding, "ParameterValues", "ParameterSet", f"parameters of {what}", binding)
         prefix = binding.get("prefix", "")
         given = {
-            prefix + p.get("name", ""): _given(files, p, f"{what}: parameter {p.get('name', '')!r}")
+            prefix + p.get("name", ""): given_by(files, p, f"{what}: parameter {p.get('name', '')!r}")
             for p in values.iterfind("Parameters/Parameter")
         }
         mapping = child(binding, "ParameterMapping")
@@ -66,23 +51,6 @@ def _content(files: Files, element: Element, inline: str | None, root: str, what
     return files.xml(files.place(named.get("source", ""), what), root)
 
 
-def _given(files: Files, parameter: Element, what: str) -> Given:
-    typed = next((e for e in parameter if e.tag not in ("Annotations", "Dimension")), None)
-    kind = "nothing" if typed is None else typed.tag
-    texts = [] if typed is None else [v.get("value", v.text or "") for v in typed.iterfind("Value")]
-    text = None if typed is None else typed.get("value")
-    if typed is None or kind not in _VALUES or (text is None and not texts):
-        raise files.fail(f"{what} is of type {kind}; expected a value of type {', '.join(_VALUES)}")
-    is_array = child(parameter, "Dimension") is not None
-    if text is not None:
-        texts = text.split() if is_array and kind != "String" else [text]
-    try:
-        values = [_VALUES[kind](t) for t in texts]
-    except ValueError:
-        raise files.fail(f"{what} = {text or texts!r} is not of type {kind}") from None
-    return Given(kind, values if is_array else values[0], typed.get("unit"))
-
-
 def _mapped(files: Files, entry: Element, given: Given, what: str) -> Given:
     """The value after the transformation of a mapping entry."""
     if entry.get("suppressUnitConversion") in ("true", "1"):
@@ -91,12 +59,12 @@ def _mapped(files: Files, entry: Element, given: Given, what: str) -> Given:
     if transformation is None:
         return given
     try:
-        if transformation.tag == "LinearTransformation" and given.kind in _REALS:
+        if transformation.tag == "LinearTransformation" and given.kind in REALS:
             return replace(given, factor=float(transformation.get("factor", "1")), offset=float(transformation.get("offset", "0")))
-        kinds = {"BooleanMappingTransformation": ("Boolean",), "IntegerMappingTransformation": ("Integer", "Enumeration", *_INTEGERS)}
+        kinds = {"BooleanMappingTransformation": ("Boolean",), "IntegerMappingTransformation": ("Integer", "Enumeration", *INTEGERS)}
         kinds["EnumerationMappingTransformation"] = ("Enumeration",)
         if given.kind in kinds.get(transformation.tag, ()):
-            read = _VALUES[given.kind]
+            read = VALUES[given.kind]
             table = {read(e.get("source", "")): read(e.get("target", "")) for e in transformation.iterfind("MapEntry")}
             old = given.value
             return replace(given, value=[table.get(v, v) for v in old] if isinstance(old, list) else table.get(old, old))
@@ -128,20 +96,3 @@ def _item(files: Files, text: str, variable: FmuVariable | None, what: str) -> i
         return int(text)
     except ValueError:
         raise files.fail(f"{what} = {text!r} is not an item of its enumeration; items: {', '.join(items) or 'none are known'}") from None
-
-
-def truth(text: str) -> bool:
-    """A boolean of XML Schema."""
-    if text.strip() not in ("true", "false", "1", "0"):
-        raise ValueError(text)
-    return text.strip() in ("true", "1")
-
-
-_VALUES: dict[str, Any] = {
-    **dict.fromkeys(_REALS, float),
-    "Integer": int,
-    **dict.fromkeys(_INTEGERS, int),
-    "Boolean": truth,
-    "String": str,
-    "Enumeration": str,
-}

@@ -19,6 +19,9 @@
     to = "compliance.q_link"
     delayed = false
 
+    [robot]                             # also [tool], [material], [sensor]: what several components share is looked up by name
+    name = "kr300_r2500_ultra"          # by whoever knows robots (cell/equipment.py)
+
     [recording]
     columns = ["drive", "compliance.p_BT_B", "sensor.f_T_T[1]"]
     checkpoint_every = 1000             # steps; 0 = never (orchestration/runs/checkpoint.py)
@@ -28,7 +31,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -36,51 +39,26 @@ from typing import Any
 
 from robomill.orchestration.errors import SystemFileError, unknown
 from robomill.orchestration.loop.acceleration import DEFAULT, Iteration
-from robomill.orchestration.system.parameters import Convert, quantity, same_unit_only
-from robomill.orchestration.system.toml_file import TomlFile
+from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.parameters import Convert, same_unit_only
 from robomill.orchestration.system.written import merged, place_of
 
+EQUIPMENT = ("robot", "tool", "material", "sensor")
+"""Tables that name what several components share."""
 ALGORITHMS = ("jacobi", "gauss-seidel", "iterated")
 LOOPS = ("auto", "compiled", "python")
+MAX_SECONDS = 1e9
+"""Seconds below which every time is: their nanoseconds, and sums of them, stay within 64 bits."""
 TICK = 1_000_000_000
 """Ticks per second: time is counted in whole nanoseconds."""
 
-_TOP = {
-    "name": str,
-    "description": str,
-    "step": (int, float, str),
-    "stop": (int, float, str),
-    "stop_when": str,
-    "algorithm": str,
-    "require_connected": bool,
-    "check_ranges": bool,
-    "labels": dict,
-    "components": dict,
-    "connections": list,
-    "recording": dict,
-    "iteration": dict,
-    "loop": str,
-}
-_COMPONENT = {
-    "source": str,
-    "parameters": dict,
-    "inputs": dict,
-    "isolate": bool,
-    "time_limit": (int, float, str),
-    "rate": int,
-    "every": int,
-}
-_CONNECTION = {"from": str, "to": str, "delayed": bool}
-_RECORDING = {"columns": list, "every": int, "csv": bool, "chunk": int, "checkpoint_every": int}
-_ITERATION = {
-    "method": str,
-    "tolerance": (int, float),
-    "max_iterations": int,
-    "relaxation": (int, float),
-    "depth": int,
-    "hold": str,
-    "unconverged": str,
-}
+_TEXTS, _CHOICES, _FLAGS = (
+    ("name", "description", "stop_when"),
+    {"algorithm": ALGORITHMS, "loop": LOOPS},
+    ("require_connected", "check_ranges"),
+)
+_OTHER = {"stop", "labels", "connections", "recording", "iteration"}
+_COMPONENT = {"parameters", "inputs", "isolate", "time_limit", "rate", "every"}
 MAX_CHUNK = 100_000
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -134,6 +112,15 @@ class Recording:
     checkpoint_every: int = 0
     """Each how many steps everything is saved from which the run can go on; 0 = never."""
 
+    def __post_init__(self) -> None:
+        """Check the values. SystemFileError says what is wrong."""
+        if self.every < 1 or self.chunk < 1:
+            raise SystemFileError(f"the recording's every and chunk are at least 1; found {self.every} and {self.chunk}")
+        if self.chunk > MAX_CHUNK:
+            raise SystemFileError(f"the recording's chunk is at most {MAX_CHUNK} rows, which are kept in memory; found {self.chunk}")
+        if self.checkpoint_every < 0:
+            raise SystemFileError(f"the recording's checkpoint_every counts steps, 0 = never; found {self.checkpoint_every}")
+
 
 @dataclass(frozen=True)
 class System:
@@ -161,23 +148,22 @@ class System:
     """How loops are iterated, with algorithm "iterated"."""
     loop: str = "auto"
     """How the master runs: `compiled`, `python`, or `auto`, compiled where that is possible; the numbers are the same."""
+    equipment: Mapping[str, Entry] = field(default_factory=dict)
+    """The tables that name what several components share, as written."""
+    equipped: bool = False
+    """Whether the components have been given what `equipment` names."""
+    warnings: tuple[str, ...] = ()
+    """What the run is to say about the system."""
     file: Path | None = None
 
     def __post_init__(self) -> None:
         """Check what does not need the components' ports. SystemFileError says what is wrong."""
         ticks(self.step, "step")
-        if self.algorithm not in ALGORITHMS:
-            raise SystemFileError(unknown("algorithm", self.algorithm, ALGORITHMS))
-        if self.loop not in LOOPS:
-            raise SystemFileError(f"loop {self.loop!r} is unknown; available: {', '.join(LOOPS)}")
-        if self.recording.every < 1 or self.recording.chunk < 1:
-            raise SystemFileError(f"recording: every and chunk are at least 1; found {self.recording.every} and {self.recording.chunk}")
-        if self.recording.chunk > MAX_CHUNK:
-            raise SystemFileError(f"recording: chunk is at most {MAX_CHUNK} rows, which are kept in memory; found {self.recording.chunk}")
+        for key, names in _CHOICES.items():
+            if getattr(self, key) not in names:
+                raise SystemFileError(unknown(key, getattr(self, key), names))
         if self.stop is not None and math.isnan(self.stop):
             raise SystemFileError("stop is not a number (NaN)")
-        if self.recording.checkpoint_every < 0:
-            raise SystemFileError(f"recording: checkpoint_every counts steps, 0 = never; found {self.recording.checkpoint_every}")
         for c in self.components:
             if not 0.0 < c.time_limit < math.inf:
                 raise SystemFileError(f"component {c.name!r}: time_limit is a positive time; found {c.time_limit!r} s")
@@ -212,12 +198,12 @@ class System:
         return f"{self.file.name}:{line}: " if line else f"{self.file.name}: "
 
     def with_source(self, component: str, source: str) -> System:
-        """The same system with another source for one component (another FMU, or a replay)."""
+        """System with another source for one component (another FMU, or a replay)."""
         old = self.component(component)
         return replace(self, components=tuple(replace(c, source=source) if c is old else c for c in self.components))
 
     def with_parameters(self, component: str, parameters: Mapping[str, Any]) -> System:
-        """The same system with some parameters of one component set anew: numbers in the unit of the port, or as a file has them."""
+        """System with some parameters of one component set anew: numbers in the unit of the port, or as a file has them."""
         try:
             old = self.component(component)
         except SystemFileError as error:
@@ -237,8 +223,8 @@ class System:
 
 def ticks(seconds: float, what: str) -> int:
     """Seconds as a whole number of nanoseconds; SystemFileError if it is not one, or not positive."""
-    if not abs(seconds) < 1e9:  # NaN, infinite, or so many that a float does not count nanoseconds
-        raise SystemFileError(f"{what} = {seconds!r} s is not a number of seconds below 1e9")
+    if not abs(seconds) < MAX_SECONDS:  # NaN, infinite, or so many that a float does not count nanoseconds
+        raise SystemFileError(f"{what} = {seconds!r} s is not a number of seconds below {MAX_SECONDS:g}")
     count = round(seconds * TICK)
     if count <= 0 or abs(seconds * TICK - count) > 1e-6 * max(1.0, count * 1e-6):
         near = f"; the nearest is {f'{count / TICK:.9f}'.rstrip('0')} s" if count > 0 else ""
@@ -251,102 +237,48 @@ def load(file: Path, convert: Convert = same_unit_only) -> System:
     if not file.is_file():
         near = sorted(p.name for p in file.parent.glob("*.toml")) if file.parent.is_dir() else []
         raise SystemFileError(f"no system file {file}; TOML files in that folder: {', '.join(near) or 'none'}")
-    content = TomlFile.load(file, SystemFileError, file.name)
-    return _Loader(file, content, convert).system(content.table)
+    top = Entry.load(file, SystemFileError, convert, file.name)
+    top.keys({"name", "step", "components"}, {*_TEXTS, *_CHOICES, *_FLAGS, *_OTHER, *EQUIPMENT})
+    plain: dict[str, Any] = {key: top[key].text(blank=True) for key in _TEXTS if key in top}
+    plain |= {key: top[key].choice(names) for key, names in _CHOICES.items() if key in top}
+    plain |= {key: top[key].flag() for key in _FLAGS if key in top}
+    made: dict[str, Any] = {
+        "step": top["step"].si("s"),
+        "stop": top["stop"].si("s") if "stop" in top else None,
+        "components": tuple(_component(name, entry) for name, entry in top["components"].items()),
+        "connections": tuple(_connection(entry) for entry in top.get("connections", []).each()),
+        "recording": top.get("recording", {}).made(Recording),
+        "iteration": top.get("iteration", {}).made(Iteration),
+        "labels": MappingProxyType(top.get("labels", {}).table().value),
+        "equipment": {key: top[key].table() for key in EQUIPMENT if key in top},
+    }
+    with top.blamed_for(SystemFileError):
+        return System(**plain, **made, file=file)
 
 
-class _Loader:
-    """One system file while it is read: knows where things stand."""
-
-    def __init__(self, file: Path, content: TomlFile, convert: Convert) -> None:
-        self.file, self.content, self.convert = file, content, convert
-
-    def fail(self, message: str, *path: str | int) -> SystemFileError:
-        return SystemFileError(f"{self.content.place(*path)}: {message}")
-
-    def check(self, table: Any, keys: Mapping[str, Any], required: Sequence[str], what: str, *path: str | int) -> Mapping[str, Any]:
-        """The table if it has only known keys of the right type and the required ones."""
-        if not isinstance(table, dict):
-            raise self.fail(f"{what}: expected a table with {', '.join(keys)}; found {table!r}", *path)
-        for key, value in table.items():
-            if key not in keys:
-                raise self.fail(f"{what}: {unknown('key', key, keys)}", *path, key)
-            allowed = keys[key] if isinstance(keys[key], tuple) else (keys[key],)
-            if not isinstance(value, allowed) or (isinstance(value, bool) and bool not in allowed):
-                expected = " or ".join(_WORDS[a] for a in allowed)
-                raise self.fail(f"{what}: {key} is {expected}; found {value!r}", *path, key)
-        for key in required:
-            if key not in table:
-                raise self.fail(f"{what}: {key} is missing", *path)
-        return table
-
-    def seconds(self, value: float | str, *path: str | int) -> float:
-        try:
-            return quantity(value, "s", self.convert)
-        except ValueError as error:
-            raise self.fail(f"{path[-1]}: {error}", *path) from None
-
-    def system(self, table: Mapping[str, Any]) -> System:
-        self.check(table, _TOP, ("name", "step", "components"), "system")
-        try:
-            return System(
-                name=table["name"],
-                description=table.get("description", ""),
-                step=self.seconds(table["step"], "step"),
-                stop=self.seconds(table["stop"], "stop") if "stop" in table else None,
-                stop_when=table.get("stop_when"),
-                algorithm=table.get("algorithm", "gauss-seidel"),
-                components=tuple(self.component(name, c) for name, c in table["components"].items()),
-                connections=tuple(self.connection(i, c) for i, c in enumerate(table.get("connections", []))),
-                recording=self.recording(table.get("recording", {})),
-                labels=MappingProxyType(table.get("labels", {})),
-                require_connected=table.get("require_connected", False),
-                check_ranges=table.get("check_ranges", True),
-                loop=table.get("loop", "auto"),
-                iteration=Iteration(**self.check(table.get("iteration", {}), _ITERATION, (), "iteration", "iteration")),
-                file=self.file,
-            )
-        except SystemFileError as error:
-            if str(error).startswith(self.file.name):
-                raise
-            raise self.fail(str(error)) from None
-
-    def recording(self, table: Any) -> Recording:
-        self.check(table, _RECORDING, (), "recording", "recording")
-        columns = table.get("columns", ["*"])
-        if not all(isinstance(c, str) for c in columns):
-            raise self.fail(f"recording: columns is a list of texts; found {columns!r}", "recording", "columns")
-        known = {key: value for key, value in table.items() if key != "columns"}
-        return Recording(tuple(columns), **known)
-
-    def component(self, name: str, table: Any) -> Component:
-        path = ("components", name)
-        if not _NAME.fullmatch(name):
-            raise self.fail(f"component name {name!r}: letters, digits and underscores only, no digit first", *path)
-        self.check(table, _COMPONENT, ("source",), f"component {name!r}", *path)
-        if "time_limit" in table and not table.get("isolate", False):
-            raise self.fail(
-                f"component {name!r}: time_limit needs isolate = true: only a process of its own can be ended", *path, "time_limit"
-            )
-        return Component(
-            name,
-            table["source"],
-            self.content.written(table.get("parameters", {}), *path, "parameters"),
-            self.content.line(*path),
-            table.get("isolate", False),
-            self.seconds(table.get("time_limit", "60 s"), *path, "time_limit"),
-            table.get("rate", 1),
-            table.get("every", 1),
-            self.content.written(table.get("inputs", {}), *path, "inputs"),
-        )
-
-    def connection(self, index: int, table: Any) -> Connection:
-        path = ("connections", index)
-        self.check(table, _CONNECTION, ("from", "to"), f"connection {index + 1}", *path)
-        for key in ("from", "to"):
-            if "." not in table[key]:
-                raise self.fail(f"connection {index + 1}: {key} = {table[key]!r} is not of the form component.port", *path, key)
-        return Connection(table["from"], table["to"], table.get("delayed", False), self.content.line(*path))
+def _component(name: str, entry: Entry) -> Component:
+    if not _NAME.fullmatch(name):
+        raise entry.fail("the name of a component: letters, digits and underscores only, no digit first")
+    entry.keys({"source"}, _COMPONENT)
+    isolate = entry.get("isolate", False).flag()
+    if "time_limit" in entry and not isolate:
+        raise entry["time_limit"].fail("needs isolate = true: only a process of its own can be ended")
+    return Component(
+        name,
+        entry["source"].text(),
+        entry.get("parameters", {}).written(),
+        entry.line,
+        isolate,
+        entry.get("time_limit", "60 s").si("s"),
+        entry.get("rate", 1).count(1),
+        entry.get("every", 1).count(1),
+        entry.get("inputs", {}).written(),
+    )
 
 
-_WORDS = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", dict: "a table", list: "a list"}
+def _connection(entry: Entry) -> Connection:
+    entry.keys({"from", "to"}, {"delayed"})
+    for key in ("from", "to"):
+        if "." not in entry[key].text():
+            raise entry[key].expected("component.port")
+    return Connection(entry["from"].value, entry["to"].value, entry.get("delayed", False).flag(), entry.line)

@@ -27,6 +27,7 @@ Convert = Callable[[float, str, str], float]
 The unit is empty where none was written: then the converter says whether the value needs one.
 """
 
+
 _NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s*([^\W\d_][^\s]*|[%\u00b0\u2030]\S*)|\s+(1/\S+))?\s*")
 """A number, and a unit that begins with a letter, a degree or a per cent sign, or with `1/`: "-2 1" are two numbers."""
 
@@ -59,7 +60,7 @@ def quantity(value: Any, wanted: str, convert: Convert, bare: bool = False) -> f
     except OverflowError:  # an integer of any length is valid TOML
         number = math.inf
     if not math.isfinite(number):
-        raise ValueError(f"expected a finite number in {wanted!r}; found {value if len(str(value)) < 40 else 'one that is too large'}")
+        raise ValueError(f"expected a finite number in {wanted!r}; found {value if isinstance(value, float) else 'one that is too large'}")
     return number if unit == wanted else convert(number, unit, wanted)
 
 
@@ -145,6 +146,7 @@ def prepare(
 
 
 def _scalar(port: Port, value: Any, convert: Convert, folder: Path | None, by_hand: bool) -> Scalar:
+    """The value of one element as its port carries it; ValueError says what is wrong."""
     if port.type == "string" and port.causality == "parameter":
         return _text(value, folder)
     if port.type not in CARRIED:
@@ -152,7 +154,6 @@ def _scalar(port: Port, value: Any, convert: Convert, folder: Path | None, by_ha
     names = items(port)
     if isinstance(value, str) and value in names:
         return names[value]
-    wanted = port.unit or "1"
     if isinstance(value, np.generic):
         value = value.item()
     if port.type == "boolean":
@@ -161,6 +162,15 @@ def _scalar(port: Port, value: Any, convert: Convert, folder: Path | None, by_ha
         raise ValueError(f"expected true or false; found {value!r}")
     if isinstance(value, str) and names:
         raise ValueError(f"expected an item of the enumeration: {_listed(names)}; found {value!r}")
+    number = _number(value, port.unit or "1", convert, by_hand)
+    if port.type == "integer":
+        number = _whole(port, value, number)
+    _check_bounds(port, number)
+    return int(number) if port.type == "integer" else float(number)
+
+
+def _number(value: Any, wanted: str, convert: Convert, by_hand: bool) -> float:
+    """A finite number in the unit `wanted` from one, a text with a unit, or a table of value and unit."""
     if isinstance(value, Mapping):
         if set(value) != {"value", "unit"}:
             raise ValueError(f"expected a value or {{value = ..., unit = ...}}; found a table with {', '.join(value)}")
@@ -174,27 +184,35 @@ def _scalar(port: Port, value: Any, convert: Convert, folder: Path | None, by_ha
         number = quantity(value, wanted, convert, bare=not by_hand)
     if not math.isfinite(number):
         raise ValueError(f"expected a finite number in {wanted!r}; found {value}")
-    if port.type == "integer" and number != int(number):
+    return number
+
+
+def _whole(port: Port, value: Any, number: float) -> float:
+    """The whole number that `value` stands for, `number` as a float, if the type of the port holds it and it is one of its items."""
+    names = items(port)
+    if number != int(number):
         raise ValueError(f"expected a whole number; found {value!r}")
-    if port.type == "integer":
-        if isinstance(value, int):
-            number = value  # exact beyond 2^53
-        low, high = whole_range(port)
-        if not low <= number <= high:
-            raise ValueError(f"{int(number)} does not fit its type: expected {low} to {high}")
-        if isinstance(number, float) and abs(number) > EXACT:
-            raise ValueError(
-                f"{value!r} may stand for several whole numbers; above {EXACT} write it without decimal point, exponent and unit"
-            )
-        if names and number not in names.values():
-            raise ValueError(f"expected an item of the enumeration: {_listed(names)}; found {value!r}")
+    if isinstance(value, int):
+        number = value  # exact beyond 2^53
+    low, high = whole_range(port)
+    if not low <= number <= high:
+        raise ValueError(f"{int(number)} does not fit its type: expected {low} to {high}")
+    if isinstance(number, float) and abs(number) > EXACT:
+        raise ValueError(f"{value!r} may stand for several whole numbers; above {EXACT} write it without decimal point, exponent and unit")
+    if names and number not in names.values():
+        raise ValueError(f"expected an item of the enumeration: {_listed(names)}; found {value!r}")
+    return number
+
+
+def _check_bounds(port: Port, number: float) -> None:
+    """ValueError for a number below the minimum of the port or above its maximum."""
+    wanted = port.unit or "1"
     for bound, outside, word in (
         (port.minimum, port.minimum is not None and number < port.minimum, "below its minimum"),
         (port.maximum, port.maximum is not None and number > port.maximum, "above its maximum"),
     ):
         if outside:
             raise ValueError(f"{number:.9g} {wanted} is {word} {bound:.9g} {wanted}")
-    return int(number) if port.type == "integer" else float(number)
 
 
 def _listed(names: Mapping[str, int]) -> str:

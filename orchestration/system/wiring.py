@@ -45,7 +45,7 @@ class Wiring:
     gather: Mapping[str, Indices]
     """Positions on the bus of a component's inputs during a run."""
     gather_first: Mapping[str, Indices]
-    """The same for initialisation: connections that are delayed or go backwards give the input's start value."""
+    """Those during initialisation: connections that are delayed or go backwards give the input's start value."""
     start_values: FloatArray = field(repr=False)
     """The bus before initialisation."""
     any_delayed: bool

@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from robomill.cell.binding import convert
-from robomill.logs.mapping import LogMapping, Signal, load_mapping, rotation_abc
+from robomill.logs.mapping import AXES, LogMapping, Signal, load_mapping, rotation_abc
 from robomill.logs.reading import SUFFIXES, FloatArray, Log, LogError, read_log
 from robomill.models.model.units import UNITS, canonical, compatible
 from robomill.orchestration.runs.importing import write_run
 from robomill.orchestration.slaves.protocol import PortData
-from robomill.orchestration.system.parameters import quantity
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ def _clock(mapping: LogMapping, log: Log) -> FloatArray | None:
 
 
 def _increasing(what: str, t: FloatArray) -> None:
-    if len(t) < 2:
+    if len(t) <= 1:
         raise LogError(f"{what}: has {len(t)} rows; expected at least 2")
     if not np.all(np.isfinite(t)):
         raise LogError(f"{what}: not a number in row {int(np.flatnonzero(~np.isfinite(t))[0]) + 1}")
@@ -137,18 +135,15 @@ def _values(mapping: LogMapping, signal: Signal, log: Log, clock: FloatArray | N
     if signal.orientation:
         x, target = _quaternions(mapping, signal, x, unit), "1"
     elif signal.rotation is not None:
-        if x.shape[1] != 3:
+        if x.shape[1] != AXES:
             raise _problem(mapping, signal, f"a rotation needs three columns x, y, z; there are {x.shape[1]}")
         x = x @ signal.rotation.T
     if signal.size is not None and x.shape[1] != signal.size:
         raise _problem(mapping, signal, f"has {signal.size} elements; the mapping gives {x.shape[1]}")
     if signal.range is not None:
-        try:
-            least, most = (quantity(v, target, convert) for v in signal.range)
-        except ValueError as error:
-            raise LogError(f"{signal.place}: range of {signal.port}: {error}") from None
+        least, most = (value.si(target) for value in signal.range.each())
         if least >= most:
-            raise LogError(f"{signal.place}: range of {signal.port}: expected [lowest, highest]; found {list(signal.range)!r}")
+            raise signal.range.expected("[lowest, highest]")
         low, high = float(x.min()), float(x.max())
         if low < least or high > most:
             raise _problem(
@@ -183,7 +178,7 @@ def _si(unit: str) -> str:
 
 def _quaternions(mapping: LogMapping, signal: Signal, x: FloatArray, unit: str) -> FloatArray:
     """Euler angles A, B, C [n,3] rad to quaternions [n,4], scalar first, w >= 0; turned by the rotation of the signal."""
-    if x.shape[1] != 3 or not compatible(unit, "rad"):
+    if x.shape[1] != AXES or not compatible(unit, "rad"):
         raise _problem(mapping, signal, f"orientation 'abc' needs three columns A, B, C in deg or rad; there are {x.shape[1]} in {unit}")
     R = rotation_abc(x)
     q = Rotation.from_matrix(R if signal.rotation is None else signal.rotation @ R).as_quat()[:, [3, 0, 1, 2]]

@@ -71,7 +71,7 @@ def _csv(file: Path, delimiter: str = ",", decimal: str = ".", skip_rows: int = 
     except (csv.Error, UnicodeDecodeError) as error:
         raise LogError(f"{file}: not a CSV file in UTF-8: {error}") from None
     rows = [r for r in rows if r]
-    if len(rows) < 2:
+    if len(rows) <= 1:
         raise LogError(f"{file}: expected a row of names and rows of numbers after {skip_rows} skipped rows; found {len(rows)} rows")
     names = tuple(n.strip() for n in rows[0])
     _no_doubles(file, names)

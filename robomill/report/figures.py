@@ -16,6 +16,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from robomill.diagnosis.catalogue import LOGGING
+from robomill.diagnosis.localisation.where import Where
+from robomill.diagnosis.outcome.answer import Visible
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 from robomill.report import robot
 from robomill.report.style import AFTER, BEFORE, COLOURS, INK, MUTED, NOISE, PAPER, SHADE, STYLE, WIDTH
@@ -24,6 +26,12 @@ from robomill.report.units import percent, percent_interval, scale
 
 ROWS = 4
 """Panels with signals, at most."""
+FILLED = 3
+"""Panels that there are even if fewer signals have a cause: the loudest ones fill them; of what no cause explains, so many are shown."""
+BAR = 0.005
+"""Share of the gap from beyond which the tolerances of calibration have a bar: less is shown as 0 %."""
+COLUMN = 12
+"""Effects in one column of the figure; more are put in two."""
 SHADED = "shaded: "
 ALWAYS = 0.95
 """Part of a run from which it is all of it."""
@@ -104,24 +112,23 @@ def _gap(ax: Axes, s: Subject, condition: str, channel: str, *, before: bool = T
     ax.set_xlim(curves["t"][0], curves["t"][-1])
 
 
-def component_name(s: Subject, entry: Any) -> str:
+def component_name(w: Where) -> str:
     """`drive (joint 3)`; the log is not a component."""
-    place = f" ({entry['location']})" if entry.get("location") else ""
-    return f"{'log' if entry['component'] == LOGGING else entry['component']}{place}"
+    place = f" ({w.location})" if w.location else ""
+    return f"{'log' if w.component == LOGGING else w.component}{place}"
 
 
 def shares(s: Subject) -> Figure | None:
     """Each component's part in the gap, with its interval; and what no component explains."""
-    entries = s.result["where"]
+    entries = s.answer.where
     if not entries:
         return None
-    rows = [(component_name(s, w), w["share"], w["interval"], True) for w in entries]
+    rows = [(component_name(w), w.share, w.interval, True) for w in entries]
     if not s.blamed:  # shares of a replay are no parts of the model that leaves this
-        left = max(s.result["gap"]["unexplained"], 0.0)
-        tolerated = 1.0 - left - sum(w["share"] for w in entries)
-        if tolerated > 0.005:
+        tolerated = 1.0 - s.left - sum(w.share for w in entries)
+        if tolerated > BAR:
             rows.append(("tolerances of calibration", tolerated, None, False))
-        rows.append(("not explained", left, None, False))
+        rows.append(("not explained", s.left, None, False))
     figure = Figure(figsize=(WIDTH, 0.62 + 0.36 * len(rows)), layout="constrained")
     ax = figure.subplots()
     for i, (_, share, interval, known) in enumerate(rows):
@@ -147,22 +154,18 @@ def shares(s: Subject) -> Figure | None:
 
 def signals(s: Subject) -> Figure | None:
     """The gap on the diagnosed run where it shows most, with the times of each cause shaded."""
-    if not s.conditions or (s.verdict in ("bad_log", "none") and not s.result["where"]):
+    if not s.conditions or (s.verdict in ("bad_log", "none") and not s.answer.where):
         return None
     condition = s.conditions[0]
     rows: dict[str, tuple[str, list[Any]]] = {}
-    for w in s.result["where"]:
-        channel = w.get("channel")
-        if channel in s.found.channels:
-            title, regime = rows.get(channel, ("", []))
-            rows[channel] = (f"{title}, {component_name(s, w)}" if title else component_name(s, w), regime + list(w.get("regime") or []))
-    unknown = s.result.get("unknown")
-    if unknown:
-        rows = {}  # what is left is of more interest than the parts of a model that is not adequate
-        for c in unknown["channels"][:3]:
-            rows[c["channel"]] = ("what is left", list(unknown["regime"]))
+    for w in s.answer.where:
+        if w.channel in s.found.channels:
+            title, regime = rows.get(w.channel, ("", []))
+            rows[w.channel] = (f"{title}, {component_name(w)}" if title else component_name(w), regime + w.regime)
+    if unknown := s.answer.unknown:  # what is left is of more interest than the parts of a model that is not adequate
+        rows = dict.fromkeys(list(unknown.channels)[:FILLED], ("what is left", unknown.regime))
     for channel in s.loudest(condition):
-        if len(rows) < 3 and base_name(channel) not in map(base_name, rows):
+        if len(rows) < FILLED and base_name(channel) not in map(base_name, rows):
             rows[channel] = ("", [])
     if not rows:
         return None
@@ -190,7 +193,7 @@ def overlay(s: Subject) -> Figure | None:
     first, *others = s.conditions
     new = [c for c in others if c.endswith(HELD_OUT) and c.removesuffix(HELD_OUT) not in s.conditions]
     columns = list(dict.fromkeys([first, *new, *others]))[:3]
-    figures = [h["channel"] for h in s.result["how_far"] if h["on"] == KINDS[-1] and h["unit"] != "1"]
+    figures = [h.channel for h in s.answer.how_far if h.on == KINDS[-1] and h.unit != "1"]
     loud = s.loudest(s.conditions[0])
     rows = sorted((c for c in loud if base_name(c) in figures), key=lambda c: list(s.titles or figures).index(base_name(c)))[:3] or loud[:3]
     figure = Figure(figsize=(WIDTH, 0.75 + 1.35 * len(rows)), layout="constrained")
@@ -213,24 +216,26 @@ def overlay(s: Subject) -> Figure | None:
 
 def closure(s: Subject) -> Figure | None:
     """How much of each figure's gap is closed on each kind of runs, with interval and ceiling."""
-    listed = [h for h in s.result["how_far"] if h["measurable"]]
+    listed = [h for h in s.answer.how_far if h.measurable]
     order = list(s.titles)
-    names = sorted(dict.fromkeys(h["channel"] for h in listed), key=lambda n: order.index(n) if n in order else -1)
+    names = sorted(dict.fromkeys(h.channel for h in listed), key=lambda n: order.index(n) if n in order else -1)
     if not names:
         return None
     marks = {kind: (marker, dodge) for kind, marker, dodge in zip(KINDS, "os^", (-0.24, 0.0, 0.24), strict=True)}
     figure = Figure(figsize=(WIDTH, 0.85 + 0.42 * len(names)), layout="constrained")
     ax = figure.subplots()
     for h in listed:
-        marker, dodge = marks[h["on"]]
-        y = names.index(h["channel"]) + dodge
-        low, high = (float(np.clip(100.0 * x, -20.0, 104.0)) for x in h["interval"])
+        assert h.closure is not None
+        assert h.interval is not None
+        marker, dodge = marks[h.on]
+        y = names.index(h.channel) + dodge
+        low, high = (float(np.clip(100.0 * x, -20.0, 104.0)) for x in h.interval)
         ax.plot([low, high], [y, y], color=AFTER, lw=1.2)
-        x = float(np.clip(100.0 * h["closure"], -20.0, 104.0))
-        first = h["on"] == KINDS[0]
+        x = float(np.clip(100.0 * h.closure, -20.0, 104.0))
+        first = h.on == KINDS[0]
         ax.plot(x, y, marker, color=AFTER, mfc=AFTER if first else PAPER, ms=6 if first else 5, clip_on=False, zorder=3)
-        if h["ceiling"] is not None:
-            ax.plot(float(np.clip(100.0 * h["ceiling"], -20.0, 104.0)), y, "|", color=INK, ms=9, mew=1.8, zorder=4)
+        if h.ceiling is not None:
+            ax.plot(float(np.clip(100.0 * h.ceiling, -20.0, 104.0)), y, "|", color=INK, ms=9, mew=1.8, zorder=4)
     labels = [s.titles.get(n, n) for n in names]
     ax.set_yticks(range(len(names)), labels)
     ax.set_ylim(len(names) - 0.45, -0.55)
@@ -241,20 +246,20 @@ def closure(s: Subject) -> Figure | None:
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_visible(False)
     ax.set_xlabel("closed share of the gap", loc="left")
-    kinds = [k for k in KINDS if any(h["on"] == k for h in listed)]
+    kinds = [k for k in KINDS if any(h.on == k for h in listed)]
     handles = [Line2D([], [], color=AFTER, marker=marks[k][0], mfc=AFTER if k == KINDS[0] else PAPER, ms=6, lw=1.2, label=k) for k in kinds]
     _legend(figure, [*handles, Line2D([], [], color=INK, marker="|", mew=1.8, ms=9, lw=0, label="ceiling: the best any model could do")])
     return figure
 
 
-def smallest(s: Subject) -> list[tuple[str, list[tuple[float, dict[str, Any]]]]]:
-    """Effect -> (smallest visible value in units of the typical size, entry), best place first; most visible effects first."""
+def smallest(s: Subject) -> list[tuple[str, list[tuple[float, Visible]]]]:
+    """Effect -> (smallest visible value in units of the typical size, it), best place first; most visible effects first."""
     typical = {(c.effect, c.location): c.prior.scale for c in s.catalogue.candidates}
-    found: dict[str, list[tuple[float, dict[str, Any]]]] = {}
-    for v in s.result.get("smallest_visible", []):
-        size = typical.get((v["effect"], v["location"]))
-        if size and np.isfinite(v["value"]):
-            found.setdefault(v["effect"], []).append((abs(v["value"]) / size, v))
+    found: dict[str, list[tuple[float, Visible]]] = {}
+    for v in s.answer.smallest_visible or ():
+        size = typical.get((v.effect, v.location))
+        if size and np.isfinite(v.value):
+            found.setdefault(v.effect, []).append((abs(v.value) / size, v))
     ordered = {effect: sorted(places, key=lambda p: p[0]) for effect, places in found.items()}
     return sorted(ordered.items(), key=lambda item: item[1][0][0])
 
@@ -264,7 +269,7 @@ def visible(s: Subject) -> Figure | None:
     effects = smallest(s)
     if s.verdict != "none" or not effects:
         return None
-    half = -(-len(effects) // 2) if len(effects) > 12 else len(effects)
+    half = -(-len(effects) // 2) if len(effects) > COLUMN else len(effects)
     blocks = [effects[:half], effects[half:]] if len(effects) > half else [effects]
     figure = Figure(figsize=(WIDTH, 0.8 + 0.19 * half), layout="constrained")
     sizes = [size for _, places in effects for size, _ in places]
@@ -301,13 +306,13 @@ def log(s: Subject) -> Figure | None:
     condition = s.conditions[0]
     curves = s.found.curves[condition]
     rows: dict[str, tuple[str, bool]] = {}
-    for f in s.result["gate"]["findings"]:
-        pattern = re.compile(re.escape(f["channel"]).replace(r"\*", ".*"))
+    for f in s.answer.findings:
+        pattern = re.compile(re.escape(f.channel).replace(r"\*", ".*"))
         members = [c for c in s.found.channels if pattern.fullmatch(c) or pattern.fullmatch(base_name(c))]
-        if f["fatal"] and members:
+        if f.fatal and members:
             loud = s.loudness(condition)
             channel = max(members, key=lambda c: loud[c])
-            rows.setdefault(channel, (f["text"], f["kind"] == "lag"))
+            rows.setdefault(channel, (f.text, f.kind == "lag"))
     if not rows:
         return None
     shown = list(rows.items())[:ROWS]

@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 
 from robomill.diagnosis.inference.isolability import CONFUSABLE
+from robomill.diagnosis.outcome.answer import Unknown, Which
+from robomill.diagnosis.outcome.closure import HowFar
+from robomill.diagnosis.outcome.next_run import Alternative, NextRun
 from robomill.orchestration.slaves.protocol import base_name
 from robomill.report.figures import component_name, smallest
 from robomill.report.subject import GUESS, HELD_OUT, KINDS, Subject, effect_name, listed, verdict_sentence
@@ -31,6 +34,8 @@ _SHARES = {
 """Whether the shares come from replay and swaps -> what they are."""
 PAIRS = 12
 """Pairs of candidates that are listed, at most."""
+INTERVALS = 4
+"""Intervals of time that a sentence names, at most; the figure has them all."""
 
 
 def page(s: Subject, figures: Mapping[str, str]) -> str:
@@ -107,36 +112,33 @@ def _code(text: str) -> str:
     return "<code>" + escape(text).replace(".", ".<wbr/>") + "</code>"
 
 
-def _spoken(name: object) -> str:
+def _spoken(name: str) -> str:
     """Name of a candidate or model in the words of the page: `backlash @ joint 3 + runout @ cutter` -> `backlash, joint 3 with runout, cutter`."""
-    return str(name).replace("_", " ").replace(" @ ", ", ").replace(" + ", " with ")
+    return name.replace("_", " ").replace(" @ ", ", ").replace(" + ", " with ")
 
 
 def _times(s: Subject, regime: Sequence[Sequence[float]]) -> str:
     """Intervals of time, the first few, to about a hundredth of the longest run."""
     longest = max((float(np.ptp(c["t"])) for c in s.found.curves.values()), default=0.0)
     spacing = 10.0 ** math.floor(math.log10(0.05 * longest)) if longest > 0.0 else 0.1
-    shown = ", ".join(f"{number(a, spacing)} to {number(b, spacing)}" for a, b in regime[:4])
-    return f"{shown}{' …' if len(regime) > 4 else ''} s" if regime else ""
+    shown = ", ".join(f"{number(a, spacing)} to {number(b, spacing)}" for a, b in regime[:INTERVALS])
+    return f"{shown}{' …' if len(regime) > INTERVALS else ''} s" if regime else ""
 
 
 def _tiles(s: Subject) -> str:
     tiles: list[tuple[str, str, str]] = []
-    result = s.result
-    if "probability_none" in result and s.verdict == "none":
-        tiles.append(("Probability of no effect", percent(result["probability_none"]), "of all answers considered"))
+    if s.answer.probability_none is not None:
+        tiles.append(("Probability of no effect", percent(s.answer.probability_none), "of all answers considered"))
     elif s.verdict != "bad_log":
-        tiles.append(
-            ("Gap explained", percent(1.0 - max(result["gap"]["unexplained"], 0.0)), "beyond noise and calibration, on the diagnosed runs")
-        )
-        if s.verdict != "unknown" and result["which"]:
-            first = result["which"][0]
-            tiles.append(("Probability", percent(first["probability"]), effect_name(first)))
+        tiles.append(("Gap explained", percent(1.0 - s.left), "beyond noise and calibration, on the diagnosed runs"))
+        if s.verdict != "unknown" and s.answer.which:
+            first = s.answer.which[0]
+            tiles.append(("Probability", percent(first.probability), effect_name(first)))
     for kind in KINDS:
         h = s.far(kind, WHITENED)
-        if h is not None and h["closure"] is not None:
-            ceiling = f", ceiling {_ceiling(h)}" if h["ceiling"] is not None else ""
-            tiles.append((f"Gap closed, {kind}", percent(h["closure"]), f"{percent_interval(h['interval'])}{ceiling}"))
+        if h is not None and h.closure is not None:
+            ceiling = f", ceiling {_ceiling(h)}" if h.ceiling is not None else ""
+            tiles.append((f"Gap closed, {kind}", percent(h.closure), f"{percent_interval(h.interval)}{ceiling}"))
             break
     used = [c for c in s.conditions if not c.endswith(HELD_OUT)]
     held = len(s.conditions) - len(used)
@@ -150,25 +152,25 @@ def _count(n: int, what: str) -> str:
 
 
 def _log(s: Subject, figures: Mapping[str, str]) -> str:
-    findings = s.result["gate"]["findings"]
+    findings = s.answer.findings
     if not findings:
         return _paragraph(
             "Yes. Time base, missing and constant samples, ranges, signs, units, axes and clocks were looked at; nothing was found."
         )
     rows = []
     for f in findings:
-        if f["repaired"]:
+        if f.repaired:
             status = "corrected"
-        elif f["fatal"] and s.verdict == "bad_log":
+        elif f.fatal and s.verdict == "bad_log":
             status = '<span class="bad">stops the diagnosis</span>'
         else:
             status = "noted"
-        size = quantity(f["value"], f["unit"]) if f["unit"] not in ("", "1") else f"{f['value']:.3g}"
-        rows.append((_code(f["channel"]), escape(f["kind"]), escape(str(f["text"])), size, status))
+        size = quantity(f.value, f.unit) if f.unit not in ("", "1") else f"{f.value:.3g}"
+        rows.append((_code(f.channel), escape(f.kind), escape(f.text), size, status))
     text = "No, for these reasons:" if s.verdict == "bad_log" else "Yes. This was noticed:"
     remedy = ""
     if s.verdict == "bad_log":
-        clocks = any(f["kind"] == "lag" and f["fatal"] for f in findings)
+        clocks = any(f.kind == "lag" and f.fatal for f in findings)
         remedy = _paragraph(
             "A clock that is late looks like an effect of the machine, so nothing is diagnosed until it is right. Correct it in the import "
             "(shift = … in the mapping), or let robomill diagnose --repair correct it and diagnose the rest."
@@ -181,16 +183,10 @@ def _log(s: Subject, figures: Mapping[str, str]) -> str:
 
 def _where(s: Subject, figures: Mapping[str, str]) -> str:
     parts = []
-    if s.verdict == "unknown":
-        parts.append(_unknown(s))
-    if s.result["where"]:
-        parts.append(
-            _figure(
-                figures,
-                "shares",
-                _SHARES[bool(s.blamed)],
-            )
-        )
+    if s.answer.unknown:
+        parts.append(_unknown(s, s.answer.unknown))
+    if s.answer.where:
+        parts.append(_figure(figures, "shares", _SHARES[bool(s.blamed)]))
     parts.append(
         _figure(
             figures, "robot", "The robot in the pose of the run; the thin line is the path of the tool tip. Marked: where the finding acts."
@@ -204,17 +200,16 @@ def _where(s: Subject, figures: Mapping[str, str]) -> str:
         )
     )
     rows = []
-    for w in s.result["where"]:
-        channel = w.get("channel")
-        others = f"<small>or {escape(listed(w['alternatives'], 'or'))}</small>" if w.get("alternatives") else ""
-        depends = [f"{escape(d['variable'])} ({percent(d['share'])})" for d in (w.get("dependence") or [])[:3]]
+    for w in s.answer.where:
+        others = f"<small>or {escape(listed(w.alternatives, 'or'))}</small>" if w.alternatives else ""
+        depends = [f"{escape(d.variable)} ({percent(d.share)})" for d in (w.dependence or [])[:3]]
         rows.append(
             (
-                f"<strong>{escape(component_name(s, w))}</strong>{others}",
-                f"{percent(w['share'])}<small>{percent_interval(w['interval'])}</small>",
-                escape(_direction(str(w["direction"]), s)) if w.get("direction") not in (None, channel) else "–",
-                f"{escape(s.label(channel))}<small>{_code(channel)}</small>" if channel else "",
-                escape(_times(s, w.get("regime") or [])),
+                f"<strong>{escape(component_name(w))}</strong>{others}",
+                f"{percent(w.share)}<small>{percent_interval(w.interval)}</small>",
+                escape(_direction(w.direction, s)) if w.direction != w.channel else "–",
+                f"{escape(s.label(w.channel))}<small>{_code(w.channel)}</small>",
+                escape(_times(s, w.regime)),
                 "<br/>".join(depends) or "–",
             )
         )
@@ -225,25 +220,25 @@ def _where(s: Subject, figures: Mapping[str, str]) -> str:
 
 def _replay(s: Subject) -> str:
     """What each measured output says when its component is driven with measured inputs."""
-    readings = s.result.get("replay") or []
+    readings = s.answer.replay
     if not readings:
         return ""
-    loud = sorted((r for r in readings if r["significant"]), key=lambda r: -r["unexplained"])
+    loud = sorted((r for r in readings if r.significant), key=lambda r: -r.unexplained)
     rows = []
     for r in loud:
-        value, interval = with_interval(r["residual"], r["interval"], r["unit"])
-        name = f"{escape(s.titles.get(r['output'], ''))}<small>{_code(r['output'])}</small>"
+        value, interval = with_interval(r.residual, r.interval, r.unit)
+        name = f"{escape(s.titles.get(r.output, ''))}<small>{_code(r.output)}</small>"
         rows.append(
             (
                 name,
-                escape(listed(r["components"], "or")),
+                escape(listed(r.components, "or")),
                 f"{value}<small>{interval}</small>",
-                number(r["whitened"]),
-                number(r["unexplained"]),
+                number(r.whitened),
+                number(r.unexplained),
             )
         )
     text = "Each component was driven alone with measured inputs, so that nothing that happens before it can show in its outputs."
-    alike = [listed(names, "and") for names in s.result["structure"]["alike"]]
+    alike = [listed(names, "and") for names in s.answer.structure.alike] if s.answer.structure else []
     if alike:
         text += f" By the connections alone, what was measured cannot tell apart {'; '.join(alike)}: only the form of their effects can."
     text += (
@@ -256,12 +251,10 @@ def _replay(s: Subject) -> str:
 
 def _swap(s: Subject) -> str:
     """How much of each figure's gap goes when a component's outputs have the error that its replay found."""
-    swapped = s.result.get("swap") or []
-    if not swapped:
+    if not s.answer.swap:
         return ""
     rows = [
-        (escape(s.titles.get(w["figure"], w["figure"])), escape(w["component"]), _bar(w["share"]), percent_interval(w["interval"]))
-        for w in swapped
+        (escape(s.titles.get(w.figure, w.figure)), escape(w.component), _bar(w.share), percent_interval(w.interval)) for w in s.answer.swap
     ]
     text = "The closed loop was run again with what is left of a component's replay added to its outputs; the share of the gap that this takes away (Shapley value):"
     return f"<details><summary>Shares by swapping outputs</summary>\n{_paragraph(text)}{_table(('Gap in', 'Component', 'Share', '90 %'), rows)}</details>"
@@ -273,51 +266,49 @@ def _direction(direction: str, s: Subject) -> str:
     return f"{axis} of {frame}" if axis in ("x", "y", "z") else s.label(direction)
 
 
-def _unknown(s: Subject) -> str:
-    known = s.result["unknown"]
-    rows = [(_bar(c["share"]), escape(s.label(c["channel"])), _code(c["channel"])) for c in known["channels"]]
+def _unknown(s: Subject, known: Unknown) -> str:
+    rows = [(_bar(share), escape(s.label(channel)), _code(channel)) for channel, share in known.channels.items()]
     text = (
-        f"The catalogue's nearest answer is {_spoken(known['nearest'])}, and it is not good enough. What it leaves is strongest in "
-        f"the outputs of {known['component']} ({_direction(str(known['direction']), s)})"
-        + (f", at {_times(s, known['regime'])}." if known.get("regime") else ".")
+        f"The catalogue's nearest answer is {_spoken(known.nearest)}, and it is not good enough. What it leaves is strongest in "
+        f"the outputs of {known.component} ({_direction(known.direction, s)})"
+        + (f", at {_times(s, known.regime)}." if known.regime else ".")
         + (
             " The cause is there or upstream of it."
             if not s.blamed
             else " Driven with measured inputs, component by component, the blame falls as below."
         )
     )
-    if "changes" in known:
+    if known.changes:
         text += (
-            f" The gap changes with time: it is like what {_spoken(known['changes']['like'])} would do if that {known['changes']['how']}. "
+            f" The gap changes with time: it is like what {_spoken(known.changes.candidate.name)} would do if that {known.changes.how}. "
             "That is a description, not a cause."
         )
     return _paragraph(text) + _table(("Share of what is left", "Signal", "Channel"), rows)
 
 
-def _values(entry: Mapping[str, Any]) -> str:
+def _values(w: Which) -> str:
     texts = []
-    for name, p in entry["parameters"].items():
-        value, interval = with_interval(p["value"], p["interval"], relative(name, p["unit"]))
+    for name, p in w.parameters.items():
+        value, interval = with_interval(p.value, p.interval, relative(name, p.unit))
         texts.append(f"{value}<small>{interval}</small>")
     return "".join(texts)
 
 
 def _which(s: Subject) -> str:
-    entries = s.result["which"]
-    if not entries:
+    if not s.answer.which:
         return ""
     described = s.catalogue.descriptions or {}
     rows = []
-    for w in entries:
-        description = described.get(w["effect"], ("", ""))[0]
-        others = [_spoken(c) for c in w["confusable_with"]]
-        names = "".join(f"<small>{_code(w['component'] + '.' + n)}</small>" for n in w["parameters"])
+    for w in s.answer.which:
+        description = described.get(w.effect, ("", ""))[0]
+        others = [_spoken(c) for c in w.confusable_with]
+        names = "".join(f"<small>{_code(w.component + '.' + n)}</small>" for n in w.parameters)
         rows.append(
             (
-                _bar(w["probability"]),
+                _bar(w.probability),
                 f"<strong>{escape(effect_name(w))}</strong><small>{escape(description)}</small>",
                 _values(w),
-                f"{escape(w['component'])}{names}",
+                f"{escape(w.component)}{names}",
                 escape("; ".join(others)) or "–",
             )
         )
@@ -335,26 +326,25 @@ def _which(s: Subject) -> str:
 
 def _transfer(s: Subject) -> str:
     """What the model is worth in conditions that it was not fitted to."""
-    moved = s.result.get("transfer")
+    moved = s.answer.transfer
     if moved is None:
         return ""
     return _paragraph(
-        f"In new conditions, fitted to none of them, the model gains {number(moved['gain'])} nats in log score; if it were right, it should gain about "
-        f"{number(moved['promised'])}. It leaves {number(moved['after'])} times the energy of noise there, the nominal system {number(moved['before'])}."
+        f"In new conditions, fitted to none of them, the model gains {number(moved.gain)} nats in log score; if it were right, it should gain about "
+        f"{number(moved.expected_gain)}. It leaves {number(moved.after)} times the chi2 (whitened sum of squares) of noise there, the nominal system {number(moved.before)}."
     )
 
 
 def _isolability(s: Subject) -> str:
-    pairs = s.result.get("isolability") or []
-    if not pairs or s.verdict in ("none", "bad_log"):
+    if not s.answer.isolability or s.verdict in ("none", "bad_log"):
         return ""
     rows = [
         (
-            " against ".join(escape(_spoken(n)) for n in p["pair"]),
-            number(p["distance"], 1.0),
-            "cannot be told apart" if p["confusable"] else "told apart",
+            " against ".join(escape(_spoken(n)) for n in p.pair),
+            number(p.distance, 1.0),
+            "cannot be told apart" if p.confusable else "told apart",
         )
-        for p in pairs[:PAIRS]
+        for p in s.answer.isolability[:PAIRS]
     ]
     text = (
         f"Distance between what two candidates do to these signals, at the values that fit best, in deviations of noise; "
@@ -379,10 +369,10 @@ def _visible(s: Subject, figures: Mapping[str, str]) -> str:
     rows = []
     for effect, places in effects:
         best, worst = places[0][1], places[-1][1]
-        unit = relative(best["parameter"], best["unit"])
-        where = f"{escape(best['location'])}: {quantity(abs(best['value']), unit)}"
-        least = f"{escape(worst['location'])}: {quantity(abs(worst['value']), unit)}" if len(places) > 1 else ""
-        typical = quantity(scales[effect, best["location"]], unit)
+        unit = relative(best.parameter, best.unit)
+        where = f"{escape(best.location)}: {quantity(abs(best.value), unit)}"
+        least = f"{escape(worst.location)}: {quantity(abs(worst.value), unit)}" if len(places) > 1 else ""
+        typical = quantity(scales[effect, best.location], unit)
         rows.append((escape(effect.replace("_", " ")), where, least, typical, number(places[0][0])))
     table = _table(("Effect", "Seen best", "Seen worst", "Typical size", "Best / typical"), rows, (3, 4))
     return (
@@ -399,26 +389,24 @@ def _visible(s: Subject, figures: Mapping[str, str]) -> str:
 
 
 def _far(s: Subject, figures: Mapping[str, str]) -> str:
-    entries = s.result["how_far"]
-    if not entries or s.verdict == "bad_log":
+    if not s.answer.how_far or s.verdict == "bad_log":
         return ""
     rows: list[Sequence[str]] = []
     for kind in KINDS:
-        here = sorted(
-            (h for h in entries if h["on"] == kind), key=lambda h: list(s.titles).index(h["channel"]) if h["channel"] in s.titles else -1
-        )
+        here = [h for h in s.answer.how_far if h.on == kind]
+        here.sort(key=lambda h: list(s.titles).index(h.channel) if h.channel in s.titles else -1)
         if here:
             rows.append((escape(kind[0].upper() + kind[1:]),))
         for h in here:
-            factor, symbol = scale(h["unit"], max(h["before"], h["after"], h["floor"]))
+            factor, symbol = scale(h.unit, max(h.before, h.after, h.floor))
             # what is left may well come out as nothing: it is known to a part of the noise only
-            sizes = [join(number(factor * h[k]) if h[k] else "≈ 0", symbol) for k in ("before", "after", "floor")]
-            title = "all channels, in deviations of noise" if h["channel"] == WHITENED else s.titles.get(h["channel"], h["channel"])
-            if h["closure"] is None:
+            sizes = [join(number(factor * x) if x else "≈ 0", symbol) for x in (h.before, h.after, h.floor)]
+            title = "all channels, in deviations of noise" if h.channel == WHITENED else s.titles.get(h.channel, h.channel)
+            if h.closure is None:
                 closed, ratio = "not measurable", ""
             else:
-                closed = f"{percent(h['closure'])}<small>{percent_interval(h['interval'])}</small>"
-                ratio = f"{percent(h['closure'] / h['ceiling'])}" if h["ceiling"] else ""
+                closed = f"{percent(h.closure)}<small>{percent_interval(h.interval)}</small>"
+                ratio = f"{percent(h.closure / h.ceiling)}" if h.ceiling else ""
             rows.append((escape(title), *sizes, closed, _ceiling(h), ratio or "–"))
     table = _table(("Rms of", "Before", "After", "Noise", "Closed (90 %)", "Ceiling", "Closed / ceiling"), rows, (1, 2, 3, 4, 5, 6))
     claim = "" if s.verdict != "unknown" else " The model is not adequate: this is what it closes nevertheless."
@@ -434,40 +422,33 @@ def _far(s: Subject, figures: Mapping[str, str]) -> str:
     )
 
 
-def _ceiling(h: Mapping[str, Any]) -> str:
+def _ceiling(h: HowFar) -> str:
     """A regression shows what can be closed at least."""
-    if h["ceiling"] is None:
-        return "–"
-    return f"{'≥ ' if h.get('ceiling_by') == 'regression' else ''}{percent(h['ceiling'])}"
+    return "–" if h.ceiling is None else f"{'≥ ' if h.ceiling_by == 'regression' else ''}{percent(h.ceiling)}"
 
 
 def _next(s: Subject) -> str:
-    r = s.result.get("next_run")
-    if not r:
+    r = s.answer.next_run
+    if r is None:
         return ""
-    pair = listed([_spoken(x) for x in r["separates"]])
-    if r.get("separated") is False:
-        text = f"No run on the menu would tell apart {pair}. The one that comes nearest: {r['kind']}."
+    pair = listed([_spoken(x) for x in r.separates])
+    if r.separated:
+        text = f"{r.kind[0].upper()}{r.kind[1:]}: it separates {pair}."
     else:
-        text = f"{r['kind'][0].upper()}{r['kind'][1:]}: it separates {pair}."
+        text = f"No run on the menu would tell apart {pair}. The one that comes nearest: {r.kind}."
     parts = [f"<p><strong>{escape(text)}</strong></p>"]
-    if "distance" in r:
-        effort = f"{_count(r['repeats'], 'repeat')}, about {r['minutes']:g} minutes with setting up. " if "minutes" in r else ""
-        now = f" instead of {number(r['now'], 1.0)} now" if "now" in r else ""
-        parts.append(
-            _paragraph(
-                f"{effort}They would then be {number(r['distance'], 1.0)} deviations of noise apart{now}; {CONFUSABLE:g} are needed."
-            )
+    parts.append(
+        _paragraph(
+            f"{_count(r.repeats, 'repeat')}, about {r.minutes:g} minutes with setting up. They would then be {number(r.distance, 1.0)} "
+            f"deviations of noise apart instead of {number(r.now, 1.0)} now; {CONFUSABLE:g} are needed."
         )
-    settings = [f"{c}.{k} = {_setting(v)}" for c, values in (r.get("parameters") or {}).items() for k, v in values.items()]
+    )
+    settings = [f"{c}.{k} = {_setting(v)}" for c, values in r.parameters.items() for k, v in values.items()]
     if settings:
         parts.append("<pre><code>" + escape("\n".join(settings)) + "</code></pre>")
-    others = r.get("alternatives") or []
-    if others:
-        rows = [
-            (escape(a["kind"]), number(a["distance"], 1.0), f"{a['minutes']:g}", number(a["per_minute"]))
-            for a in [{k: r[k] for k in ("kind", "distance", "minutes", "per_minute")}, *others]
-        ]
+    if r.alternatives:
+        tried: list[NextRun | Alternative] = [r, *r.alternatives]
+        rows = [(escape(a.kind), number(a.distance, 1.0), f"{a.minutes:g}", number(a.per_minute)) for a in tried]
         parts.append(_table(("Run", "Deviations apart", "Minutes", "Deviations per minute"), rows, (1, 2, 3)))
     return "\n".join(parts)
 
@@ -492,19 +473,16 @@ def _about(s: Subject) -> str:
             kind = KINDS[1] if condition.removesuffix(HELD_OUT) in s.found.curves else KINDS[0]
         rows.append((escape(condition.removesuffix(HELD_OUT)), kind, f"{number(float(t[-1] - t[0]))} s", str(len(t))))
     parts = [_table(("Condition", "Used as", "Length", "Samples"), rows, (2, 3))] if rows else []
-    gap = s.result.get("gap")
-    lines = []
-    if gap:
-        if gap["noise_is_a_guess"]:
-            lines.append(f"{GUESS}, from the fast part of what the best model leaves. Probabilities and intervals rest on that guess.")
-        if gap["before"] > 0.0:
-            lines.append(
-                f"{percent(gap['within_calibration'] / gap['before'])} of the gap lies within the tolerances of calibrated numbers."
-            )
+    gap, lines = s.answer.gap, []
+    if s.answer.guessed:
+        lines.append(f"{GUESS}, from the fast part of what the best model leaves. Probabilities and intervals rest on that guess.")
+    if gap is not None and gap.before > 0.0:
+        lines.append(f"{percent(gap.within_calibration / gap.before)} of the gap lies within the tolerances of calibrated numbers.")
     arrays = dict.fromkeys(base_name(c) for c in s.found.channels)
+    lines += [f"Not looked for: {text}." for text in s.answer.skipped]
     parts += [_paragraph(text, "note" if "guess" in text else "") for text in lines]
     parts.append(f"<p>Channels: {', '.join(_code(a) for a in arrays)}.</p>" if arrays else "")
-    effort = s.result["effort"]["simulations"]
+    effort = s.answer.effort.simulations
     parts.append(
         _paragraph(
             f"Catalogue: {s.catalogue.file.name}. {_count(effort, 'simulation')} of the closed loop. What the method cannot do: docs/limits.md."

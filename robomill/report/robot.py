@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,20 +12,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
-from robomill.models.components.robot_compliance import MODEL
-from robomill.models.model.declaration import FloatArray, record
-from robomill.models.robot.kinematics import ROBOT_VARIABLES, SPINDLE_ACROSS, forward
-from robomill.orchestration.system.definition import Component, System
+from robomill.joints import arm, geometry
+from robomill.models.model.declaration import FloatArray
+from robomill.models.robot.kinematics import SPINDLE_ACROSS, forward
 from robomill.report.style import BODY, INK, MARK, MUTED, PAPER, TINT, WIDTH
 from robomill.report.subject import Subject, effect_name
 from robomill.report.units import percent
 
-ROBOTS = ("robot_compliance", "robot_drive", "inverse_dynamics")
-"""Components that stand for the arm of models/robot/kinematics.py, in process or as an FMU of that name."""
 ANGLES = ("drive.q_motor", "drive.q_link", "path.q_ref", "motion.q_motor", "robot.q_link")
 """Axis angles A1..A6 [rad], the first of these that is in the log."""
 POINTS = 200
 """Poses along a run that its path is drawn through."""
+LIKELY = 0.05
+"""Probability from which a cause is marked at its place on the arm."""
+APART = 0.1
+"""Distance [m] in the picture below which one joint hides another: only one of them has its number."""
 
 
 @dataclass(frozen=True)
@@ -48,25 +48,6 @@ class Pose:
     def points(self) -> FloatArray:
         """All of them, [n, 3]."""
         return np.vstack([np.zeros(3), self.joints, self.elbow, self.flange, self.nose, self.spindle, self.tip])
-
-
-def arm(system: System) -> Component | None:
-    """The component that is a six-axis robot, if there is one."""
-    by_source = {Path(c.source).stem: c for c in reversed(system.components)}
-    return next((by_source[name] for name in ROBOTS if name in by_source), None)
-
-
-def geometry(component: Component) -> Any:
-    """The record that the kernels of models/robot/kinematics.py work on: the KR 300, with what the system file says otherwise."""
-    s = record(MODEL.new())
-    for v in ROBOT_VARIABLES:
-        if v.causality == "parameter":
-            field = getattr(s, v.name)
-            if v.name in component.parameters:
-                field[:] = component.parameters[v.name]
-            for i in range(len(field)):
-                field[i] = component.parameters.get(f"{v.name}[{i + 1}]", field[i])
-    return s
 
 
 def pose(s: Any, q: FloatArray) -> Pose:
@@ -98,14 +79,15 @@ def marks(s: Subject) -> dict[str, str]:
     """Part of the arm -> what is to be said there."""
     found: dict[str, list[str]] = {}
     if s.verdict in ("identified", "ambiguous"):
-        entries = [w for w in s.result["which"] if w["probability"] >= 0.05]
-        for w in entries:
-            text = effect_name(w) + (f" ({percent(w['probability'])})" if s.verdict == "ambiguous" else "")
-            for part in parts(w["component"], w["location"], w["effect"]):
-                found.setdefault(part, []).append(text)
-    elif s.verdict == "unknown":
-        for w in s.blamed or [{**s.result["unknown"], "location": s.label(s.result["unknown"]["direction"])}]:
-            for part in parts(w["component"], w["location"], str(w["nearest"]).partition(" @ ")[0]):
+        for w in s.answer.which:
+            if w.probability >= LIKELY:
+                text = effect_name(w) + (f" ({percent(w.probability)})" if s.verdict == "ambiguous" else "")
+                for part in parts(w.component, w.location, w.effect):
+                    found.setdefault(part, []).append(text)
+    elif known := s.answer.unknown:
+        places = [(b.component, b.location, b.nearest or "") for b in s.blamed]
+        for component, location, nearest in places or [(known.component, s.label(known.direction), known.nearest)]:
+            for part in parts(component, location, nearest.partition(" @ ")[0]):
                 found.setdefault(part, []).append("not in the catalogue")
     return {part: ", ".join(dict.fromkeys(texts)) for part, texts in found.items()}
 
@@ -132,7 +114,7 @@ def draw(s: Subject) -> Figure | None:
         return None
     body = geometry(component)
     t = s.found.curves[s.conditions[0]]["t"]
-    regime = next((w["regime"] for w in s.result["where"] if w.get("regime")), None) or s.result.get("unknown", {}).get("regime")
+    regime = next((w.regime for w in (*s.answer.where, s.answer.unknown) if w is not None and w.regime), None)
     at = int(np.searchsorted(t, 0.5 * sum(regime[0]))) if regime else len(t) // 2
     now = pose(body, q[min(at, len(q) - 1)])
     path = np.array([pose(body, row).tip for row in q[:: max(1, len(q) // POINTS)]])
@@ -243,7 +225,7 @@ def _arm(ax: Axes, now: Pose, path: FloatArray, view: FloatArray, said: Mapping[
     for i in sorted(range(6), key=lambda i: (f"joint {i + 1}" not in said, -i)):  # what is marked, then from the tool to the base
         on = f"joint {i + 1}" in said
         place = now.joints[i] @ view
-        if any(np.linalg.norm(place - other) < 0.1 for other in drawn):
+        if any(np.linalg.norm(place - other) < APART for other in drawn):
             continue  # behind another
         drawn.append(place)
         x, y = place

@@ -6,13 +6,15 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from robomill.diagnosis.catalogue import Catalogue
-from robomill.diagnosis.outcome.answer import Diagnosis
-from robomill.diagnosis.outcome.verdict import IDENTIFIED, UNEXPLAINED
+from robomill.diagnosis.gate.checks import Finding
+from robomill.diagnosis.localisation.where import Replayed
+from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Which
+from robomill.diagnosis.outcome.closure import HowFar
+from robomill.diagnosis.outcome.verdict import IDENTIFIED, UNEXPLAINED, stands
 from robomill.orchestration.runs.recorder import frame_of
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
@@ -24,6 +26,8 @@ KINDS = ("held-out condition", "held-out repeat", "diagnosed runs")
 """Where the closure is measured, the hardest test first."""
 _JOINTS = re.compile(r"(q|torque|correction_q)(_[a-z]+)?")
 """Ports whose elements are joints, not the axes of a frame."""
+CAUSES = 4
+"""Possible causes that the sentence of an ambiguous verdict names, at most; of the others it says how many there are."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +40,9 @@ class Subject:
     catalogue: Catalogue
 
     @property
-    def result(self) -> dict[str, Any]:
-        """As in diagnosis.json."""
-        return self.found.result
+    def answer(self) -> Answer:
+        """What diagnosis.json holds."""
+        return self.found.answer
 
     @property
     def titles(self) -> Mapping[str, str]:
@@ -48,7 +52,12 @@ class Subject:
     @property
     def verdict(self) -> str:
         """One of none, identified, ambiguous, unknown, bad_log."""
-        return str(self.result["verdict"])
+        return self.answer.verdict
+
+    @property
+    def left(self) -> float:
+        """Share of what is beyond noise and calibration that the best model leaves; 0 where none was fitted."""
+        return self.answer.gap.unexplained if self.answer.gap else 0.0
 
     @cached_property
     def conditions(self) -> list[str]:
@@ -61,7 +70,7 @@ class Subject:
         return self.found.channels.index(channel)
 
     def unit(self, channel: str) -> str:
-        """Of a channel or array; "" where nobody knows."""
+        """Unit of a channel or array; "" where nobody knows."""
         measured = (r.unit(channel) for r in self.runs if channel in r.columns or base_name(channel) in map(base_name, r.columns))
         return next((u for u in measured if u), "") or next(
             (p.unit or "" for c, p in self.found.ports.items() if base_name(c) == base_name(channel)), ""
@@ -105,29 +114,29 @@ class Subject:
         return channel if title == base else f"{title}, element {index}"
 
     @property
-    def sure(self) -> list[dict[str, Any]]:
+    def sure(self) -> list[Which]:
         """Entries of `which` that are believed."""
-        return [w for w in self.result["which"] if w["probability"] >= IDENTIFIED]
+        return [w for w in self.answer.which if w.probability >= IDENTIFIED]
 
     @property
-    def blamed(self) -> list[dict[str, Any]]:
+    def blamed(self) -> list[Replayed]:
         """Entries of `where` that come from replay and swaps, because no effect of the catalogue explains the gap."""
-        return [w for w in self.result["where"] if "nearest" in w]
+        return [w for w in self.answer.where if isinstance(w, Replayed)]
 
-    def far(self, kind: str, channel: str) -> dict[str, Any] | None:
+    def far(self, kind: str, channel: str) -> HowFar | None:
         """Entry of `how_far` for an array on one kind of runs."""
-        return next((h for h in self.result["how_far"] if h["on"] == kind and h["channel"] == channel), None)
+        return next((h for h in self.answer.how_far if h.on == kind and h.channel == channel), None)
 
 
-def effect_name(entry: Mapping[str, Any]) -> str:
+def effect_name(w: Which) -> str:
     """`backlash, joint 3`."""
-    return f"{str(entry['effect']).replace('_', ' ')}, {entry['location']}"
+    return f"{w.effect.replace('_', ' ')}, {w.location}"
 
 
-def sized(entry: Mapping[str, Any]) -> str:
-    """The same with its fitted values: `backlash, joint 3 (80.2 µrad)`."""
-    values = [quantity(p["value"], relative(name, p["unit"])) for name, p in entry["parameters"].items()]
-    return f"{effect_name(entry)} ({', '.join(values)})"
+def sized(w: Which) -> str:
+    """Name of an effect with its fitted values: `backlash, joint 3 (80.2 µrad)`."""
+    values = [quantity(p.value, relative(name, p.unit)) for name, p in w.parameters.items()]
+    return f"{effect_name(w)} ({', '.join(values)})"
 
 
 def listed(parts: Sequence[str], last: str = "and") -> str:
@@ -143,44 +152,40 @@ GUESS = "Nothing was repeated, so the noise is a guess"
 def verdict_sentence(s: Subject) -> str:
     """The whole answer in one sentence; it begins with what it rests on, where that is a guess."""
     answer = _answer(s)
-    return f"{GUESS}: {answer[0].lower()}{answer[1:]}" if s.result.get("gap", {}).get("noise_is_a_guess") else answer
+    return f"{GUESS}: {answer[0].lower()}{answer[1:]}" if s.answer.guessed else answer
 
 
 def _answer(s: Subject) -> str:
-    result = s.result
     if s.verdict == "bad_log":
-        fatal = [f for f in result["gate"]["findings"] if f["fatal"]]
+        fatal = [f for f in s.answer.findings if f.fatal]
         more = f" ({len(fatal) - 1} more findings below)" if len(fatal) > 1 else ""
         return f"This log cannot be diagnosed: {reason(fatal[0])}{more}." if fatal else "This log cannot be diagnosed."
     if s.verdict == "none":
         return "No effect is needed to explain these runs: machine and simulation differ by no more than noise and the tolerances of calibrated numbers."
-    left = result["gap"]["unexplained"]
-    if s.verdict == "unknown":
-        known = result["unknown"]
-        place = listed([listed([w["component"], *w["alternatives"]], "or") for w in s.blamed]) or known["component"]
-        where = f"; it shows most in {s.label(known['channels'][0]['channel'])}" if known["channels"] else ""
-        why = f"leaves {percent(left)} of the gap"
-        if left <= UNEXPLAINED:
-            if result.get("transfer", {}).get("stands") is False:
+    if known := s.answer.unknown:
+        place = listed([listed([w.component, *(w.alternatives or ())], "or") for w in s.blamed]) or known.component
+        where = f"; it shows most in {s.label(next(iter(known.channels)))}" if known.channels else ""
+        why = f"leaves {percent(s.left)} of the gap"
+        if s.left <= UNEXPLAINED:
+            if s.answer.transfer is not None and stands(s.answer.transfer) is False:
                 why = "does not hold in new conditions"
             else:
-                why = "does not change with time as the gap does" if "changes" in known else "does not hold all along the runs"
+                why = "does not change with time as the gap does" if known.changes else "does not hold all along the runs"
         return f"Something real that is not in the catalogue, in {place}: the best model {why}{where}."
     if s.verdict == "ambiguous":
-        sure, open_ = s.sure, [w for w in result["which"] if w["probability"] < IDENTIFIED]
+        sure, open_ = s.sure, [w for w in s.answer.which if w.probability < IDENTIFIED]
         first = f"The gap is caused by {listed([sized(w) for w in sure])}, together with one of" if sure else "The gap has one of"
-        names = [f"{sized(w)} at {percent(w['probability'])}" for w in open_[:4]]
-        rest = f" or one of {len(open_) - 4} others" if len(open_) > 4 else ""
+        names = [f"{sized(w)} at {percent(w.probability)}" for w in open_[:CAUSES]]
+        rest = f" or one of {len(open_) - CAUSES} others" if len(open_) > CAUSES else ""
         return f"{first} several causes that these runs cannot tell apart: {listed(names, 'or')}{rest}."
     causes = listed([sized(w) for w in s.sure])
     explain = "explains" if len(s.sure) == 1 else "together explain"
-    return f"The gap is caused by {causes}, which {explain} {percent(1.0 - max(left, 0.0))} of what is beyond noise and calibration{_shrinks(s)}."
+    return f"The gap is caused by {causes}, which {explain} {percent(1.0 - s.left)} of what is beyond noise and calibration{_shrinks(s)}."
 
 
-def reason(finding: Mapping[str, Any]) -> str:
+def reason(finding: Finding) -> str:
     """Channel and text of a finding of the gate, as one clause."""
-    text = str(finding["text"])
-    return text if text.startswith("the clock") else f"{finding['channel']} {text}"
+    return finding.text if finding.text.startswith("the clock") else f"{finding.channel} {finding.text}"
 
 
 def _shrinks(s: Subject) -> str:
@@ -188,10 +193,10 @@ def _shrinks(s: Subject) -> str:
     for kind in KINDS:
         for base in s.titles:
             h = s.far(kind, base)
-            if h is not None and h["closure"] is not None:
-                factor, symbol = scale(h["unit"], h["before"])
-                before = join(number(h["before"] * factor), symbol)
-                after = join(number(h["after"] * factor), symbol) if h["after"] else "less than can be measured"
+            if h is not None and h.closure is not None:
+                factor, symbol = scale(h.unit, h.before)
+                before = join(number(h.before * factor), symbol)
+                after = join(number(h.after * factor), symbol) if h.after else "less than can be measured"
                 where = {"held-out condition": "new conditions", "held-out repeat": "held-out repeats"}.get(kind, "the diagnosed runs")
                 return f"; once it is in the model, {s.titles[base]} on {where} falls from {before} to {after} (rms)"
     return ""

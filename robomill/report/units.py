@@ -20,6 +20,13 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
 """unit -> sizes below which a factor and a symbol are used; "%" is a relative number that is shown as a percentage. Above all of it, it may
 as well be a quantity whose unit nobody stated, as many FMUs do: then it is shown as a number."""
 
+DECIMALS = 5
+"""Behind the point, at most: a number that needs more is shown with an exponent."""
+UNPARTED = 4
+"""Digits before the point up to which a number is shown in one piece; those of a longer one are parted by threes."""
+MANIFOLD = 10.0
+"""Share from which the percentage says only that it is large: one of 1000 % is no share of something any more."""
+
 
 def scale(unit: str, size: float) -> tuple[float, str]:
     """Factor and symbol for a quantity [unit] of that size; a unit that is not in the table stays, with spaces for its dots."""
@@ -42,15 +49,17 @@ def number(value: float, spacing: float | None = None) -> str:
         decimals = 1 - math.floor(math.log10(spacing) + 1e-9)
     else:
         decimals = 2 - (math.floor(math.log10(abs(value))) if value else 2)
-    if decimals > 5:
+    if decimals > DECIMALS:
         text = f"{value:.3g}"
     else:
         text = f"{value:.{max(decimals, 0)}f}"
     if not text.strip("-0."):
         text = text.lstrip("-")
+    if "e" in text:  # the digits of an exponent are not parted
+        return text.replace("-", "−")
     whole, point, rest = text.partition(".")
     digits = whole.lstrip("-")
-    if len(digits) > 4:
+    if len(digits) > UNPARTED:
         whole = whole[: len(whole) - len(digits)] + f"{int(digits):,}".replace(",", "\u202f")
     return (whole + point + rest).replace("-", "−")
 
@@ -73,12 +82,13 @@ def with_interval(value: float, interval: Sequence[float] | None, unit: str) -> 
 
 def percent(share: float) -> str:
     """`0.937` -> `94 %`; a decimal where that is needed not to say 0 or 100 of something that is neither."""
-    if abs(share) >= 10.0:
-        return join("over 1000" if share > 0.0 else "below −1000", "%")
+    if abs(share) >= MANIFOLD:
+        limit = f"{100.0 * MANIFOLD:.0f}"
+        return join(f"over {limit}" if share > 0.0 else f"below −{limit}", "%")
     value = 100.0 * share
-    plain = f"{value:.0f}"
-    if (plain == "100" and 99.5 <= value < 99.95) or (plain in ("0", "-0") and abs(value) >= 0.05):
-        plain = f"{value:.1f}"
+    plain, finer = f"{value:.0f}", f"{value:.1f}"
+    if (plain == "100" and share < 1.0 and finer != "100.0") or (plain in ("0", "-0") and finer not in ("0.0", "-0.0")):
+        plain = finer
     return join("0" if plain == "-0" else plain.replace("-", "−"), "%")
 
 

@@ -12,6 +12,7 @@ from robomill.blind.effects import BY_KEY, Instance
 from robomill.blind.signatures import FLOOR, STRIDE, Library, clocks, confusable, features, floor
 from robomill.blind.world import STEP
 from robomill.orchestration.runs.run import Run
+from tests.tolerances import ROUNDOFF
 
 ROWS = 100
 COLUMNS = ("drive.q_motor[1]", "sensor.f_T_T[1]", "compliance.p_BT_B[1]")
@@ -78,6 +79,17 @@ def test_tier_t0_has_no_tracker(library):
 def test_features_are_in_units_of_the_floor_which_grows_with_the_speed_of_the_signal():
     still, moving = np.zeros(ROWS * STRIDE), 0.5 * STEP * np.arange(ROWS * STRIDE)  # 0.5 rad/s
     assert floor("drive.q_motor[1]", still)[7] == FLOOR["drive.q_motor"]
-    assert floor("drive.q_motor[1]", moving)[7] == pytest.approx(np.hypot(FLOOR["drive.q_motor"], 0.5 * 5e-5))
+    assert floor("drive.q_motor[1]", moving)[7] == pytest.approx(np.hypot(FLOOR["drive.q_motor"], 0.5 * 5e-5), rel=ROUNDOFF)
     columns = {"drive.q_motor[1]": still + FLOOR["drive.q_motor"]}
-    np.testing.assert_allclose(features(columns, {"drive.q_motor[1]": still}, ("drive.q_motor[1]",), ROWS), 1.0)
+    np.testing.assert_allclose(features(columns, {"drive.q_motor[1]": still}, ("drive.q_motor[1]",), ROWS), 1.0, rtol=ROUNDOFF)
+
+
+@pytest.mark.parametrize(("name", "length"), [("aic", 1e-6), ("bic", 1e-6), ("lasso", 1e-9)])
+@pytest.mark.parametrize(("part", "key"), [(0.8, None), (1.2, "drive.backlash")])
+def test_a_signature_that_is_round_off_explains_nothing(library, name, length, part, key):
+    """NO_ENERGY, and its root for the information criteria; NO_LENGTH for the other."""
+    direction = library.matrix[0] / np.linalg.norm(library.matrix[0])
+    faint = np.zeros_like(library.matrix)
+    faint[0] = part * length * direction
+    guess = BASELINES[name](Library(library.candidates, faint, COLUMNS), 100.0 * direction)
+    assert guess.key == key

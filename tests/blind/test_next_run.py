@@ -5,11 +5,9 @@ from __future__ import annotations
 import pytest
 
 from robomill.blind.next_run import separates
+from robomill.blind.truth import TrueEffect, Truth
 
-FRICTION = {
-    "machine": {},
-    "effects": [{"component": "drive", "effect": "friction_coulomb", "index": 4, "value": 130.0, "formulation": "parameter"}],
-}
+FRICTION = Truth("single", (TrueEffect("drive", "friction_coulomb", "friction_coulomb[4]", 4, 130.0, "N.m"),), machine={})
 STRIBECK = {"drive": {"friction_stribeck[4]": 130.0}}
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 
 import pytest
 
 from robomill.blind.acceptance import bound
 from robomill.blind.figures import figures
 from robomill.blind.page import page
+from robomill.blind.results import Score
+from robomill.blind.statistics import Figure
 from robomill.blind.tables import confusion, per_effect, strata
 from robomill.cli import main
 from tests.blind.by_hand import GAIN, STIFF, cases, entry, said, truth
@@ -28,9 +31,8 @@ def score(tier, **more):
     }
     found |= {"date": "2026-01-02 03:04 UTC", "commit": "abc1234", "kinds": {"null": 1, "single": 2, "bad_log": 0}}
     found |= {"scores": figures(listed, tier), "strata": strata(listed), "per_effect": per_effect(listed), "confusion": confusion(listed)}
-    return json.loads(
-        json.dumps(found | {"baselines": {"lasso": {"effect_top1": {"value": 0.25, "count": 2, "interval": [0.1, 0.5]}}}} | more)
-    )
+    baselines = {"lasso": {"effect_top1": Figure(0.25, 2, (0.1, 0.5))}}
+    return json.loads(json.dumps(asdict(Score(schema="robomill-blind-score/1", baselines=baselines, **found)) | more))
 
 
 def row(text, key):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from robomill.blind.generate import _subject as subject
 from robomill.blind.generate import plans
 from robomill.blind.prediction import Named, Prediction
 from tests import ROOT
+from tests.tolerances import ROUNDOFF
 
 CATALOGUE = ROOT / "scenarios" / "catalogue.toml"
 LAG = ("lag sensor.*", "force sensor")
@@ -27,13 +29,8 @@ def truths(count, seed):
     found = []
     for plan in plans(count, seed):
         truth = subject(plan, "T1", np.random.default_rng([seed, plan.number]))[0]
-        for e in truth["effects"]:
-            e["detectability"] = 20.0
-        if truth["kind"] == "bad_log":
-            truth["bad_log"]["detectability"] = 20.0
-        found.append(
-            truth | {"case": plan.number, "machine": {}, "detectability": 0.0 if plan.kind == "null" else 20.0, "ceiling": CEILING}
-        )
+        ratio = 0.0 if plan.kind == "null" else 20.0
+        found.append(replace(truth, case=plan.number, machine={}, detectability=ratio, ceiling=CEILING))
     return found
 
 
@@ -45,20 +42,20 @@ def entry(component, parameter, probability, value, spread=0.0):
 
 def oracle(truth, random, ambiguous=False):
     """The truth as a diagnosis.json, with as much certainty as is right; 90 % of the intervals cover."""
-    if truth["kind"] == "null":
+    if truth.kind == "null":
         return {"verdict": "none"}
-    if truth["kind"] == "bad_log":
-        if truth["bad_log"]["kind"] == "lag" and random.random() < 0.5:  # a clock by its name stops the log too
+    if truth.kind == "bad_log":
+        if truth.bad_log.kind == "lag" and random.random() < 0.5:  # a clock by its name stops the log too
             return {"verdict": "identified", "which": [entry("logging", LAG[0], 1.0, 0.02)]}
         return {"verdict": "bad_log", "gate": {"usable": False}}
-    if truth["kind"] == "outside":
+    if truth.kind == "outside":
         return {"verdict": "unknown"}
     which = []
-    for e in truth["effects"]:
-        covers = truth["case"] % 10 != 0
-        which.append(entry(e["component"], e["parameter"], 1.0, e["value"] * (1.0 if covers else 1.02), 0.01 * abs(e["value"])))
-    where = [{"component": e["component"], "share": 1.0 / len(which), "location": ""} for e in truth["effects"]]
-    true = Named.of(truth["effects"][0]["component"], truth["effects"][0]["parameter"])
+    for e in truth.effects:
+        covers = truth.case % 10 != 0
+        which.append(entry(e.component, e.parameter, 1.0, e.value * (1.0 if covers else 1.02), 0.01 * abs(e.value)))
+    where = [{"component": e.component, "share": 1.0 / len(which), "location": ""} for e in truth.effects]
+    true = truth.effects[0].named
     if true.index:
         where[0]["location"] = location_names(true)[0]
     how_far = [{"on": "held-out condition", "channel": "compliance.p_BT_B", "closure": 0.85}]
@@ -83,11 +80,11 @@ def guess(truth, random):
 
 def scores(predict, count=240, seed=7):
     random = np.random.default_rng(seed)
-    cases = [Case(i, t["kind"], t, Prediction.read(predict(t, random))) for i, t in enumerate(truths(count, seed), 1)]
+    cases = [Case(i, t, Prediction.read(predict(t, random))) for i, t in enumerate(truths(count, seed), 1)]
 
     def closures(number, adopted):
-        true = cases[number - 1].truth["effects"]
-        right = all(e["parameter"] in adopted.get(e["component"], {}) for e in true)
+        true = cases[number - 1].truth.effects
+        right = all(e.parameter in adopted.get(e.component, {}) for e in true)
         return {name: (1.0, 1.0 - v["tool tip"] if right else 1.0) for name, v in CEILING.items()}
 
     return figures(Cases(cases, lambda number, i: []), "T1", closures, lambda number, run, wrong: run["kind"] == "push")
@@ -95,23 +92,23 @@ def scores(predict, count=240, seed=7):
 
 def test_who_knows_the_truth_meets_every_bound():
     found = scores(oracle)
-    assert {k: found[k]["value"] for k in BOUNDS if met(k, found[k], "T1") is False} == {}
+    assert {k: found[k].value for k in BOUNDS if met(k, found[k].value, "T1") is False} == {}
     for key in ("effect_top1", "location_top1", "component_top1", "detection", "bad_log_stopped", "unknown_recall", "doubles_exact"):
-        assert found[key]["value"] == 1.0
-        assert found[key]["count"] > 10
-    assert found["null_false_alarm"]["value"] == found["good_log_stopped"]["value"] == found["ece"]["value"] == 0.0
-    assert found["closure_over_ceiling_p10"]["value"] == pytest.approx(1.0)
-    assert found["ambiguity_holds_truth"]["count"] == 0
+        assert found[key].value == 1.0
+        assert found[key].count > 10
+    assert found["null_false_alarm"].value == found["good_log_stopped"].value == found["ece"].value == 0.0
+    assert found["closure_over_ceiling_p10"].value == pytest.approx(1.0, rel=ROUNDOFF)
+    assert found["ambiguity_holds_truth"].count == 0
 
 
 def test_who_knows_the_truth_but_hedges_meets_the_bounds_of_sets():
     def hedging(truth, random):
-        return oracle(truth, random, ambiguous=truth["kind"] == "single" and random.random() < 0.5)
+        return oracle(truth, random, ambiguous=truth.kind == "single" and random.random() < 0.5)
 
     found = scores(hedging)
     for key in ("ambiguity_holds_truth", "ambiguity_median_size", "next_run_separates"):
-        assert met(key, found[key], "T1")
-        assert found[key]["count"] > 20
+        assert met(key, found[key].value, "T1")
+        assert found[key].count > 20
 
 
 def test_who_guesses_meets_none_of_the_bounds_that_take_knowledge():
@@ -119,18 +116,18 @@ def test_who_guesses_meets_none_of_the_bounds_that_take_knowledge():
     no_guess = {"parameter_error_median", "parameter_error_p90", "interval_coverage", "claimed_closure_error_median", "next_run_separates"}
     closures = {"closure_over_ceiling_median", "closure_over_ceiling_p10"}  # of cases that are named right, of which there are hardly any
     for key in set(BOUNDS) - no_guess - closures:
-        assert met(key, found[key], "T1") is not True, key
-    assert found["effect_top1"]["value"] < 0.1
+        assert met(key, found[key].value, "T1") is not True, key
+    assert found["effect_top1"].value < 0.1
 
 
 def test_a_clock_is_neither_physics_nor_nothing():
     clock = {"verdict": "identified", "which": [entry("logging", LAG[0], 1.0, 0.02)]}
     found = scores(lambda truth, random: clock)
-    assert found["null_false_alarm"]["value"] == 1.0
-    assert found["detection"]["value"] == 0.0
-    assert found["good_log_stopped"]["value"] == 1.0
-    assert found["bad_log_stopped"]["value"] == 1.0
-    assert found["component_top1"]["value"] == found["effect_top1"]["value"] == 0.0
+    assert found["null_false_alarm"].value == 1.0
+    assert found["detection"].value == 0.0
+    assert found["good_log_stopped"].value == 1.0
+    assert found["bad_log_stopped"].value == 1.0
+    assert found["component_top1"].value == found["effect_top1"].value == 0.0
 
 
 def test_places_are_called_as_in_the_catalogue_of_the_cell():

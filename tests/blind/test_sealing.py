@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import asdict
 
 import pytest
 
@@ -11,7 +12,7 @@ from robomill.blind.case import Cases, load_cases
 from robomill.blind.figures import figures
 from robomill.blind.sealing import BenchmarkError, freeze_predictions, hashes, unseal
 from robomill.blind.statistics import wilson
-from tests.blind.by_hand import GAIN, truth
+from tests.blind.by_hand import GAIN, benchmark, truth
 
 
 @pytest.fixture
@@ -22,7 +23,7 @@ def folder(tmp_path):
     (tmp_path / "sealed" / "0001.json").write_text(json.dumps(truth("null", detectability=0.0)))
     manifest = json.dumps(hashes(tmp_path / "sealed"))
     (tmp_path / "sealed" / "manifest.json").write_text(manifest)
-    head = {"tier": "T1", "truth": hashlib.sha256(manifest.encode()).hexdigest(), "files": hashes(tmp_path / "cases")}
+    head = benchmark(truth=hashlib.sha256(manifest.encode()).hexdigest(), files=hashes(tmp_path / "cases"))
     (tmp_path / "benchmark.json").write_text(json.dumps(head))
     (tmp_path / "predictions" / "0001").mkdir(parents=True)
     (tmp_path / "predictions" / "0001" / "diagnosis.json").write_text(json.dumps({"verdict": "none"}))
@@ -61,11 +62,22 @@ def test_an_unreadable_prediction_is_missing(folder):
     assert load_cases(folder, unseal(folder)[1])[0].prediction.verdict == "missing"
 
 
+def test_a_benchmark_with_other_keys_is_refused(folder):
+    head = json.loads((folder / "benchmark.json").read_text())
+    (folder / "benchmark.json").write_text(json.dumps(head | {"weather": "fair"}))
+    with pytest.raises(BenchmarkError, match=r"other keys than this version writes: .*weather"):
+        unseal(folder)
+
+
 def test_no_benchmark_says_how_to_make_one(tmp_path):
     with pytest.raises(BenchmarkError, match="robomill blind make"):
         unseal(tmp_path)
 
 
 def test_scores_are_plain_json(folder):
-    scores = json.loads(json.dumps(figures(Cases(load_cases(folder, unseal(folder)[1]))), allow_nan=False))
-    assert scores["null_false_alarm"] == {"value": 0.0, "count": 1, "interval": list(wilson(0, 1))}
+    scores = figures(Cases(load_cases(folder, unseal(folder)[1])))
+    assert json.loads(json.dumps(asdict(scores["null_false_alarm"]), allow_nan=False)) == {
+        "value": 0.0,
+        "count": 1,
+        "interval": list(wilson(0, 1)),
+    }

@@ -7,7 +7,7 @@ import math
 import pytest
 from scipy import stats
 
-from robomill.blind.statistics import expected_calibration_error, proportion, quantile, wilson
+from robomill.blind.statistics import Figure, expected_calibration_error, proportion, quantile, wilson
 from tests.tolerances import ROUNDOFF
 
 
@@ -22,19 +22,21 @@ def test_wilson_is_the_interval_whose_ends_the_score_test_just_rejects():
 
 
 def test_a_proportion_without_cases_has_no_value():
-    assert proportion([]) == {"value": None, "count": 0, "interval": None}
+    assert proportion([]) == Figure(None, 0, None)
 
 
 def test_the_interval_of_a_median_is_that_of_the_order_statistics():
     values = list(range(1, 101))
     found = quantile(values)
-    assert found["value"] == 50.5
-    low, high = found["interval"]
+    assert found.value == 50.5
+    low, high = found.interval
     # the ranks of the binomial distribution, from scipy
     assert (low, high) == (stats.binom.ppf(0.025, 100, 0.5), stats.binom.ppf(0.975, 100, 0.5) + 1)
-    assert quantile([3.0])["interval"] is None
+    assert quantile([3.0]).interval is None
 
 
 def test_calibration_error_of_an_answer_that_is_right_as_often_as_it_says_is_zero():
-    assert expected_calibration_error([0.75] * 4, [True, True, True, False])["value"] == 0.0
-    assert expected_calibration_error([0.95] * 10 + [0.55] * 10, [True] * 5 + [False] * 5 + [True] * 10)["value"] == pytest.approx(0.45)
+    assert expected_calibration_error([0.75] * 4, [True, True, True, False]).value == 0.0
+    assert expected_calibration_error([0.95] * 10 + [0.55] * 10, [True] * 5 + [False] * 5 + [True] * 10).value == pytest.approx(
+        0.45, rel=ROUNDOFF
+    )

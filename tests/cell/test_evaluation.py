@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -88,12 +89,12 @@ def table(one: Result) -> str:
 def test_no_figures_where_nothing_is_cut(z: float, depth: float, why: str, tmp_path: Path) -> None:
     nothing = result(Recorded(along(0.0, z), (0.0, 1e-3, -4e-4), depth))
     assert nothing.surface is None
-    assert [nothing.figures[key] for key in FIGURES] == [None] * len(FIGURES)
-    assert why in nothing.figures["note"]
-    json.dumps(nothing.figures, allow_nan=False)
+    assert [getattr(nothing.figures, key) for key in FIGURES] == [None] * len(FIGURES)
+    assert why in str(nothing.figures.note)
+    json.dumps(asdict(nothing.figures), allow_nan=False)
     row = next(text for text in table(nothing).splitlines() if "a variant" in text)
     assert row.split()[2:] == ["-"] * 5 + ["1"]
-    assert _largest(nothing.figures) == nothing.figures["note"]
+    assert _largest(nothing.figures) == nothing.figures.note
     assert np.isnan(reaction_time(cast(Run, Recorded(along(0.0, z), (0.0, 1e-3, 0.0), 0.0))))
     figure = pictures.surfaces([nothing], BLOCK)
     assert "nothing is cut" in [text.get_text() for text in figure.axes[0].texts]
@@ -104,8 +105,8 @@ def test_drilling_is_cutting() -> None:
     """A plunge straight down has no edge that stands sideways in material: depth 0, and yet a hole to measure."""
     down = np.column_stack([np.zeros((400, 2)), np.concatenate([np.linspace(0.005, -0.008, 200), np.linspace(-0.008, 0.005, 200)])])
     drilled = result(Recorded(down, (2e-4, 0.0, 0.0), 0.0, **{"milling.removal_rate": 1e-7 * (np.gradient(down[:, 2]) < 0.0)}))
-    assert drilled.figures["note"] is None
-    assert drilled.figures["max_deviation_m"] == pytest.approx(
+    assert drilled.figures.note is None
+    assert drilled.figures.max_deviation_m == pytest.approx(
         2e-4, abs=discretisation(1e-4, 5e-4 / 8e-3, 2)
     )  # points lie 0.5 mm apart around it
     assert len(drilled.cuts) == 1
@@ -114,23 +115,23 @@ def test_drilling_is_cutting() -> None:
 def test_a_limit_of_the_measure_is_said_in_table_json_and_picture() -> None:
     """1 mm of the block is left beside the slot; the tool is 2.5 mm off and takes it."""
     limited = result(Recorded(along(0.021, -0.01), (0.0, 2.5e-3, 0.0), 0.01))
-    assert limited.figures["max_deviation_limited"] is True
+    assert limited.figures.max_deviation_limited is True
     assert ">= 2.50" in table(limited)
     assert ">= 2.50 mm (limit of the measure)" in _largest(limited.figures)
     figure = pictures.surfaces([limited], BLOCK)
     assert "max >= 2.50 mm" in figure.axes[0].get_title()
     plain = result(Recorded(along(0.0, -0.01), (0.0, 2.5e-3, 0.0), 0.01))
-    assert plain.figures["max_deviation_limited"] is False
+    assert plain.figures.max_deviation_limited is False
     assert ">=" not in table(plain) + _largest(plain.figures) + pictures.surfaces([plain], BLOCK).axes[0].get_title()
 
 
 def test_edges_have_a_figure_of_their_own() -> None:
     """A strip of floor as wide as the error stands under material beside the displaced wall, 2 of 16 strips of it."""
     figures = result(Recorded(along(0.0, -0.02), (0.0, 2.5e-3, 0.0), 0.02)).figures
-    assert figures["max_deviation_m"] == pytest.approx(2.5e-3, rel=1e3 * ROUNDOFF)
-    assert figures["floor_max_deviation_m"] == pytest.approx(0.0, abs=ROUNDOFF)
-    assert 0.0 < figures["edge_max_deviation_m"] <= 2.5e-3
-    assert 0.0 < figures["edge_share"] < 0.1
+    assert figures.max_deviation_m == pytest.approx(2.5e-3, rel=1e3 * ROUNDOFF)
+    assert figures.floor_max_deviation_m == pytest.approx(0.0, abs=ROUNDOFF)
+    assert 0.0 < figures.edge_max_deviation_m <= 2.5e-3
+    assert 0.0 < figures.edge_share < 0.1
 
 
 def test_each_sample_is_cut_by_the_tool_in_the_spindle(tmp_path: Path) -> None:
@@ -150,7 +151,7 @@ def test_without_a_table_of_tools_the_diameter_of_the_component_counts() -> None
     run.info = {"parameters": {"milling": {"diameter": 0.001}}}
     one = result(run)
     assert np.all(one.nominal.radius - 0.0005 == EXACT)
-    assert one.figures["max_deviation_m"] == pytest.approx(1e-4, rel=1e4 * ROUNDOFF)
+    assert one.figures.max_deviation_m == pytest.approx(1e-4, rel=1e4 * ROUNDOFF)
 
 
 def released(engaged: np.ndarray, late: float, since: float = 0.0) -> Recorded:

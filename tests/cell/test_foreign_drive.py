@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from robomill.cell.binding import convert, resolve
+from robomill.cell.equipment import load_system
 from robomill.orchestration.assembly import run
 from robomill.orchestration.errors import Interrupted, WiringError
 from robomill.orchestration.system.definition import Component, Connection, Recording, System
@@ -100,7 +101,7 @@ GAIN = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
 
 
 def cell(drive: Path, isolate: bool) -> System:
-    system = System.load(ROOT / "scenarios" / "milling_cell.toml", convert)
+    system = load_system(ROOT / "scenarios" / "milling_cell.toml")
     other = Component(
         "drive", str(drive), {"gain": GAIN, "mode": "eager"}, isolate=isolate, inputs={"correction_q": ["1 mrad", 0, 0, 0, 0, "2 mrad"]}
     )

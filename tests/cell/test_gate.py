@@ -9,11 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from robomill.cell.binding import convert, resolve
+from robomill.cell.equipment import load_system
 from robomill.cell.milling import with_parameters
 from robomill.cell.next_runs import prepare
 from robomill.diagnosis.gate.checks import against_simulation
 from robomill.orchestration.assembly import run
-from robomill.orchestration.system.definition import System
 from tests import ROOT
 
 SPREAD = {"compliance.p_BT_B": 7e-6, "sensor.f_S_raw": 0.5, "sensor.f_T_T": 0.5, "drive.q_motor": 1e-6, "drive.torque_motor": 0.07}
@@ -23,7 +23,7 @@ SPREAD = {"compliance.p_BT_B": 7e-6, "sensor.f_S_raw": 0.5, "sensor.f_T_T": 0.5,
 @pytest.fixture(scope="module")
 def milled(tmp_path_factory):
     """The run, and simulated and measured channels: another machine (softer by 5 %) with noise."""
-    cell = System.load(ROOT / "scenarios" / "milling_cell.toml", convert)
+    cell = load_system(ROOT / "scenarios" / "milling_cell.toml")
     r = prepare(cell, "second place", tmp_path_factory.mktemp("run"))
     quiet = with_parameters(with_parameters(r.system, r.parameters), {"sensor": {"noise_f": 0.0, "noise_m": 0.0}})
     soft = quiet.with_parameters("compliance", {"stiffness_error": [-0.05] * 6})

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from robomill.cell import milling
-from robomill.cell.evaluation import evaluate
+from robomill.cell.evaluation import Figures, evaluate
 from robomill.cell.scenario import load_scenario
 from tests import SCENARIOS
 from tests.cell.conftest import Runs
@@ -21,29 +21,29 @@ MM = 1e-3
 
 
 @pytest.fixture(scope="module")
-def figures(runs: Runs) -> dict[str, dict[str, float]]:
+def figures(runs: Runs) -> dict[str, Figures]:
     return {name: result.figures for name, result in runs.results("groove").items()}
 
 
 def test_uncompensated_deviation_at_the_published_force(figures):
-    assert figures["uncompensated"]["max_deviation_m"] == pytest.approx(1.4 * MM, abs=physics(1.4 * MM, relative=0.10))
-    assert figures["uncompensated"]["peak_force_n"] == pytest.approx(546.0, abs=physics(546.0, relative=0.03))
+    assert figures["uncompensated"].max_deviation_m == pytest.approx(1.4 * MM, abs=physics(1.4 * MM, relative=0.10))
+    assert figures["uncompensated"].peak_force_n == pytest.approx(546.0, abs=physics(546.0, relative=0.03))
 
 
 def test_cartesian_compensation_leaves_its_largest_deviation_at_the_cutter_exit(figures):
-    assert figures["cartesian"]["max_deviation_m"] == pytest.approx(0.7 * MM, abs=physics(0.7 * MM, relative=0.15))
-    assert figures["cartesian"]["max_deviation_location"].startswith("cutter exit")
+    assert figures["cartesian"].max_deviation_m == pytest.approx(0.7 * MM, abs=physics(0.7 * MM, relative=0.15))
+    assert figures["cartesian"].max_deviation_location.startswith("cutter exit")
 
 
 def test_pilot_control_leaves_a_third_of_a_millimetre_and_removes_78_percent(figures):
-    assert figures["cartesian_pilot"]["max_deviation_m"] <= 0.33 * MM
-    assert figures["cartesian_pilot"]["max_deviation_m"] <= (1.0 - 0.78) * figures["uncompensated"]["max_deviation_m"]
+    assert figures["cartesian_pilot"].max_deviation_m <= 0.33 * MM
+    assert figures["cartesian_pilot"].max_deviation_m <= (1.0 - 0.78) * figures["uncompensated"].max_deviation_m
 
 
 def test_reaction_takes_100_to_150_ms_without_and_at_most_three_cycles_with_pilot_control(figures):
-    assert 0.100 <= figures["cartesian"]["reaction_t50_s"] <= 0.150
-    assert abs(figures["cartesian_pilot"]["reaction_t50_s"]) <= 0.012
-    assert figures["uncompensated"]["reaction_t50_s"] is None
+    assert 0.100 <= figures["cartesian"].reaction_t50_s <= 0.150
+    assert abs(figures["cartesian_pilot"].reaction_t50_s) <= 0.012
+    assert figures["uncompensated"].reaction_t50_s is None
 
 
 def test_axis_specific_corrections_hold_the_depth_less_well(runs: Runs):
@@ -86,4 +86,5 @@ def test_a_finer_workpiece_changes_the_deviations_by_less_than_one_percent(runs:
     fine = evaluate("cartesian", "", milling.mill(job, scenario.variants[1])[0], scenario.workpiece, 1.0)
     usual = runs.results("groove")["cartesian"]
     for key in ("max_deviation_m", "rms_deviation_m"):
-        assert fine.figures[key] == pytest.approx(usual.figures[key], abs=physics(usual.figures[key], relative=0.01))
+        expected = getattr(usual.figures, key)
+        assert getattr(fine.figures, key) == pytest.approx(expected, abs=physics(expected, relative=0.01))

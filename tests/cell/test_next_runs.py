@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from robomill.cell.binding import convert, resolve
+from robomill.cell.equipment import load_system
 from robomill.cell.milling import with_parameters
 from robomill.cell.next_runs import kinds, prepare, with_load
 from robomill.diagnose_command import menu
 from robomill.orchestration.assembly import run
-from robomill.orchestration.system.definition import System
 from tests import SCENARIOS
 
-CELL = System.load(SCENARIOS / "milling_cell.toml", convert)
+CELL = load_system(SCENARIOS / "milling_cell.toml")
 
 
 def test_a_cell_with_a_load_is_the_loaded_cell_of_the_experiments():
-    made, shipped = with_load(CELL), System.load(SCENARIOS / "experiments" / "loaded_cell.toml", convert)
+    made, shipped = with_load(CELL), load_system(SCENARIOS / "experiments" / "loaded_cell.toml")
     assert {(c.source, c.target, c.delayed) for c in made.connections} == {(c.source, c.target, c.delayed) for c in shipped.connections}
     parts = [[(c.name, c.source, dict(c.parameters)) for c in system.components] for system in (made, shipped)]
     assert parts[0] == parts[1]

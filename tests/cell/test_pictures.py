@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -42,6 +43,15 @@ class _Result:
 
     def __init__(self, pilot: bool = False) -> None:
         self.run = _Run(pilot)
+
+
+@pytest.mark.parametrize(("way", "across"), [(0.7e-9, 0.0), (1.5e-9, 1e-4)])
+def test_a_tool_that_stands_has_no_side(way: float, across: float) -> None:
+    """Deviation to the left of a motion along x; NO_WAY is round-off."""
+    nominal = np.column_stack([way * np.arange(5.0), np.zeros(5), np.zeros(5)])
+    actual = nominal + np.array([0.0, 1e-4, 0.0])
+    result = cast(Result, SimpleNamespace(nominal=SimpleNamespace(position=nominal), actual=SimpleNamespace(position=actual)))
+    assert np.array_equal(pictures._across(result)[0], np.full(5, across))
 
 
 def test_arrows_of_a_path_along_an_axis_are_inside_the_picture() -> None:

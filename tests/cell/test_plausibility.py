@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from robomill.cell.binding import convert, resolve
+from robomill.cell.equipment import load_system
 from robomill.cell.plausibility import unusual, unusual_cuts, unusual_values
 from robomill.cli import main
 from robomill.models.planning.gcode import Move
@@ -64,8 +65,9 @@ def test_feed_speed_and_depth_of_cuts() -> None:
 def system(folder: Path, old: str = "", new: str = "") -> System:
     text = (SCENARIOS / "milling_cell.toml").read_text(encoding="utf-8")
     assert old in text
+    text = text.replace('[tool]\nname = "spindle_across"\n', "")  # a tool that is named once cannot differ
     (folder / "cell.toml").write_text(text.replace(old, new, 1))
-    return System.load(folder / "cell.toml", convert)
+    return load_system(folder / "cell.toml")
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 from scipy.integrate import quad
 
-from robomill.cell.binding import convert
+from robomill.cell.equipment import load_system
 from robomill.diagnosis.catalogue import LOGGING, Catalogue, CatalogueError, Prior, Tolerance, physical
 from robomill.fmus.components import COMPONENTS
-from robomill.orchestration.system.definition import System
 from tests import SCENARIOS
 from tests.tolerances import physics
 
@@ -33,7 +32,7 @@ locations = [{name = "x", parameters = ["p[1]"]}, {name = "y", parameters = ["p[
 class TestShipped:
     def test_every_effect_of_the_models_is_in_it_with_its_unit_and_within_its_bounds(self) -> None:
         catalogue = Catalogue.load(SCENARIOS / "catalogue.toml")
-        cell = System.load(SCENARIOS / "milling_cell.toml", convert)
+        cell = load_system(SCENARIOS / "milling_cell.toml")
         listed = {}
         for candidate in catalogue.candidates:
             listed[candidate.component, candidate.named[0].partition("[")[0]] = candidate
@@ -50,7 +49,7 @@ class TestShipped:
 
     def test_tolerances_are_of_parameters_that_there_are(self) -> None:
         catalogue = Catalogue.load(SCENARIOS / "catalogue.toml")
-        cell = System.load(SCENARIOS / "milling_cell.toml", convert)
+        cell = load_system(SCENARIOS / "milling_cell.toml")
         for tolerance in catalogue.tolerances:
             component, name = tolerance.address
             if component == LOGGING:
@@ -85,15 +84,31 @@ def test_priors_are_densities(prior: Prior) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        ("maximum", "maximun", "effect 'lag': unknown key 'maximun', did you mean 'maximum'"),
-        ('unit = "s"\n', "", "effect 'lag': missing: unit"),
-        ('"positive"', '"negative"', "effect 'lag': sign = 'negative'; expected 'positive' or 'both'"),
-        ("0.1", "2.0", "minimum = 2.0 is not below maximum = 1.0"),
-        ("scale = 0.3", "scale = -1", "prior scale = -1; expected a positive number"),
-        ('"log-normal"', '"uniform"', "prior kind 'uniform'; expected 'normal' or 'log-normal'"),
-        ('name = "y"', 'name = "x"', "location 'x' is there twice"),
-        ('["p[1]"]', "[]", "location 'x': parameters = []; expected a list of names"),
-        ('component = "a"', 'component = "logging"', "expected 'KIND PATTERN' with KIND one of lag, smooth, gain, offset"),
+        (
+            "maximum",
+            "maximun",
+            "c.toml:9: effect 1 'lag': maximun: unknown key 'maximun'; did you mean 'maximum'? available: component, description,",
+        ),
+        ('unit = "s"\n', "", "effect 1 'lag': missing: unit; known keys: component, description,"),
+        ('"positive"', '"negative"', "c.toml:10: effect 1 'lag': sign: unknown sign 'negative'; available: positive, both"),
+        ("0.1", "2.0", "c.toml:8: effect 1 'lag': minimum: 2.0 is not below maximum = 1.0"),
+        ("scale = 0.3", "scale = -1", "c.toml:11: effect 1 'lag': prior.scale: expected a positive number; found -1"),
+        (
+            '"log-normal"',
+            '"uniform"',
+            "c.toml:11: effect 1 'lag': prior.kind: unknown kind 'uniform'; did you mean 'normal'? available: normal, log-normal",
+        ),
+        ('name = "y"', 'name = "x"', "c.toml:12: effect 1 'lag': locations.1.name: location 'x' is there twice"),
+        (
+            '["p[1]"]',
+            "[]",
+            "c.toml:12: effect 1 'lag': locations.0.parameters: expected a list of names, such as ['backlash[2]']; found []",
+        ),
+        (
+            'component = "a"',
+            'component = "logging"',
+            "expected 'KIND PATTERN' of the log, with KIND one of lag, smooth, gain, offset; found 'p[1]'",
+        ),
         ("[[effect]]", "[[effect", "not valid TOML"),
     ],
 )
@@ -106,7 +121,7 @@ def test_what_is_wrong_is_said(tmp_path: Path, old: str, new: str, text: str) ->
 
 def test_an_effect_is_there_once(tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_text(ENTRY + ENTRY)
-    with pytest.raises(CatalogueError, match="effect 'lag': is there twice"):
+    with pytest.raises(CatalogueError, match=r"c\.toml:15: effect 2 'lag': name: is there twice"):
         Catalogue.load(tmp_path / "c.toml")
 
 
@@ -138,9 +153,9 @@ def test_sizes_are_in_the_unit_of_the_parameter(tmp_path: Path, old: str, new: s
 @pytest.mark.parametrize(
     ("old", "new", "line"),
     [
-        ("minimum = 0.1", "minimum = inf", "c.toml:8: effect 'lag': minimum = inf; expected a positive number in the unit that is stated"),
-        ("minimum", "minimun", "c.toml:8: effect 'lag': unknown key 'minimun', did you mean 'minimum'"),
-        ("absolute = 0.4", "absolute = true", "c.toml:16: [[nuisance]] 1: absolute = True; expected a positive number"),
+        ("minimum = 0.1", "minimum = inf", "c.toml:8: effect 1 'lag': minimum: expected a positive number; found inf"),
+        ("minimum", "minimun", "c.toml:8: effect 1 'lag': minimun: unknown key 'minimun'; did you mean 'minimum'"),
+        ("absolute = 0.4", "absolute = true", "c.toml:16: nuisance 1: absolute: expected a positive number; found True"),
     ],
 )
 def test_the_line_is_named(tmp_path: Path, old: str, new: str, line: str) -> None:
@@ -148,3 +163,96 @@ def test_the_line_is_named(tmp_path: Path, old: str, new: str, line: str) -> Non
     with pytest.raises(CatalogueError) as error:
         Catalogue.load(tmp_path / "c.toml")
     assert line in str(error.value)
+
+
+class TestWithin:
+    CATALOGUE = """
+[[effect]]
+name = "a"
+component = "drive"
+description = "d"
+source = "s"
+unit = "1"
+minimum = 0.1
+maximum = 1.0
+sign = "positive"
+prior = {kind = "log-normal", scale = 0.3}
+locations = [{name = "x", parameters = ["p[1]"]}, {name = "y", parameters = ["p[2]"]}]
+[[effect]]
+name = "late"
+component = "logging"
+description = "d"
+source = "s"
+unit = "s"
+minimum = 0.1
+maximum = 1.0
+sign = "positive"
+prior = {kind = "log-normal", scale = 0.3}
+locations = [{name = "x", parameters = ["lag drive.q"]}]
+[[nuisance]]
+component = "sensor"
+parameters = ["k", "m"]
+relative = 0.1
+source = "s"
+[[seed]]
+component = "sensor"
+parameter = "seed"
+[[quiet]]
+component = "sensor"
+parameters = {k = 0, resolution = 0}
+[refinement]
+divide = 4
+sampled = ["sensor", "controller"]
+"""
+
+    def catalogue(self, folder: Path, text: str = CATALOGUE, name: str = "c.toml") -> Catalogue:
+        (folder / name).write_text(text)
+        return Catalogue.load(folder / name)
+
+    def test_what_the_system_has_stays_as_it_is(self, tmp_path: Path) -> None:
+        catalogue = self.catalogue(tmp_path)
+        whole = {"drive": ["p[1]", "p[2]"], "sensor": ["k[1]", "k[2]", "m", "seed", "resolution"], "controller": []}
+        found, notes = catalogue.within(whole)
+        assert (found.candidates, found.tolerances, found.seeds, found.quiet) == (
+            catalogue.candidates,
+            catalogue.tolerances,
+            catalogue.seeds,
+            catalogue.quiet,
+        )
+        assert found.refinement == catalogue.refinement
+        assert notes == ()
+
+    def test_entries_without_a_component_or_its_parameters_are_left_out_and_listed(self, tmp_path: Path) -> None:
+        found, notes = self.catalogue(tmp_path).within({"sensor": ["k"]})
+        assert [c.effect for c in found.candidates] == ["late"]
+        assert [t.address for t in found.tolerances] == [("sensor", "k")]
+        assert found.seeds == ()
+        assert found.quiet == {"sensor": {"k": 0}}
+        assert found.refinement is not None
+        assert found.refinement.sampled == ("sensor",)
+        assert notes == (
+            "c.toml: there is no component 'drive' for effects a: skipped",
+            "c.toml: component 'sensor' has no parameters for tolerances of m; quiet resolution; seeds seed: skipped",
+            "c.toml: there is no component 'controller' for refinement controller: skipped",
+        )
+
+    def test_one_element_of_an_array_that_there_is_not(self, tmp_path: Path) -> None:
+        found, notes = self.catalogue(tmp_path).within({"drive": ["p[1]"], "sensor": ["k", "m", "seed", "resolution"], "controller": []})
+        assert [(c.effect, c.location) for c in found.candidates] == [("a", "x"), ("late", "x")]
+        assert notes == ("c.toml: component 'drive' has no parameters for effects a: skipped",)
+
+    def test_two_catalogues_become_one(self, tmp_path: Path) -> None:
+        first = self.catalogue(tmp_path)
+        other = self.catalogue(
+            tmp_path, self.CATALOGUE.replace('"a"', '"b"').replace('"late"', '"later"').replace('"sensor"', '"kalman"'), "o.toml"
+        )
+        both = first.joined(other.about("kalman", "sensor"))
+        assert both.effects == ("a", "late", "b", "later")
+        assert both.seeds == (("sensor", "seed"),)
+        assert {t.address[0] for t in both.tolerances} == {"sensor"}
+        assert both.refinement is not None
+        assert both.refinement.sampled == ("sensor", "controller", "sensor", "controller")
+        assert both.descriptions is not None
+        assert set(both.descriptions) == {"a", "late", "b", "later"}
+        with pytest.raises(CatalogueError, match=r"c\.toml: effect 'a' is in .*c\.toml, too; give one of them another name"):
+            first.joined(first)

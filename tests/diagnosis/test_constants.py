@@ -1,8 +1,12 @@
-"""Constants of the gate, the noise and the phases: what lies just beyond one is found, and would not be if it were twice as large."""
+"""Constants: each name means one thing; what lies just beyond one of gate, noise and phases is found, and would not be if it were twice as
+large.
+"""
 
 from __future__ import annotations
 
+import ast
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -25,6 +29,20 @@ STEP = 0.01
 CHANNEL = "sensors.y[1]"
 T = STEP * np.arange(1000)
 QUIET = np.array([1e-6])
+ROOT = Path(__file__).parent.parent.parent
+SHARED = {"LOGGING"}
+"""What the benchmark has, too, with the meaning that it has in the diagnosis: one must not know the other."""
+
+
+def test_the_name_of_a_constant_means_one_thing_in_diagnosis_and_benchmark() -> None:
+    places: dict[str, list[str]] = {}
+    for path in sorted([*(ROOT / "diagnosis").rglob("*.py"), *(ROOT / "blind").rglob("*.py")]):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+            for name in {n.id for target in targets for n in ast.walk(target) if isinstance(n, ast.Name) and n.id.isupper()}:
+                places.setdefault(name, []).append(str(path.relative_to(ROOT)))
+    assert len(places) > 100
+    assert {name: files for name, files in places.items() if len(files) > 1 and name not in SHARED} == {}
 
 
 def recorded(x: FloatArray, t: FloatArray = T) -> Run:
@@ -147,11 +165,11 @@ class TestPhases:
         return phases.aligned(laboratory, [self.RIPPLE], 1), len(asked)
 
     def test_phases_differ_by_clear_evidence(self) -> None:
-        """CLEAR: evidence of 8 nats is too little, evidence of 18 is not."""
+        """DIFFERENT_PHASES: evidence of 8 nats is too little, evidence of 18 is not."""
         assert self.looked_at(0.06)[0] == []
         ((found,), _) = self.looked_at(0.065)
         assert 12.0 < found.value < 24.0
 
     def test_the_amplitude_takes_three_simulations_of_each_part(self) -> None:
-        """ROUNDS, and the nominal one."""
+        """PHASE_ROUNDS, and the nominal one."""
         assert self.looked_at(1.0)[1] == 1 + 3 * 2

@@ -16,8 +16,10 @@ from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.outcome.answer import Diagnosis
+from robomill.diagnosis.outcome.conclusion import ELSE
 from robomill.orchestration.runs.run import Run
-from tests.diagnosis.demo import NOISE, RANGE, SYSTEM, catalogue, changed, measure, resolve
+from tests.diagnosis.demo import NOISE, NOISE_PART, RANGE, SYSTEM, WELL, catalogue, changed, measure, resolve
+from tests.tolerances import ROUNDOFF
 
 REPEAT = itertools.count()
 """Numbers the repeats: a logger fails elsewhere in each."""
@@ -81,7 +83,7 @@ class TestVerdict:
         result = answer(tmp_path, two_conditions({**STIFF, "sensors": {"gain_error[1]": 0.04}})).result
         assert result["verdict"] == "identified"
         assert {w["effect"] for w in result["which"] if w["probability"] > 0.9} == {"stiffness", "gain"}
-        assert sum(w["share"] for w in result["where"]) == pytest.approx(1.0, abs=0.05)
+        assert sum(w["share"] for w in result["where"]) == pytest.approx(1.0, abs=NOISE_PART)
 
     def test_what_no_candidate_can_do_is_unknown_and_described(self, tmp_path: Path) -> None:
         def disturbed(t: Any, y: Any) -> Any:
@@ -103,7 +105,9 @@ class TestVerdict:
         result = diagnose(SYSTEM, runs, Catalogue.load(text), resolver=resolve).result
         assert result["verdict"] == "ambiguous"
         assert {w["effect"] for w in result["which"][:2]} == {"gain", "scale"}
-        assert result["which"][0]["probability"] == pytest.approx(0.5, abs=0.02)
+        one, other = (w["probability"] for w in result["which"][:2])
+        assert one == pytest.approx(other, rel=ROUNDOFF)
+        assert one + other > 0.99 * (1.0 - ELSE)
         assert result["which"][0]["confusable_with"]
         assert result["isolability"][0] == {"pair": ["gain @ sensor 1", "scale @ sensor 1"], "distance": 0.0, "confusable": True}
         assert result["next_run"] is None  # there is no menu
@@ -121,7 +125,7 @@ class TestInvariance:
         assert second["verdict"] == first["verdict"]
         assert second["which"][0]["effect"] == first["which"][0]["effect"]
         a, b = (r["which"][0]["parameters"]["stiffness_error[2]"]["value"] for r in (first, second))
-        assert a == pytest.approx(b, rel=1e-6)
+        assert a == pytest.approx(b, rel=1e3 * ROUNDOFF)  # sums in another order, and what a fit makes of them
 
     def test_processes_change_nothing(self, tmp_path: Path) -> None:
         runs = measure(STIFF)
@@ -142,9 +146,9 @@ class TestHowFar:
             assert whole["unit"] == "m"
             assert whole["after"] < 0.1 * whole["before"]
         (repeat,) = (h for h in far if h["on"] == "held-out repeat" and h["channel"] == "sensors.y")
-        assert repeat["ceiling"] == pytest.approx(1.0, abs=0.02)
+        assert repeat["ceiling"] == pytest.approx(1.0, abs=NOISE_PART)
         (new,) = (h for h in far if h["on"] == "held-out condition" and h["channel"] == "sensors.y")
-        assert new["ceiling"] == pytest.approx(1.0, abs=0.02)
+        assert new["ceiling"] == pytest.approx(1.0, abs=NOISE_PART)
         assert new["ratio"] == new["closure"] / new["ceiling"]
         assert (new["ceiling_by"], new["why_no_ceiling"]) == ("repeats", None)
 
@@ -245,7 +249,7 @@ class TestGate:
     def test_a_channel_has_stopped_only_where_its_simulation_moves(self) -> None:
         t = np.arange(800) * 0.01
         simulated = np.minimum(t, 4.0)
-        assert gate.stopped(np.minimum(t, 2.0), simulated, 0.01, 1e-3) == pytest.approx(6.0)
+        assert gate.stopped(np.minimum(t, 2.0), simulated, 0.01, 1e-3) == pytest.approx(6.0, rel=1e2 * ROUNDOFF)
         assert gate.stopped(np.minimum(t, 3.999), simulated, 0.01, 1e-3) == 0.0  # as the simulation, but for noise
         assert gate.stopped(t % 0.4, simulated, 0.01, 1e-3) == 0.0
 
@@ -258,7 +262,7 @@ class TestGate:
         result = diagnose(SYSTEM, runs, catalogue(tmp_path, RANGE), resolver=resolve).result
         assert result["gate"]["findings"] == []
         assert (result["verdict"], result["which"][0]["effect"]) == ("identified", "range")
-        assert result["which"][0]["parameters"]["range_lost"]["value"] == pytest.approx(lost, abs=0.002)
+        assert result["which"][0]["parameters"]["range_lost"]["value"] == pytest.approx(lost, rel=WELL)
 
     def test_a_lost_range_is_found_beside_another_effect_though_the_most_of_it_looks_like_a_tolerance(self, tmp_path: Path) -> None:
         """A sensor without any range differs from a sound one as a wrong scale does; one with a tenth of it does not."""
@@ -267,8 +271,7 @@ class TestGate:
         result = diagnose(SYSTEM, measure(truth), catalogue(tmp_path, RANGE + scale), resolver=resolve).result
         assert result["verdict"] == "identified"
         values = {w["effect"]: next(iter(w["parameters"].values()))["value"] for w in result["which"] if w["probability"] > 0.9}
-        # columns of a chopped signal are no straight lines: a tenth of the value
-        assert values == {"range": pytest.approx(0.9, abs=0.01), "stiffness": pytest.approx(0.3, rel=0.1)}
+        assert values == {"range": pytest.approx(0.9, rel=WELL), "stiffness": pytest.approx(0.3, rel=WELL)}
 
     def test_what_jumps_at_the_same_time_in_every_repeat_is_the_machine(self) -> None:
         def jerk(t: Any, y: Any) -> Any:
@@ -301,7 +304,7 @@ class TestGate:
         assert result["verdict"] == "bad_log"
         assert result["which"][0]["component"] == "logging"
         (finding,) = (f for f in result["gate"]["findings"] if f["kind"] == "lag")
-        assert finding["value"] == pytest.approx(lag, rel=0.02)
+        assert finding["value"] == pytest.approx(lag, rel=WELL)
 
     def test_repair_goes_on_with_the_clock_corrected(self, tmp_path: Path) -> None:
         def late(t: Any, y: Any) -> Any:

@@ -12,8 +12,7 @@ from fmpy.fmi3 import FMU3Slave, fmi3LogMessageCallback
 
 from robomill.fmus.interface import Interface, Port
 from robomill.models.model.declaration import FloatArray, Model
-from tests import golden
-from tests.fmus import demo
+from tests.fmus import demo, golden
 
 H = golden.H
 VARIANTS = ("golden", "effects", "default")

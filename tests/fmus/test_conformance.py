@@ -14,8 +14,12 @@ from robomill.fmus.components import NAMES, component
 from robomill.fmus.documentation import reference_files
 from robomill.fmus.native.builder import build
 
-NOT_APPLICABLE = {"milling_force": {"dependencies"}, "compensation_controller": {"dependencies"}}
-"""Checks that may be skipped: a cutter out of the material, an input without effect at that moment."""
+NOT_APPLICABLE = {
+    "milling_force": {"dependencies"},
+    "compensation_controller": {"dependencies"},
+    "spindle_current": {"arrays"},
+}
+"""Checks that may be skipped: a cutter out of the material, an input without effect at that moment, a component of scalars."""
 
 
 @pytest.mark.slow

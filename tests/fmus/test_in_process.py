@@ -52,6 +52,16 @@ def test_outputs_before_the_first_step_follow_inputs_and_parameters() -> None:
     assert outputs(slave) == [2.0, 4.0, 0.0, 0.0, 0.0, 7.0]
 
 
+def test_start_values_of_inputs_are_set_like_parameters() -> None:
+    slave = InProcessSlave(MODEL, "springs")
+    slave.configure({"x[1]": 0.2, "number": 3})
+    slave.initialise(0.0, 1.0, H)
+    by_inputs = InProcessSlave(MODEL, "springs")
+    by_inputs.set_inputs(np.array([0.2, 0.0, 1.0, 0.0, 3.0]))
+    by_inputs.initialise(0.0, 1.0, H)
+    assert outputs(slave) == outputs(by_inputs)
+
+
 def test_compiled_and_plain_agree_bitwise() -> None:
     plain = InProcessSlave(MODEL, plain=True)
     plain.set_inputs(U)
@@ -95,8 +105,7 @@ def test_an_input_that_is_not_finite_is_refused_by_name(bad: float) -> None:
         ({"drift": float("nan")}, "springs: parameter drift = nan N/s is not a finite number"),
         ({"drift": "fast"}, "springs: parameter drift = 'fast' N/s: expected a number"),
         ({"drfit": 1.0}, "springs: unknown parameter 'drfit'; available: stiffness, drift, curve"),
-        ({"x[1]": 1.0}, "springs: x[1] is an input, not a parameter"),
-        ({"force": [1.0, 2.0]}, "springs: force is an output, not a parameter"),
+        ({"force": [1.0, 2.0]}, "springs: force is an output; only parameters and inputs can be set"),
         (
             {"curve": np.zeros((11, 3))},
             "springs: table curve: has shape (11, 3), expected rows of 2 columns",

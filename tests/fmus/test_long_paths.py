@@ -17,7 +17,7 @@ from robomill.models.planning import gcode, trajectory
 from robomill.models.planning.trajectory import Placement, Plan
 from robomill.orchestration.slaves.fmu import FmuSlave
 from tests.fmus import native_runs as runs
-from tests.tolerances import ROUNDOFF
+from tests.tolerances import ROUNDOFF, discretisation
 
 HERE = Placement((1.595, -0.018, 1.099))
 FEED = 0.025
@@ -57,7 +57,7 @@ def test_a_hundred_thousand_corners(built_native: Callable[..., Path], tmp_path:
     _, blends, rows = work(1000, monkeypatch)
     plan, many_blends, many_rows = work(CORNERS, monkeypatch)
     assert blends == many_blends == 1.0
-    assert many_rows == pytest.approx(rows, rel=0.02)
+    assert many_rows == pytest.approx(rows, rel=discretisation(10.0, 1 / 1000, 1))  # a few more rows at both ends
     assert len(plan.table) > CORNERS
     assert np.all(np.diff(plan.table[:, 0]) > 0.0)
     file = tmp_path / "segments.npy"
@@ -105,4 +105,4 @@ def test_a_point_cloud_runs_at_its_feed() -> None:
     speed = np.linalg.norm(plan.velocity(tau), axis=1)
     inside = (tau > 0.2) & (tau < plan.duration - 0.2)
     assert np.min(speed[inside]) > 0.999 * FEED
-    assert math.isclose(plan.length / plan.duration, FEED, rel_tol=0.02)
+    assert math.isclose(plan.length / plan.duration, FEED, rel_tol=0.2 / plan.duration)

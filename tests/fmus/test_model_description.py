@@ -17,6 +17,7 @@ from robomill.fmus.documentation import index_html
 from robomill.fmus.interface import Interface
 from robomill.models.model.declaration import Model, Record, Variable
 from tests.fmus import demo
+from tests.tolerances import ROUNDOFF
 
 Built = Callable[[str], Path]
 
@@ -59,7 +60,7 @@ def test_display_units_convert_from_si(xml: Element) -> None:
     """FMI 2.0, 2.2.2: value in display unit = factor * value in unit + offset. 1 m = 1000 mm; 2 pi rad/s = 60 rpm."""
     assert found(xml, "UnitDefinitions/Unit[@name='m']/DisplayUnit[@name='mm']").attrib["factor"] == "1000.0"
     rpm = float(found(xml, "UnitDefinitions/Unit[@name='rad/s']/DisplayUnit[@name='rpm']").attrib["factor"])
-    assert rpm == pytest.approx(60.0 / (2.0 * 3.141592653589793), rel=1e-15)
+    assert rpm == pytest.approx(60.0 / (2.0 * 3.141592653589793), rel=ROUNDOFF)
     assert found(xml, "UnitDefinitions/Unit[@name='N/m']/BaseUnit").attrib == {"kg": "1", "s": "-2"}
 
 

@@ -11,7 +11,7 @@ import pytest
 from robomill.conformance import Fmu, Instance
 from robomill.fmus.components import COMPONENTS, NAMES
 from robomill.fmus.interface import Interface
-from tests import golden
+from tests.fmus import golden
 
 
 @pytest.mark.parametrize("name", NAMES)

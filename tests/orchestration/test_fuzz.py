@@ -120,7 +120,7 @@ def test_some(kind, originals, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_many(kind, originals, tmp_path):
-    """Of the five kinds together, 600."""
+    """120 of each of the five kinds, 600 together."""
     found = check([(kind, n) for n in range(20, 140)], originals, tmp_path)
     assert found["refused"] >= 60
 

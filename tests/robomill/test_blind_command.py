@@ -9,6 +9,7 @@ import pytest
 
 from robomill.blind.sealing import hashes
 from robomill.cli import main
+from tests.blind.by_hand import benchmark
 
 
 @pytest.fixture
@@ -20,7 +21,7 @@ def unsealed(tmp_path):
     manifest = json.dumps(hashes(tmp_path / "sealed"))
     (tmp_path / "sealed" / "manifest.json").write_text(manifest)
     truth = hashlib.sha256(manifest.encode()).hexdigest()
-    (tmp_path / "benchmark.json").write_text(json.dumps({"tier": "T1", "seed": 1, "truth": truth, "files": {}}))
+    (tmp_path / "benchmark.json").write_text(json.dumps(benchmark(truth=truth)))
     (tmp_path / "predictions" / "0001" / "diagnosis.json").write_text(json.dumps({"verdict": "none"}))
     return tmp_path
 

@@ -14,11 +14,9 @@ from pathlib import Path
 import pytest
 
 from robomill.cli import main
-from robomill.orchestration.assembly import run as record
 from robomill.orchestration.runs.lock import FolderLock
 from robomill.orchestration.runs.run import Run
 from tests import SCENARIOS
-from tests.orchestration.mocks import resolver, source, system
 
 PROGRAM = "G21 G90 G17 G54\nT1 M6\nS13000 M3\nG0 X-20. Y0. Z2.\nG1 Z-5. F1500.\nX20.\nM30\n"
 
@@ -109,7 +107,7 @@ def test_a_variant_that_cannot_run_is_refused_before_any_recording_is_replaced(c
 
 
 def test_what_is_there_is_replaced_only_when_asked_for(cell, capsys):
-    """Of several variants none is begun: the second is there, the first is not."""
+    """None of several variants is begun: the second is there, the first is not."""
     edit(cell / "part.toml", "[variants.cartesian]", "[variants.uncompensated]\nparameters.controller.mode = 0\n[variants.cartesian]")
     assert main(["run", "part.toml", "--no-pictures", "--variant", "cartesian"]) == 0
     folder = cell / "results" / "part"
@@ -174,14 +172,20 @@ class TestBadInput:
         assert "--variant goes with scenarios" in refused(capsys, "run", "one.toml", "--variant", "axis")
 
     def test_loop(self, tmp_path, monkeypatch, capsys):
-        """A recording can only be called from Python, so that who insists on compiled code is refused."""
+        """Only FMUs in other processes must be called from Python, so that who insists on compiled code is refused."""
         monkeypatch.chdir(tmp_path)
-        slaves = [source("s", lambda t: t)]
-        record(system(slaves), "recorded", stop=0.04, resolver=resolver(slaves))
-        (tmp_path / "played.toml").write_text('name = "p"\nstep = "0.004 s"\nstop = "0.04 s"\n[components.s]\nsource = "replay:recorded"\n')
-        assert "component 's' (ReplaySlave) can only be called from Python" in refused(capsys, "run", "played.toml", "--loop", "compiled")
-        assert main(["run", "played.toml", "--loop", "python"]) == 0
+        assert main(["build", "--component", "path_interpolator", "--out", "."]) == 0
+        text = 'name = "p"\nstep = "0.004 s"\nstop = "0.04 s"\n[components.s]\nsource = "path_interpolator.fmu"\nisolate = true\n'
+        (tmp_path / "isolated.toml").write_text(text)
+        assert "component 's' (IsolatedSlave) can only be called from Python" in refused(
+            capsys, "run", "isolated.toml", "--loop", "compiled"
+        )
+        assert main(["run", "isolated.toml", "--loop", "python"]) == 0
         assert "--loop: only with milling" in refused(capsys, "run", str(SCENARIOS / "static_loads.toml"), "--loop", "python")
+
+    def test_a_catalogue_that_is_not_there(self, cell, capsys):
+        told = refused(capsys, "diagnose", str(SCENARIOS / "milling_cell.toml"), "runs", "--catalogue", "mine.toml")
+        assert "no catalogue mine.toml; without --catalogue it is catalogue.toml beside the system, or the milling cell's" in told
 
     def test_static_loads_replace_nothing_unasked(self, tmp_path, monkeypatch, capsys):
         (tmp_path / "summary.json").write_text("{}")

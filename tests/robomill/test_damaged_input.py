@@ -10,24 +10,24 @@ from pathlib import Path
 
 import pytest
 
-from robomill.cell.binding import convert
-from robomill.cell.entries import ScenarioError
+from robomill.cell.equipment import load_system
 from robomill.cell.experiments import load_experiment
-from robomill.cell.scenario import load_scenario
+from robomill.cell.points import PathError, read_points
+from robomill.cell.scenario import ScenarioError, load_scenario
 from robomill.diagnosis.catalogue import Catalogue, CatalogueError
 from robomill.logs.mapping import load_mapping
 from robomill.logs.reading import LogError
 from robomill.orchestration.errors import OrchestrationError
-from robomill.orchestration.system.definition import System
 from tests import ROOT
 
 READERS: list[tuple[str, Callable[[Path], object]]] = [
     ("scenarios/groove.toml", load_scenario),
-    ("scenarios/milling_cell.toml", lambda f: System.load(f, convert)),
+    ("scenarios/milling_cell.toml", load_system),
     ("scenarios/experiments/tap_test.toml", load_experiment),
     ("scenarios/next_runs/cuts.toml", load_experiment),
     ("docs/tutorial/map.toml", load_mapping),
     ("scenarios/catalogue.toml", Catalogue.load),
+    ("scenarios/parts/tilted_square.toml", read_points),
 ]
 STRANGE = (
     *(
@@ -83,7 +83,7 @@ def test_a_damaged_value_is_read_or_refused_with_its_file(name: str, read: Calla
         file.write_text(damaged(text, random_), encoding="utf-8")
         try:
             read(file)
-        except (OrchestrationError, ScenarioError, LogError, CatalogueError, FileNotFoundError) as error:
+        except (OrchestrationError, ScenarioError, LogError, CatalogueError, PathError, FileNotFoundError) as error:
             refused.append(str(error))
     assert len(refused) > 20
     assert all(file.name in said and "Traceback" not in said for said in refused)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from robomill.cell.binding import convert, resolve
+from robomill.cell.equipment import load_system
 from robomill.cell.milling import with_parameters
 from robomill.cell.next_runs import prepare, with_load
 from robomill.diagnose_command import menu
@@ -15,10 +16,9 @@ from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
-from robomill.orchestration.system.definition import System
 from tests import ROOT
 
-CELL = System.load(ROOT / "scenarios" / "milling_cell.toml", convert)
+CELL = load_system(ROOT / "scenarios" / "milling_cell.toml")
 NOISE = 7e-6  # m
 HEIGHT = "compliance.p_BT_B[3]"
 EFFECT = """

@@ -90,3 +90,12 @@ def test_progress_is_told_with_what_is_to_come(tmp_path: Path) -> None:
     assert done == sorted(done)
     assert all(d <= total for d, total in told)
     assert told[0][1] > 5 * told[0][0]
+
+
+def test_a_text_of_any_length_can_be_in_a_key(tmp_path: Path) -> None:
+    """A parameter is a file if there is one of its name; a name may have 255 characters, a path 4095."""
+    (tmp_path / "table").write_text("1")
+    system = replace(SYSTEM, file=tmp_path / "system.toml")
+    texts = ["table", "chair", *("x" * n for n in (300, 3000, 5000))]
+    keys = {Store(tmp_path).key(system.with_parameters("force", {"table": text})) for text in texts}
+    assert len(keys) == len(texts)

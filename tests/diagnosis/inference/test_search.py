@@ -21,7 +21,7 @@ from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
 from robomill.orchestration.system.definition import Component, System
-from tests.diagnosis.demo import SYSTEM, Part, catalogue, changed, measure, real, resolve
+from tests.diagnosis.demo import SYSTEM, WELL, Part, catalogue, changed, measure, real, resolve
 
 GAIN, RUBBING, CLOCK = ("sensors", "gain_error[1]"), ("masses", "friction[1]"), ("logging", "lag sensors.*")
 
@@ -41,10 +41,12 @@ def model(of: Search, *addresses: Address) -> tuple[Candidate, ...]:
     return tuple(next(c for c in of.candidates if c.addresses == (a,)) for a in addresses)
 
 
-def fit(of: Search, values: Mapping[Address, float], columns: FloatArray | None = None, left: float = 0.0) -> Fit:
+def fit(of: Search, values: Mapping[Address, float], sensitivities: FloatArray | None = None, left: float = 0.0) -> Fit:
     """At these values; what is left is noise and so many times what noise leaves."""
-    energy = (1.0 + left) * float(of.evidence.expected.sum())
-    return Fit(model(of, *values), dict(values), {a: 0.1 * abs(v) + 1e-6 for a, v in values.items()}, 0.0, energy, columns=columns)
+    chi2 = (1.0 + left) * float(of.evidence.expected.sum())
+    return Fit(
+        model(of, *values), dict(values), {a: 0.1 * abs(v) + 1e-6 for a, v in values.items()}, 0.0, chi2, sensitivities=sensitivities
+    )
 
 
 def test_an_effect_far_below_its_usual_size_is_simulated_at_sizes_in_between(tmp_path: Path) -> None:
@@ -56,19 +58,19 @@ def test_an_effect_far_below_its_usual_size_is_simulated_at_sizes_in_between(tmp
         assert RUBBING not in usual.starts
     result = diagnose(SYSTEM, measure(truth), catalogue(tmp_path), resolver=resolve).result
     assert (result["verdict"], result["which"][0]["location"]) == ("identified", "mass 1")
-    assert result["which"][0]["parameters"]["friction[1]"]["value"] == pytest.approx(0.005, rel=0.05)
+    assert result["which"][0]["parameters"]["friction[1]"]["value"] == pytest.approx(0.005, rel=WELL)
 
 
 def test_what_is_left_of_a_model_when_an_effect_has_become_too_small_is_fitted_by_itself(tmp_path: Path) -> None:
     with search(tmp_path, measure({"sensors": {"gain_error[1]": 0.04}})) as s:
-        columns = np.stack([s.evidence.columns[RUBBING], s.evidence.columns[GAIN]], axis=1)
-        pair = fit(s, {RUBBING: 2e-4, GAIN: 0.03}, columns)
+        sensitivities = np.stack([s.evidence.sensitivities[RUBBING], s.evidence.sensitivities[GAIN]], axis=1)
+        pair = fit(s, {RUBBING: 2e-4, GAIN: 0.03}, sensitivities)
         assert not pair.large_enough()
         (found,) = s._smaller([pair], [])
         assert [c.addresses for c in found.model] == [(GAIN,)]
-        assert found.values[GAIN] == pytest.approx(0.04, rel=0.02)
+        assert found.values[GAIN] == pytest.approx(0.04, rel=WELL)
         assert s._smaller([pair], [found]) == []  # nothing that is known already, as good or better
-        both = fit(s, {RUBBING: 2e-2, GAIN: 0.03}, columns)
+        both = fit(s, {RUBBING: 2e-2, GAIN: 0.03}, sensitivities)
         assert s._smaller([both], []) == []
 
 
@@ -94,6 +96,8 @@ class Swing(Part):
         self.y[0] = math.sin(60.0 * (t - delay)) * math.exp(40.0 * delay)
 
 
+PART_OF_A_PERIOD = 2e-3 * 2.0 * math.pi / 60.0
+"""s: the next swing that fits is a whole period away, and of the noise are left 1e-9 s: this is how well the fit is to end."""
 SWING = System("swing", 0.004, (Component("swing", "swing"),), ())
 DELAY = """
 [[effect]]
@@ -121,19 +125,19 @@ def test_a_delay_of_what_swings_is_found_though_it_must_be_right_to_a_part_of_th
     (tmp_path / "delay.toml").write_text(DELAY)
     result = diagnose(SWING, made, Catalogue.load(tmp_path / "delay.toml"), resolver=lambda *_: Swing("swing")).result
     assert result["verdict"] == "identified"
-    assert result["which"][0]["parameters"]["delay"]["value"] == pytest.approx(0.1337, abs=2e-4)
+    assert result["which"][0]["parameters"]["delay"]["value"] == pytest.approx(0.1337, abs=PART_OF_A_PERIOD)
 
 
 def test_an_effect_that_a_tolerance_hides_is_looked_at_by_what_it_leaves_without_that(tmp_path: Path) -> None:
-    """Sensors that are late by 6 ms, which is no finding yet: to be 2 ms late at random is a tolerance, which leaves less than a column
+    """Sensors that are late by 6 ms, which is no finding yet: to be 2 ms late at random is a tolerance, which leaves less than a signature
     that is not quite right.
     """
     late = changed(measure(), "sensors.y[1]", lambda t, y: np.interp(t - 0.006, t, y))
     late = changed(late, "sensors.y[2]", lambda t, y: np.interp(t - 0.006, t, y))
     with search(tmp_path, late, clock=0.01) as s:
         noise, space = float(s.evidence.expected.sum()), s.evidence.space
-        without = space.without([CLOCK]).energy / noise
-        assert without > 10.0 * space.energy / noise  # of noise
+        without = space.without([CLOCK]).chi2 / noise
+        assert without > 10.0 * space.chi2 / noise  # of noise
         assert s._hidden(fit(s, {CLOCK: 0.006}, left=0.05 * without))
         assert not s._hidden(fit(s, {CLOCK: 0.006}, left=0.2 * without))
         assert s._hidden(fit(s, {GAIN: 0.01, CLOCK: 0.006}, left=0.05 * without))

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.inference.estimation import PRIOR_OF_SIZE
+from robomill.diagnosis.inference.evidence import BEGINNING, gather
+from robomill.diagnosis.inference.time_varying import COMING_LATE, GROWING, changing
 from robomill.diagnosis.outcome.answer import Diagnosis
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import STEP, SYSTEM, catalogue, changed, measure, resolve
+from tests.diagnosis.formula import Calculated, candidate
 
 SECONDS = 8.0
 
@@ -58,3 +65,69 @@ def test_what_is_the_same_all_the_time_is_named(tmp_path: Path) -> None:
     found = diagnose(SYSTEM, measure({"sensors": {"gain_error[1]": 0.004}}), catalogue(tmp_path), resolver=resolve)
     assert found.result["verdict"] == "identified"
     assert found.result["which"][0]["location"] == "sensor 1"
+
+
+ROWS = 800
+RAMP = np.arange(ROWS) / ROWS
+FILTERED = 1e-6
+"""Relative: a change of what is white is not quite a change that is whitened, which looks three samples back."""
+AFTER = np.maximum(np.arange(ROWS) + 1 - BEGINNING, 0) / ROWS
+"""A change that comes late does so from where a run begins to count."""
+WAYS = (
+    ("grows steadily during a run", RAMP),
+    ("grows quickly at first, slowly later in a run", 1.0 - np.exp(-RAMP / GROWING)),
+    *((f"comes late, by a time constant of 1/{round(1 / part)} of a run", -np.expm1(-AFTER / part)) for part in COMING_LATE[:3]),
+)
+"""What becomes of a steady change. Late by a quarter of a run it is the same as one that grows quickly at first."""
+
+
+class TestWays:
+    """A steady change of 1 per scale, as it would be with every way to change; and another effect that is not there."""
+
+    ENTRIES = (candidate("p"), candidate("q"))
+
+    def search(self, part: FloatArray) -> Any:
+        """As after a screening, of runs with half of `p` times this; all that is asked of it."""
+        other = np.sin(np.arange(ROWS) / 11.0)
+        rng = np.random.default_rng(1)
+        groups = [[(0.5 * part + 0.02 * rng.normal(size=ROWS))[:, None] for _ in range(4)]]
+        changes = {a: [x[:, None]] for (a,), x in zip((c.addresses for c in self.ENTRIES), (np.ones(ROWS), other), strict=True)}
+        laboratory = Calculated(lambda *_: None, ROWS)
+        scales = dict.fromkeys(changes, 1.0)
+        evidence = gather(laboratory, ["condition 0"], groups, [[np.zeros((ROWS, 1))]], changes, scales, scales, {})
+        return SimpleNamespace(evidence=evidence, candidates=self.ENTRIES, starts={})
+
+    @pytest.mark.parametrize(("how", "part"), WAYS)
+    def test_each_way_is_told_by_its_own_shape_with_the_evidence_that_it_has(self, how: str, part: FloatArray) -> None:
+        search = self.search(part)
+        found = changing(search)
+        assert found is not None
+        assert (found.candidate, found.how) == (self.ENTRIES[0], how)
+        # directly: the mean change white, with the covariance of noise and nuisances
+        evidence = search.evidence
+        space = evidence.space
+        inverse = np.linalg.inv(np.eye(ROWS) + space.nuisances @ space.nuisances.T)
+        steady = evidence.signature([np.ones((ROWS, 1))])
+        column = steady * part
+        explained = {
+            name: (c @ inverse @ space.y) ** 2 / (c @ inverse @ c)
+            for name, c in (
+                ("steady", steady),
+                ("other", evidence.signature([np.sin(np.arange(ROWS) / 11.0)[:, None]])),
+                ("changing", column),
+            )
+        }
+        assert found.by_change == pytest.approx(0.5 * (explained["changing"] - max(explained["steady"], explained["other"])), rel=FILTERED)
+        # the size is believed to be as large as it is found; the ways share the probability of the effect
+        odds = (
+            0.5 * explained["changing"]
+            - 0.5 * math.log(explained["changing"])
+            + math.log(PRIOR_OF_SIZE[1] / 2)
+            - math.log(len(COMING_LATE) + 2)
+        )
+        assert found.log_odds == pytest.approx(odds, rel=FILTERED)
+
+    def test_where_nothing_has_one_number_nothing_can_be_said(self) -> None:
+        search = self.search(RAMP)
+        search.candidates = ()
+        assert changing(search) is None

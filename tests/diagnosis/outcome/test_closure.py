@@ -12,7 +12,7 @@ NOISE, ROWS = 0.1, 4000
 
 
 def repeats(seed: int, unlike: float, count: int = 4):
-    """The same signal with noise, and with a slow part of rms `unlike` that is another one in each repeat."""
+    """One signal with noise, and with a slow part of rms `unlike` that is another one in each repeat."""
     random = np.random.default_rng(seed)
     t = np.arange(ROWS)[:, None] * 0.01
     signal = np.hstack([np.sin(t), np.cos(0.7 * t)])
@@ -28,8 +28,8 @@ def test_closure_of_a_model_that_explains_a_known_part(part: float) -> None:
     signal, made = repeats(1, 0.0)
     zero, model = np.zeros_like(signal), (1.0 - part) * signal
     found = figures([products(made, (zero, zero), (model, model), np.full(2, NOISE**2))])
-    assert found["closure"] == pytest.approx(1.0 - part**2, abs=physics(1.0, absolute=0.01))
-    assert found["ceiling"] == pytest.approx(1.0, abs=physics(1.0, absolute=0.01))
+    assert found.closure == pytest.approx(1.0 - part**2, abs=physics(1.0, absolute=0.01))
+    assert found.ceiling == pytest.approx(1.0, abs=physics(1.0, absolute=0.01))
 
 
 def test_what_does_not_come_again_lowers_the_ceiling() -> None:
@@ -37,7 +37,7 @@ def test_what_does_not_come_again_lowers_the_ceiling() -> None:
     zero = np.zeros_like(signal)
     found = figures([products(made, (zero, zero), (0.3 * signal, 0.3 * signal), np.full(2, NOISE**2))])
     # per channel 0.5 comes again and 0.16 does not; the mean of the others has 1/39 of the latter
-    assert found["ceiling"] == pytest.approx(1.0 - 0.16 * (1.0 + 1.0 / 39.0) / 0.5, abs=physics(1.0, absolute=0.03))
+    assert found.ceiling == pytest.approx(1.0 - 0.16 * (1.0 + 1.0 / 39.0) / 0.5, abs=physics(1.0, absolute=0.03))
 
 
 def test_what_is_closed_can_be_closed() -> None:
@@ -45,14 +45,14 @@ def test_what_is_closed_can_be_closed() -> None:
     signal, made = repeats(2, 0.8, count=2)
     zero = np.zeros_like(signal)
     found = figures([products(made, (zero, zero), (signal, signal), np.full(2, NOISE**2))])
-    assert found["ceiling"] == min(found["closure"], 1.0)
-    assert found["ratio"] >= 1.0
+    assert found.ceiling == min(found.closure, 1.0)
+    assert found.ratio >= 1.0
 
 
 def test_noise_alone_is_not_measurable() -> None:
     _, made = repeats(3, 0.0)
     signal, _ = repeats(3, 0.0)
     found = figures([products(made, (signal, signal), (signal, signal), np.full(2, NOISE**2))])
-    assert not found["measurable"]
-    assert found["closure"] is None
-    assert found["why_no_ceiling"] == "the gap before is not measurable: its interval includes 0"
+    assert not found.measurable
+    assert found.closure is None
+    assert found.why_no_ceiling == "the gap before is not measurable: its interval includes 0"

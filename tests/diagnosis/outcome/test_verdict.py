@@ -34,23 +34,23 @@ def test_by_the_odds_and_by_new_conditions_where_these_are_low(nothing: float, g
     assert believed(nothing, moved) is there
 
 
-def test_what_little_evidence_there_is_must_not_break_its_promise_either() -> None:
-    """A machine without effects (case 0214 of seed 2037): half of a promise is as far from it as from none."""
+def test_what_little_evidence_there_is_must_not_fall_short_of_its_expected_gain_either() -> None:
+    """A machine without effects (case 0214 of seed 2037): half of an expected gain is as far from it as from none."""
     assert believed(0.04, Transfer(1.0, 1.0, 20.0, 31.0))
     assert not believed(0.04, Transfer(1.0, 1.0, 2.0, 31.0))
 
 
 @pytest.mark.parametrize(
-    ("nothing", "gain", "promised", "there"),
+    ("nothing", "gain", "expected_gain", "there"),
     [
-        (0.04, 3.0, 12.0, False),  # machines without effects (cases 0037, 0055 and 0235 of seed 2035) have up to 0.23 of a promise
+        (0.04, 3.0, 12.0, False),  # machines without effects (cases 0037, 0055 and 0235 of seed 2035) have up to 0.23 of an expected gain
         (0.04, 6.0, 12.0, True),
-        (0.04, 2.0, 7.0, True),  # a promise that is as small is had or not by chance
+        (0.04, 2.0, 7.0, True),  # an expected gain that is as small is had or not by chance
         (1e-5, 3.0, 12.0, True),  # an answer that does not need it
     ],
 )
-def test_a_faint_answer_must_keep_a_part_of_its_promise(nothing: float, gain: float, promised: float, there: bool) -> None:
-    assert believed(nothing, Transfer(1.0, 1.0, gain, promised)) is there
+def test_a_faint_answer_must_have_a_part_of_its_expected_gain(nothing: float, gain: float, expected_gain: float, there: bool) -> None:
+    assert believed(nothing, Transfer(1.0, 1.0, gain, expected_gain)) is there
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from robomill.fmus.components import NAMES
 from robomill.fmus.interface import Interface
 from robomill.fmus.native.data import data_c
 from robomill.fmus.native.lower import Lowered, Lowering, NativeBuildError, portable
-from robomill.fmus.native.targets import PLATFORMS, Slice, fat, machine_code, object_code
+from robomill.fmus.native.targets import PLATFORMS, Slice, fat, object_code, optimised
 from robomill.models.components.recording import replay_model
 from robomill.models.model.declaration import Model, Record, Variable
 from tests.fmus import native_runs
@@ -60,7 +60,8 @@ def test_nothing_but_two_functions_is_seen_and_nothing_outside_is_called(lowered
 def test_no_processor_fuses_multiplication_and_addition(target: Slice, lowered: dict[str, Lowered]) -> None:
     """apple-m1 has fused instructions, which round once instead of twice; nothing may use them."""
     for name in ("demo", *NAMES):
-        assembly = machine_code(lowered[name].code, target)
+        machine, module = optimised(lowered[name].code, target)
+        assembly = str(machine.emit_assembly(module))
         fused = re.findall(r"\bv?fn?m(?:add|sub|la|ls)\w*", assembly)
         assert not fused, f"{name} for {target.triple}: {fused[:3]}"
         called = set(re.findall(r"^\s+(?:callq?|bl|jmp|b)\s+(?!_?function_)([a-z_]\w+)", assembly, re.MULTILINE))
@@ -138,7 +139,7 @@ def test_what_needs_python_is_refused(init: str, step: str, expected: str, tmp_p
 
 
 def test_a_model_that_no_module_holds_is_refused() -> None:
-    with pytest.raises(NativeBuildError, match=r"its step stands in module '[\w.]+', which does not hold it as MODEL"):
+    with pytest.raises(NativeBuildError, match=r"its step stands in module '[\w.]+', and no module of the package '\w+' holds"):
         _lower(_model())
 
 
@@ -169,6 +170,18 @@ def test_a_square_root_becomes_an_instruction() -> None:
 def test_a_message_that_c_cannot_show_is_refused(message: str, expected: str) -> None:
     with pytest.raises(NativeBuildError, match=expected):
         data_c(Interface(_model(("", message))), "{}")
+
+
+@pytest.mark.parametrize("dimensions", [4, 5])
+def test_a_variable_has_four_dimensions_at_most(dimensions: int) -> None:
+    """The places of `shape` in shim/component.h."""
+    variables = (Variable("u", "input", "In", "m", (2,) * dimensions), Variable("y", "output", "Out", "m"))
+    interface = Interface(Model("many", "Many", variables, _init, _step))
+    if dimensions == 4:
+        assert "{2, 2, 2, 2}" in data_c(interface, "token")
+    else:
+        with pytest.raises(NativeBuildError, match="has 5 dimensions; at most 4 are possible"):
+            data_c(interface, "token")
 
 
 def test_messages_become_tables() -> None:

@@ -49,7 +49,7 @@ def test_fmi3_gives_the_numbers_of_the_model_bit_by_bit(name: str, variant: str,
 
 @pytest.mark.parametrize("name", ALL)
 def test_fmi3_through_fmpy(name: str, built_native: Callable[..., Path], tmp_path: Path) -> None:
-    """The same in an importer of others, array by array."""
+    """An FMI 3.0 FMU in an importer of others has the bits of the model, array by array."""
     model = runs.model(name)
     interface = Interface(model)
     rows, values = runs.inputs(name, interface), runs.parameters(name, "golden", model)

@@ -12,13 +12,15 @@ from robomill.models.calibration.identification import (
     FEATURES,
     THREE_POSES,
     Load,
+    PayloadFit,
     fit_orientation_polynomial,
+    identify_payload,
     identify_poses,
     identify_three_poses,
     orientation_features,
     quaternion_from_abc,
 )
-from tests.tolerances import ROUNDOFF, physics
+from tests.tolerances import ROUNDOFF, chance, of_variance, physics
 
 WEIGHT = 60 * 9.81
 TRUE = Load(np.array([0.0, 0.0, -WEIGHT]), np.array([0.012, -0.02, 0.135]), np.array([12.0, -7.0, 25.0]), np.array([1.5, -2.0, 0.7]))
@@ -178,6 +180,72 @@ def test_ridge_keeps_the_coefficients_small_where_the_poses_are_clustered() -> N
     damped = fit_orientation_polynomial(q, force, ridge=1e-3)
     assert np.abs(orientation_features(quaternions(100)) @ damped).max() < 50.0
     assert np.abs(orientation_features(quaternions(100)) @ fit_orientation_polynomial(q, force)).max() > 500.0
+
+
+# ------------------------------------------------------------------------------------- uncertainties
+
+
+def noisy_fits(R: np.ndarray, draws: int, noise_f: float = 1.0, seed: int = 0) -> list[PayloadFit]:
+    """The load TRUE measured at the orientations R, 1 N and 0.1 N m noise, so many times."""
+    rng, (force, moment) = np.random.default_rng(seed), TRUE.wrench(R)
+    return [
+        identify_payload(R, force + noise_f * rng.normal(0, 1.0, force.shape), moment + rng.normal(0, 0.1, moment.shape))
+        for _ in range(draws)
+    ]
+
+
+def test_covariances_are_those_of_repeated_measurements() -> None:
+    """Scatter of 1000 draws at 15 orientations, that of the lever with what the weight adds."""
+    R, draws = poses(15), 1000
+    fits = noisy_fits(R, draws)
+    for value, deviation in (
+        (lambda f: f.load.weight_B, lambda f: f.deviation_weight_B),
+        (lambda f: f.load.offset_f, lambda f: f.deviation_offset_f),
+        (lambda f: f.load.cog_S, lambda f: f.deviation_cog_S),
+        (lambda f: f.load.offset_m, lambda f: f.deviation_offset_m),
+        (lambda f: f.tilt, lambda f: f.deviation_tilt),
+        (lambda f: np.array([f.load.weight]), lambda f: np.array([f.deviation_weight])),
+    ):
+        scatter = np.std([value(f) for f in fits], axis=0)
+        stated = np.sqrt(np.mean(np.square([deviation(f) for f in fits]), axis=0))
+        assert np.abs(scatter / stated - 1.0).max() < chance(of_variance(draws) / 2.0) + chance(of_variance(draws * 39) / 2.0)
+    assert np.mean([f.residual_f**2 for f in fits]) == pytest.approx(1.0, abs=chance(of_variance(39 * draws)))
+    # what the error of the weight leaves in the moments is not in their noise
+    fits = noisy_fits(R, draws, noise_f=0.0)
+    assert np.mean([f.residual_m**2 for f in fits]) == pytest.approx(0.01, abs=chance(0.01 * of_variance(39 * draws)))
+
+
+@pytest.mark.paper
+def test_weight_from_15_configurations() -> None:
+    """Paper 003, sec. 5.3, 15 configurations; FACTS10 10.1: 1 N noise, 60 kg, +-0.28 N for random orientations, +-1 N within 30 deg.
+
+    That is the component of the weight vector; a third beside it, since 15 random orientations are one draw.
+    """
+    anywhere = np.mean([identify_at(poses(15, seed)) for seed in range(40)])
+    assert abs(anywhere - 0.28) < physics(0.28, relative=0.33)
+    down = Rotation.from_euler("x", np.pi)
+    near = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        axis = rng.normal(size=(15, 3))
+        turn = Rotation.from_rotvec(axis / np.linalg.norm(axis, axis=1, keepdims=True) * rng.uniform(0, np.pi / 6, (15, 1)))
+        near.append(identify_at((turn * down).as_matrix()))
+    assert abs(np.mean(near) - 1.0) < physics(1.0, relative=0.5)
+
+
+def identify_at(R: np.ndarray) -> float:
+    """Standard deviation of a component of the weight vector, 1 N noise, from the design alone (mean of the three)."""
+    design = np.concatenate([R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape)], axis=2).reshape(-1, 6)
+    return float(np.sqrt(np.mean(np.diag(np.linalg.inv(design.T @ design))[:3])))
+
+
+def test_tilt_of_the_base_is_found_with_its_sign() -> None:
+    """A base turned by +1 deg about x and -0.5 deg about y: the weight in B turns the other way, to first order (angles squared)."""
+    base = Rotation.from_euler("xy", [1.0, -0.5], degrees=True).inv()
+    load = Load(base.apply([0, 0, -WEIGHT]), TRUE.cog_S, TRUE.offset_f, TRUE.offset_m)
+    fit = identify_payload(poses(15), *load.wrench(poses(15)))
+    assert np.abs(np.rad2deg(fit.tilt) - [1.0, -0.5]).max() < physics(1.0, relative=1e-3)
+    assert fit.residual_f < 1e2 * ROUNDOFF * WEIGHT
 
 
 # -------------------------------------------------------------------------------------------- errors

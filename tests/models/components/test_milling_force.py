@@ -13,7 +13,8 @@ from robomill.models.components.milling_force import BINS, MODEL
 from robomill.models.model.declaration import record
 from robomill.models.model.parameters import load
 from robomill.models.process import tool_table
-from robomill.models.process.cutting import CuttingCoefficients, EndMill, ideal_force, immersion, mean_force, mean_torque, slot_force
+from robomill.models.process.cutting import CuttingCoefficients, EndMill, immersion, mean_force, mean_torque, slot_force
+from tests.models.process.ideal_engagement import ideal_force
 from tests.tolerances import EXACT, ROUNDOFF, discretisation, physics
 
 H = 0.004
@@ -27,6 +28,8 @@ REV_250 = 250 * 2 * math.pi
 GROOVE = 13000 * 2 * math.pi / 60
 """rad/s: 13 revolutions in 15 steps."""
 FEED = 0.025
+PEAK = 0.01
+"""Relative: what docs/components/milling_force.md says that the peak depends on `substeps` by at most."""
 OUTPUTS = ("f_T_B", "m_T_B", "f_peak", "spindle_torque", "spindle_power", "removal_rate", "depth")
 EFFECTS = {
     "cutting_coefficient_error": 0.2,
@@ -130,7 +133,7 @@ def test_spindle_off_means_no_force_and_no_cut() -> None:
     assert np.array_equal(mill.data["height"], before)
     mill.data["spindle_speed"] = REV_250  # what was passed without cutting is not taken for cut
     mill.go([-0.018, 0, -0.01], [FEED, 0, 0])
-    assert mill.data["height"].min() == pytest.approx(-0.01)
+    assert mill.data["height"].min() == pytest.approx(-0.01, rel=ROUNDOFF)
     assert mill.data["removal_rate"][0] > 0.0
 
 
@@ -205,9 +208,9 @@ def test_ramp_end_face_pushes_up() -> None:
     thrust = 3 * RADIUS * (K.Krc * chip_z + K.Kre * chip_z / 5e-6)
     depth = 0.004 + 0.1 * FEED * H * (np.arange(1, 101) - 0.5)
     axial = thrust - depth * slot_force(K, 3, 1.0, FEED / 750)[2]
-    assert f[20:, 2] == pytest.approx(axial[20:], rel=0.01)  # the ring looks 0.4 mm ahead into the slope: 0.04 of 4 mm
+    assert f[20:, 2] == pytest.approx(axial[20:], rel=1e3 * ROUNDOFF)
     torque = mean_torque(K, 0.016, 3, 1.0, FEED / 750, 0.0, math.pi) * depth + 3 * RADIUS**2 / 2 * (K.Ktc * chip_z + K.Kte * chip_z / 5e-6)
-    assert f[20:, 7] == pytest.approx(torque[20:], rel=0.01)
+    assert f[20:, 7] == pytest.approx(torque[20:], rel=1e3 * ROUNDOFF)
 
 
 def test_plunge_bites_gradually_and_to_the_full() -> None:
@@ -217,7 +220,8 @@ def test_plunge_bites_gradually_and_to_the_full() -> None:
     full = 3 * RADIUS * (K.Krc * chip_z + K.Kre)
     assert not f[:15].any()  # 0.3 mm down: still 0.2 mm above, more than the contact zone
     assert np.all(np.diff(f[25:, 2]) >= 0.0)
-    assert f[-1, 2] == pytest.approx(full, rel=math.exp(-0.67 / 0.064))  # 167 steps in the material, time constant 60 + 4 ms
+    # 167 steps in the material, time constant 60 + 4 ms
+    assert f[-1, 2] == pytest.approx(full, abs=physics(full, relative=math.exp(-0.67 / 0.064)))
     assert f[-1, 9] == pytest.approx(math.pi * RADIUS**2 * 0.005, rel=discretisation(1.0, 2e-4 / RADIUS, 2))
     assert not f[:, [0, 1, 3, 4]].any()
     assert not mill.line([0, 0, -0.0035], [0, 0, 0.005], 5)[:, :9].any()  # on the way up nothing touches
@@ -245,8 +249,9 @@ def test_power_pays_for_the_volume_that_the_dexels_lose() -> None:
     for ap, angle in ((0.002, 0.0), (0.01, 25.0)):
         f = slot(ap=ap, angle=angle)[10:].mean(axis=0)
         edge = 3 * ap * K.Kte * RADIUS * REV_250 / 2
-        assert f[8] == pytest.approx(K.Ktc * f[9] + edge, rel=discretisation(1.0, 2e-4 / RADIUS, 2) + 1e-3)
-        assert f[9] == pytest.approx(2 * RADIUS * ap * FEED, rel=1e-3)
+        cells = discretisation(1.0, 2e-4 / RADIUS, 2)  # as areas of discs of partly covered cells
+        assert f[8] == pytest.approx(K.Ktc * f[9] + edge, rel=cells)
+        assert f[9] == pytest.approx(2 * RADIUS * ap * FEED, rel=cells)
         assert f[8] == pytest.approx(f[7] * REV_250, rel=ROUNDOFF)
 
 
@@ -297,7 +302,7 @@ def test_depth_counts_from_the_bottom_of_a_block_that_is_cut_through() -> None:
     fx, fy, fa = slot_force(K, 3, 0.005, FEED / 750)
     assert f[:3] == pytest.approx((fx, fy, -fa), rel=1e4 * ROUNDOFF)
     assert f[3] == pytest.approx(-fy * 0.0055, rel=1e4 * ROUNDOFF)
-    assert f[10] == pytest.approx(0.005)
+    assert f[10] == pytest.approx(0.005, rel=ROUNDOFF)
 
 
 def test_second_pass_meets_the_wall_that_the_deflected_first_one_left() -> None:
@@ -335,10 +340,10 @@ def test_peak_against_fine_instants_and_with_half_and_double_the_substeps() -> N
     runs = {n: slot(ap=0.01, spindle=GROOVE, substeps=n)[20:40] for n in (12, 24, 48)}
     for n in (12, 48):
         assert np.array_equal(np.delete(runs[n], 6, axis=1), np.delete(runs[24], 6, axis=1))
-        assert runs[n][:, 6] == pytest.approx(runs[24][:, 6], rel=0.01)
+        assert runs[n][:, 6] == pytest.approx(runs[24][:, 6], rel=PEAK)
     angles = np.linspace(0, 2 * math.pi / 3, 361)
     instants = [ideal_force(K, MILL, 0.01, FEED / 650, 0.0, math.pi, a, a + 1e-6)[:3] for a in angles]
-    assert runs[24][:, 6].max() == pytest.approx(np.linalg.norm(instants, axis=1).max(), rel=0.01)
+    assert runs[24][:, 6].max() == pytest.approx(np.linalg.norm(instants, axis=1).max(), rel=PEAK)
 
 
 def test_two_half_steps_are_one_step() -> None:
@@ -424,7 +429,7 @@ def test_stock_error_is_extra_depth() -> None:
     f = slot(ap=0.01, stock_error=5e-4)[-1]
     fx, fy, fa = slot_force(K, 3, 0.0105, FEED / 750)
     assert f[:3] == pytest.approx((fx, fy, -fa), rel=1e4 * ROUNDOFF)
-    assert f[10] == pytest.approx(0.0105)
+    assert f[10] == pytest.approx(0.0105, rel=ROUNDOFF)
 
 
 def test_engagement_error_moves_the_side_faces() -> None:
@@ -451,8 +456,8 @@ def test_yielding_workpiece_shifts_the_cut_by_compliance_times_force() -> None:
     h = mill.data["height"][0][: int(mill.s.nx) * int(mill.s.ny)].reshape(int(mill.s.ny), int(mill.s.nx))
     profile = h[:, 150] / h.min()
     y = (np.arange(len(profile)) + 0.5 - 0.5 * len(profile)) * float(mill.s.dy)
-    assert (profile * y).sum() / profile.sum() == pytest.approx(c * last[1], rel=0.01)  # centre of the slot
-    assert h.min() == pytest.approx(-0.01 + c * last[2], abs=1e-8)
+    assert (profile * y).sum() / profile.sum() == pytest.approx(c * last[1], rel=1e3 * ROUNDOFF)  # centre of the slot
+    assert h.min() == pytest.approx(-0.01 + c * last[2], rel=1e3 * ROUNDOFF)
 
 
 # ---------------------------------------------------------------- several tools
@@ -532,10 +537,10 @@ def test_spindle_start_angle_is_the_rotation_that_the_tool_starts_with() -> None
     options = {"spindle": 1.5 / H, "runout": 1e-5, "feed": 0.01}
     pattern = slot(steps=40, **options)[:, :9]
     shifted = slot(steps=36, spindle_start_angle=4 * 1.5, **options)[:, :9]
-    assert shifted == pytest.approx(pattern[4:], rel=1e5 * ROUNDOFF, abs=1e-9)
+    assert shifted == pytest.approx(pattern[4:], rel=1e5 * ROUNDOFF, abs=1e3 * ROUNDOFF)
     assert np.abs(shifted[:, :3] - pattern[:36, :3]).max() > 10.0
     whole_turn = slot(steps=36, spindle_start_angle=4 * 1.5 - 2 * math.pi, **options)[:, :9]
-    assert whole_turn == pytest.approx(shifted, rel=1e5 * ROUNDOFF, abs=1e-9)
+    assert whole_turn == pytest.approx(shifted, rel=1e5 * ROUNDOFF, abs=1e3 * ROUNDOFF)
 
 
 # ---------------------------------------------------------------- parity

@@ -117,7 +117,7 @@ def test_the_raw_wrench_is_weight_plus_hose_plus_offset_plus_process() -> None:
     The process force of 100 N along z of B acts at T, 0.237 m along x and 0.222 m along z of S.
     """
     chain = Chain(force=[0, 0, 100.0], q=np.deg2rad([0.0, -90.0, 90.0, 0.0, 90.0, 0.0]), hose_coefficients=0, **QUIET)
-    assert np.allclose(chain.R_BS[:, 2], [0, 0, -1], atol=ROUNDOFF)
+    assert np.allclose(chain.R_BS[:, 2], [0, 0, -1], rtol=0.0, atol=ROUNDOFF)
     weight = 60.0 * 9.81
     assert np.allclose(chain.s.f_S_raw, [12.0, -7.0, 25.0 + weight - 100.0], rtol=0, atol=ROUNDOFF * SCALE)
     # r x f with r = (0.237, 0, 0.222) and f = (0, 0, -100): (0, 23.7, 0); the weight acts through the sensor axis

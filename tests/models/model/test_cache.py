@@ -87,17 +87,34 @@ def test_folders_used_longest_ago_are_removed(tmp_path: Path) -> None:
 def test_sources_are_those_imported_directly_through_others_and_inside_functions() -> None:
     files = source_files("robomill.models.components.milling_force")
     assert {
-        "robomill.models",
         "robomill.models.components.milling_force",
         "robomill.models.process.dexels",
         "robomill.models.maths.elementary",
         "robomill.models.model.declaration",
         "robomill.models.model.cache",
     } <= set(files)
+    assert "robomill.models" not in files  # only passed through
     assert "robomill.models.components.sensor_chain" not in files
     assert not [name for name in files if name.startswith(("numba", "numpy", "tests"))]
     with pytest.raises(ModuleNotFoundError, match=r"no source file of module 'robomill\.models\.nothing'"):
         source_files("robomill.models.nothing")
+
+
+def test_relative_imports_and_packages_that_hold_something_are_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "followed_package"
+    (package / "inner").mkdir(parents=True)
+    (package / "__init__.py").write_text("VALUE = 1\n")
+    (package / "model.py").write_text("from .inner.part import x\nfrom . import VALUE, other\n")
+    (package / "other.py").write_text("")
+    (package / "inner" / "__init__.py").write_text("")
+    (package / "inner" / "part.py").write_text("from ..other import y\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert sorted(source_files("followed_package.model")) == [
+        "followed_package",
+        "followed_package.inner.part",
+        "followed_package.model",
+        "followed_package.other",
+    ]
 
 
 def test_the_key_depends_on_functions_and_compiler() -> None:

@@ -202,7 +202,7 @@ class TestModel:
 
 
 class TestRunning:
-    """The same source, plain and compiled."""
+    """One source, plain and compiled."""
 
     @staticmethod
     def run(first: Any, second: Any, argument: Any, data: Any) -> list[int]:

@@ -221,7 +221,12 @@ class TestParameterFiles:
     @pytest.mark.parametrize(
         ("old", "new", "text"),
         [
-            ("[ratio]", "[rtaio]", r"spring\.toml: unknown fields \['rtaio'\], missing fields \['ratio'\]; Spring has length, name, ratio"),
+            ("[ratio]", "[rtaio]", r"spring\.toml: unknown fields \['rtaio'\], missing fields \[\]; Spring has length, name, ratio"),
+            (
+                "[length]",
+                "[lenght]",
+                r"spring\.toml: unknown fields \['lenght'\], missing fields \['length'\]; Spring has",
+            ),
             ('unit = "mm"', 'unit = "kg"', r"spring\.toml: length: unit 'kg' does not measure 'm'; known units: "),
             ('unit = "mm"', 'unit = "parsec"', r"spring\.toml: length: unit 'parsec' does not measure 'm'"),
             ("value = 150", "value = -150", r"spring\.toml: length: -150 mm is outside \[0\.0, 2\.0\] m"),

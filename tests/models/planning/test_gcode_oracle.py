@@ -103,8 +103,8 @@ def test_random_programs(seed: int) -> None:
     ours = [a for a in parse(text).actions if isinstance(a, Move)]
     assert len(ours) == len(theirs)
     for mine, other in zip(ours, theirs, strict=True):
-        np.testing.assert_allclose(mine.start, vector(other["start"], unit), atol=1e3 * ROUNDOFF)
-        np.testing.assert_allclose(mine.end, vector(other["end"], unit), atol=1e3 * ROUNDOFF)
+        np.testing.assert_allclose(mine.start, vector(other["start"], unit), rtol=0.0, atol=1e3 * ROUNDOFF)
+        np.testing.assert_allclose(mine.end, vector(other["end"], unit), rtol=0.0, atol=1e3 * ROUNDOFF)
         assert mine.feed == (None if other["feed"] is None else pytest.approx(other["feed"] * unit / 60.0, rel=ROUNDOFF))
         assert mine.spindle_speed == pytest.approx(other["speed"] * math.pi / 30.0, rel=ROUNDOFF)
         assert isinstance(mine, Arc) == bool(other["chords"])
@@ -123,7 +123,7 @@ def compare_arc(mine: Arc, other: dict[str, Any], unit: float) -> None:
     axis = np.array(mine.axis)
     out -= np.outer(out @ axis, axis)
     radius = np.linalg.norm(out, axis=1)
-    np.testing.assert_allclose(radius, radius[0], atol=unit * CHORD + DIGIT)
+    np.testing.assert_allclose(radius, radius[0], rtol=0.0, atol=unit * CHORD + DIGIT)
     turns = np.arctan2(np.cross(out[:-1], out[1:]) @ axis, np.sum(out[:-1] * out[1:], axis=1))
     assert float(np.sum(turns)) == pytest.approx(mine.angle, abs=2.0 * (unit * CHORD + DIGIT) / radius[0])
 
@@ -155,4 +155,4 @@ def test_drilling_cycles(cycle: str, retract: str, mode: str) -> None:
         if given:
             place = {a: (place[a] + given.get(a, 0.0) if mode == "G91" else given.get(a, place[a])) for a in "XYZ"}
             points.append(tuple(vector(place, 1e-3)))
-    np.testing.assert_allclose([m.end for m in ours], points, atol=1e3 * ROUNDOFF)
+    np.testing.assert_allclose([m.end for m in ours], points, rtol=0.0, atol=1e3 * ROUNDOFF)

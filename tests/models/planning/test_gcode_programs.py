@@ -489,7 +489,7 @@ class TestArcs:
         """A quarter about (10, 0) from (0, 0): I10 fits both ways; from (10, 10) only the absolute reading does."""
         text = START + "G2 X10 Y10 I10 J0\nG2 X10 Y-10 I10 J0"
         first, second = (a for a in parse(text).actions if isinstance(a, Arc))
-        np.testing.assert_allclose([first.centre[:2], second.centre[:2]], [[0.01, 0.0], [0.01, 0.0]], atol=ROUNDOFF)
+        np.testing.assert_allclose([first.centre[:2], second.centre[:2]], [[0.01, 0.0], [0.01, 0.0]], rtol=0.0, atol=ROUNDOFF)
         assert "taken as absolute (G90.1)" in notes(parse(text))
         with pytest.raises(GCodeError, match=r"12\.3607 mm apart"):
             parse(START.replace("G17", "G17 G91.1") + "G2 X10 Y10 I10 J0\nG2 X10 Y-10 I10 J0")

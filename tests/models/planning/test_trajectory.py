@@ -12,12 +12,13 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
+from robomill.cell.points import PathError, parse_points, read_points
 from robomill.models.model.declaration import FloatArray
 from robomill.models.planning.blend import arc_length, arc_length_pieces, bezier_control, bezier_derivatives, blend
 from robomill.models.planning.double_s import Phase, profile, ramp_length, reachable_speed
 from robomill.models.planning.gcode import Setup, parse, read
 from robomill.models.planning.path_geometry import Polynomial, helix, line
-from robomill.models.planning.point_path import Interpolation, PathError, parse_points, read_points
+from robomill.models.planning.point_path import Interpolation
 from robomill.models.planning.segment_table import ACCELERATION, JERK, LINE, SPEED, TAU, TOOL
 from robomill.models.planning.trajectory import LIMITS, PathLimits, Placement, Plan, PlanError, pilot_table, plan
 from tests import SCENARIOS
@@ -153,7 +154,7 @@ class TestShapes:
                 h = 1e-4 * shape.length
                 (p0, d0, _), (p1, d1, _) = shape.at(s - h), shape.at(s + h)
                 _, d, k = shape.at(float(s))
-                np.testing.assert_allclose((p1 - p0) / (2 * h), d, atol=discretisation(1.0, 1e-4, 2) + 1e-10, rtol=0.0)
+                np.testing.assert_allclose((p1 - p0) / (2 * h), d, atol=discretisation(1.0, 1e-4, 2) + 1e-3 * ROUNDOFF / h, rtol=0.0)
                 np.testing.assert_allclose((d1 - d0) / (2 * h), k, atol=discretisation(1.0, 1e-4, 2) * 1e5 * shape.length, rtol=0.0)
                 assert np.linalg.norm(d) == pytest.approx(1.0, rel=SPEED_BAND)
 
@@ -237,8 +238,7 @@ class TestBlend:
         found = blend(before, after, 0.05, 1e-4)
         assert found is not None
         control = bezier_control(before, after, found[0])
-        # the planner measures to a polygon of 64 chords
-        assert np.linalg.norm(bezier_derivatives(control, 0.5)[0]) == pytest.approx(1e-4, rel=1e-3)
+        assert np.linalg.norm(bezier_derivatives(control, 0.5)[0]) == pytest.approx(1e-4, rel=1e3 * ROUNDOFF)
 
     def test_short_neighbours_limit_it(self) -> None:
         found = blend(*corner(1.0, 1e-3), 0.5e-3, 1e-2)
@@ -268,7 +268,10 @@ class TestPlan:
         tau = np.random.default_rng(7).uniform(0.01, p.duration - 0.01, 100)
         h = 1e-5
         np.testing.assert_allclose(
-            (p.position(tau + h) - p.position(tau - h)) / (2 * h), p.velocity(tau), atol=discretisation(1e3, h, 2) + 1e-10, rtol=0.0
+            (p.position(tau + h) - p.position(tau - h)) / (2 * h),
+            p.velocity(tau),
+            atol=discretisation(1e3, h, 2) + 1e-3 * ROUNDOFF / h,
+            rtol=0.0,
         )
         np.testing.assert_allclose(
             (p.velocity(tau + h) - p.velocity(tau - h)) / (2 * h), p.acceleration(tau), atol=discretisation(1e3, h, 1), rtol=0.0
@@ -309,10 +312,12 @@ class TestPlan:
             np.testing.assert_allclose(speed(p, in_block(p, block)), 0.1, rtol=SPEED_BAND)
 
     def test_deviation_from_the_program_is_the_tolerance(self) -> None:
-        """Corner of 90 deg: the path passes the corner at the blend tolerance, to the 1e-3 of its search."""
+        """Corner of 90 deg: the path passes the corner at the blend tolerance, where it is nearest: a sample beside that is farther."""
         p = planned("G1 X40\nY40")
         tau = np.linspace(0.0, p.duration, 200_001)
-        assert np.min(np.linalg.norm(p.position(tau) - [1.04, 0.0, 0.0], axis=1)) == pytest.approx(2e-4, rel=1e-3)
+        assert np.min(np.linalg.norm(p.position(tau) - [1.04, 0.0, 0.0], axis=1)) == pytest.approx(
+            2e-4, rel=discretisation(1.0, p.length / 200_000 / 2e-4, 2)
+        )
 
     def test_line_to_arc_is_blended_to_continuous_curvature(self) -> None:
         """Tangential line and arc, R 10 mm: without blend the lateral acceleration would jump by v^2/R = 62.5 mm/s2."""
@@ -528,7 +533,8 @@ class TestPointPath:
         tau = np.linspace(0.0, p.duration, 200_001)
         where = p.position(tau) - np.asarray(HERE.p_BP_B)
         left = where[(where[:, 1] > -0.040 + 1e-12)][0]
-        assert left[0] == pytest.approx(0.040 - 0.006, abs=1e-4)
+        # as the cube of the way, over 6 mm; and half as much as that for the sample
+        assert left[0] == pytest.approx(0.040 - 0.006, abs=discretisation(1.5 * 0.006, (1e-12 / 0.006) ** (1 / 3), 1))
 
     def test_stop_with_a_turn_where_there_is_no_blend(self) -> None:
         text = "[[point]]\nposition = [0, 0, 0]\n[[point]]\nposition = [50, 0, 0]\norientation = [0, 0, 5]\nfeed = 25\n"
@@ -552,21 +558,24 @@ class TestPointPath:
         ("text", "message"),
         [
             ("[[point]", "path: not valid TOML"),
-            ("speed = 5", r"path: unknown keys \['speed'\]; known: orientation, point"),
-            ("orientation = 'edge'", "path: orientation = 'edge'; expected 'corner'"),
+            ("speed = 5", "path:1: speed: unknown key 'speed'; available: orientation, point"),
+            ("orientation = 'edge'", "path:1: orientation: unknown orientation 'edge'; available: corner, path"),
             ("[[point]]\nposition = [1, 2, 3]", r"at least two \[\[point\]\] tables; found 1"),
-            ("point = [1, 2]", r"path: a path needs at least two \[\[point\]\] tables; found 2"),
-            ("[[point]]\nfeed = 1\n[[point]]\n", "path:1: point 1: position is missing"),
-            ("[[point]]\nposition = [1, 2]\n[[point]]\n", r"path:1: point 1: position = \[1, 2\]; expected three numbers in mm"),
+            ("point = [1, 2]", r"path:1: point 1: expected a table; found 1"),
+            ("[[point]]\nfeed = 1\n[[point]]\n", "path:1: point 1: missing: position; known keys: blend, feed,"),
+            ("[[point]]\nposition = [1, 2]\n[[point]]\n", r"path:2: point 1: position: expected three numbers in mm; found \[1, 2\]"),
             (
                 "[[point]]\nposition = [1, 2, true]\n[[point]]\n",
-                r"path:1: point 1: position = \[1, 2, True\]; expected three numbers in mm",
+                "path:2: point 1: position.2: expected a number in mm; found True",
             ),
-            ("[[point]]\nposition = [1, 2, 3]\nspin = 4\n[[point]]\n", r"path:1: point 1: unknown keys \['spin'\]; known: position"),
+            (
+                "[[point]]\nposition = [1, 2, 3]\nspin = 4\n[[point]]\n",
+                "path:3: point 1: spin: unknown key 'spin'; available: blend",
+            ),
             ("[[point]]\nposition = [1, 2, 3]\n[[point]]\nposition = [4, 5, 6]", "path:3: point 2: feed is missing"),
             (
                 "[[point]]\nposition = [1, 2, 3]\nblend = -1\n[[point]]\n",
-                "path:1: point 1: blend = -1; expected a number in mm, at least 0",
+                "path:3: point 1: blend: expected a number in mm, at least 0; found -1",
             ),
         ],
     )

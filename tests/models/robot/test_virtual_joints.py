@@ -11,14 +11,16 @@ from numba import njit
 from scipy.spatial.transform import Rotation
 
 from robomill.models.model.declaration import COMPILER_OPTIONS, Model, Record, record
-from robomill.models.robot.kinematics import KR300, ROBOT_VARIABLES
+from robomill.models.robot.kinematics import KR300, ROBOT_VARIABLES, SPINDLE_ACROSS, jacobian, load_robot, robot_variables
 from robomill.models.robot.virtual_joints import (
     COMPLIANCE_VARIABLES,
     DRIVES,
     JOINTS,
     TABLE_1,
     compliance_matrix,
+    compliance_variables,
     displacement,
+    load_compliance,
     virtual_joints,
 )
 from tests.tolerances import EXACT, ROUNDOFF, discretisation, physics
@@ -363,3 +365,45 @@ def test_compiled_gives_the_same_bits_as_plain_python() -> None:
         for a, b in zip(plain, fast, strict=True):
             assert np.abs(a - b).max() == EXACT, seed
         assert data_plain.tobytes() == data_compiled.tobytes(), seed
+
+
+class TestCoupledAxes:
+    """A parallelogram: the drive of axis 2 also turns the forearm, and feels its moment."""
+
+    @staticmethod
+    def irb() -> Record:
+        robot, compliance = load_robot("irb6400r_25_150"), load_compliance("irb6400r_25_150")
+        # paper 003: spindle in line with the flange, 450 mm
+        tool = replace(SPINDLE_ACROSS, p_FT_F=np.array([0.0, 0.0, 0.45]))
+        variables = (*robot_variables(robot, tool), *compliance_variables(compliance, tool))
+        return record(Model("irb", "coupled axes", variables, no_init, no_step).new())
+
+    def test_compliance_is_that_of_the_axis_jacobian(self) -> None:
+        """C = J K^-1 J^T with the springs at the axes; tilts and links of that file are rigid (9.9e99 N.mm/rad)."""
+        s = self.irb()
+        C, J = np.zeros((6, 6)), np.zeros((6, 6))
+        stiffness = s.stiffness[list(DRIVES), 2]
+        for seed in range(20):
+            q = np.random.default_rng(seed).uniform(s.q_min, s.q_max)
+            compliance_matrix(s, q, C)
+            jacobian(s, q, J)
+            expected = J @ np.diag(1.0 / stiffness) @ J.T
+            assert np.abs(C - expected).max() < ROUNDOFF * np.abs(expected).max()
+
+    def test_figures_of_the_pose_of_the_aluminium_block(self) -> None:
+        """FACTS10 10.1, printed with three digits, as its springs: C_xx, C_yy, C_zz = 3.36, 1.38, 0.75 and C_xz = +1.02 um/N."""
+        s, C = self.irb(), np.zeros((6, 6))
+        compliance_matrix(s, np.deg2rad([0.0, 2.67, 46.58, 0.0, 43.42, 180.0]), C)
+        for (i, j), published in {(0, 0): 3.36, (1, 1): 1.38, (2, 2): 0.75, (0, 2): 1.02}.items():
+            assert abs(1e6 * C[i, j] - published) < physics(published, relative=0.003, absolute=0.005)
+
+    def test_displacement_is_the_matrix_times_the_load(self) -> None:
+        """To first order: 1 N leaves about 1e-6 rad, squared 1e-12."""
+        s, C, d, theta = self.irb(), np.zeros((6, 6)), np.zeros(3), np.zeros(3)
+        for seed in range(5):
+            rng = np.random.default_rng(seed)
+            q, f, m = rng.uniform(s.q_min, s.q_max), rng.uniform(-1, 1, 3), rng.uniform(-1, 1, 3)
+            compliance_matrix(s, q, C)
+            displacement(s, q, f, m, d, theta)
+            expected = C @ np.r_[f, m]
+            assert np.abs(np.r_[d, theta] - expected).max() < 1e1 * ROUNDOFF + np.abs(expected).max() ** 2 * 10

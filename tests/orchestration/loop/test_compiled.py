@@ -63,7 +63,7 @@ def rates(s, **by_name):
 
 
 def both(s, tmp_path=None, stop=4.0, **options):
-    """The same run by both loops."""
+    """One run by both loops."""
     folders = [tmp_path / kind if tmp_path else None for kind in ("python", "compiled")]
     return [run(s, folder, stop=stop, loop=kind, **options) for folder, kind in zip(folders, ("python", "compiled"), strict=True)]
 
@@ -395,7 +395,7 @@ class TestChoice:
             run(ring(fmu), stop=0.04, loop="compiled", manipulators=[lambda master, t: None])
 
     def test_unknown_loop(self, fmu, tmp_path):
-        with pytest.raises(SystemFileError, match="loop 'fast' is unknown; available: auto, compiled, python"):
+        with pytest.raises(SystemFileError, match="unknown loop 'fast'; available: auto, compiled, python"):
             run(ring(fmu), loop="fast", stop=1.0)
         (tmp_path / "system.toml").write_text('name = "x"\nstep = "0.004 s"\nloop = "python"\n[components.a]\nsource = "mock"\n')
         assert System.load(tmp_path / "system.toml").loop == "python"

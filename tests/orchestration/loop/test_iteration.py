@@ -11,7 +11,7 @@ import pytest
 
 from robomill.orchestration.assembly import run
 from robomill.orchestration.errors import RunError, SystemFileError, WiringError
-from robomill.orchestration.loop.acceleration import METHODS, Iteration, Work, compare, improve
+from robomill.orchestration.loop.acceleration import DEFAULT, METHODS, Iteration, Work, compare, improve
 from robomill.orchestration.slaves.protocol import PortData
 from robomill.orchestration.system.definition import Component, Connection, System
 from robomill.orchestration.system.wiring import wire
@@ -91,7 +91,7 @@ class TestAlgebraicLoop:
         assert r["master.iterations"].max() <= 3
 
     def test_outputs_at_the_start_satisfy_the_loop(self):
-        assert loop(0.5, stop=0.0)["a.y[1]"][0] == pytest.approx(2.0, rel=1e-8)
+        assert loop(0.5, stop=0.0)["a.y[1]"][0] == pytest.approx(2.0, rel=DEFAULT.tolerance)
 
     def test_integer_signals_go_round_too(self):
         ports = [PortData("u", "input", "integer", start=0), PortData("y", "output", "integer")]
@@ -114,7 +114,7 @@ class TestSeveralSignals:
         assert r["master.iterations"].max() <= 3 + 6
 
     def test_units_do_not_matter(self):
-        """The same loop with one signal counted in millionths takes the same rounds to the same solution."""
+        """A loop with one signal counted in millionths takes as many rounds to the same solution."""
 
         def rounds(scale):
             D = np.diag([1.0, scale])
@@ -382,10 +382,10 @@ class TestSystemFile:
             ('"mean"', '"start"', "unknown hold 'start'; available: end, mean"),
             ('"accept"', '"ignore"', "unknown unconverged 'ignore'"),
             ("1e-7", "-1.0", "tolerance is a relative change, from 0 to below 1; found -1.0"),
-            ("1e-7", '"1e-7"', "iteration: tolerance is a whole number or a number; found '1e-7'"),
+            ("1e-7", '"1e-7"', "[iteration] tolerance: expected a finite number; found '1e-7'"),
             ("= 0.5", "= 1.5", "relaxation is above 0 and at most 1; found 1.5"),
             ("= 12", "= 0", "max_iterations and depth are at least 1"),
-            ("depth", "dept", "iteration: unknown key 'dept'; did you mean 'depth'"),
+            ("depth", "dept", "[iteration] dept: unknown key 'dept'; did you mean 'depth'"),
         ],
     )
     def test_strict(self, tmp_path, old, new, words):

@@ -67,7 +67,7 @@ class TestManyRows:
             assert np.array_equal([run_.t, run_["c.y"], run_["c.z"]], rows[:, ::every])
 
     def test_rows_that_are_much_are_not_kept_for_later(self, tmp_path, monkeypatch):
-        """Of very many columns: what was kept before goes first, less than that is kept as ever."""
+        """With very many columns what was kept before goes first, less than that is kept as ever."""
         slave = Mock("c", [PortData("y", "output")], lambda _, t: [t])
         recorder = Recorder(tmp_path)
         recorder.begin(wire(system([slave]), {"c": slave.ports}), 0.004)

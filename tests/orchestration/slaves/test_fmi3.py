@@ -159,7 +159,7 @@ STEP = "fmi3DoStep(t = 0.012, h = 0.004) "
     ],
 )  # fmt: skip
 def test_what_a_step_can_say(plain, tmp_path, loop, value, parameters, text):
-    """The same in both loops: for the compiled one, the value comes from another FMU."""
+    """Both loops say the same: for the compiled one, the value comes from another FMU."""
     clock = c_fmu3.SOURCE.replace("m->v.y[i] += h * m->v.gain[i] * m->v.u[i];", f"m->v.y[i] = t + h > 0.01 ? {value} : 0.0;")
     (tmp_path / "clock").mkdir()
     components = (Component("s", str(c_fmu3.build(tmp_path / "clock", c_fmu3.PLAIN, clock))), Component("x", str(plain), parameters))

@@ -222,9 +222,9 @@ class TestSystemFile:
     @pytest.mark.parametrize(
         ("lines", "text"),
         [
-            ('source = "x.fmu"\ntime_limit = 3', r"s.toml:5: component 'x': time_limit needs isolate = true"),
+            ('source = "x.fmu"\ntime_limit = 3', r"s.toml:5: \[components\] x.time_limit: needs isolate = true"),
             ('source = "x.fmu"\nisolate = true\ntime_limit = 0', r"component 'x': time_limit is a positive time; found 0.0 s"),
-            ('source = "x.fmu"\nisolate = 1', r"s.toml:5: component 'x': isolate is true or false; found 1"),
+            ('source = "x.fmu"\nisolate = 1', r"s.toml:5: \[components\] x.isolate: expected true or false; found 1"),
         ],
     )
     def test_refused(self, tmp_path, lines, text):

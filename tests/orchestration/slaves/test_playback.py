@@ -9,6 +9,7 @@ from robomill.orchestration.assembly import assemble, run
 from robomill.orchestration.errors import ResultsError, RunError, SystemFileError
 from robomill.orchestration.slaves.protocol import PortData, inputs
 from tests.orchestration.mocks import Integrator, Mock, gain, resolver, source, system
+from tests.tolerances import ROUNDOFF
 
 CONNECTIONS = ("s.y -> drive.u[1]", "cut.f => drive.u[2]", "drive.p -> cut.p", "drive.state -> cut.block")
 
@@ -42,21 +43,23 @@ def record(folder, algorithm="gauss-seidel"):
     return s, run(s, folder, stop=0.4, resolver=resolver(made))
 
 
+@pytest.mark.parametrize("loop", ["python", "compiled"])
 @pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel"])
 @pytest.mark.parametrize("component", ["drive", "cut", "s"])
-def test_identical_numbers(tmp_path, algorithm, component):
+def test_identical_numbers(tmp_path, algorithm, component, loop):
     s, original = record(tmp_path / "r", algorithm)
-    again = run(s.with_source(component, f"replay:{tmp_path / 'r'}"), stop=0.4, resolver=resolver(slaves()))
+    again = run(s.with_source(component, f"replay:{tmp_path / 'r'}"), stop=0.4, resolver=resolver(slaves()), loop=loop)
     assert list(again.columns) == list(original.columns)
     for name, values in original.columns.items():
         assert np.array_equal(again[name], values), name  # EXACT
 
 
-def test_everything_replayed_at_once(tmp_path):
+@pytest.mark.parametrize("loop", ["python", "compiled"])
+def test_everything_replayed_at_once(tmp_path, loop):
     s, original = record(tmp_path / "r")
     for name in ("drive", "cut", "s"):
         s = s.with_source(name, f"replay:{tmp_path / 'r'}")
-    again = run(s, stop=0.4)
+    again = run(s, stop=0.4, loop=loop)
     assert all(np.array_equal(again[c], v) for c, v in original.columns.items())
 
 
@@ -85,12 +88,13 @@ def test_another_component_of_the_run_by_name(tmp_path):
     assert np.array_equal(run(s, stop=0.4, resolver=resolver([g]))["g.y"], 2 * original["s.y"])
 
 
-def test_between_samples_reals_are_interpolated_and_integers_held(tmp_path):
+@pytest.mark.parametrize("loop", ["python", "compiled"])
+def test_between_samples_reals_are_interpolated_and_integers_held(tmp_path, loop):
     s, original = record(tmp_path / "r")
     fine = type(s)("t", 0.001, tuple(type(c)(c.name, f"replay:{tmp_path / 'r'}") for c in s.components))
-    r = run(fine, stop=0.4)
+    r = run(fine, stop=0.4, loop=loop)
     assert np.array_equal(r["drive.p"][::4], original["drive.p"])
-    assert np.allclose(r["s.y"], np.interp(r.t, original.t, original["s.y"]), rtol=1e-15, atol=0)
+    assert np.allclose(r["s.y"], np.interp(r.t, original.t, original["s.y"]), rtol=ROUNDOFF, atol=0)
     assert np.array_equal(r["drive.state"][3::4], original["drive.state"][:-1])
 
 
@@ -111,10 +115,11 @@ def test_state_is_saved_and_restored(tmp_path):
 class TestErrors:
     """What cannot be replayed."""
 
-    def test_beyond_the_end(self, tmp_path):
+    @pytest.mark.parametrize("loop", ["python", "compiled"])
+    def test_beyond_the_end(self, tmp_path, loop):
         s, _ = record(tmp_path / "r")
         with pytest.raises(RunError, match=r"the recording of 's' in .* ends at t = 0.4 s; t = 0.404 s is needed") as caught:
-            run(s.with_source("s", f"replay:{tmp_path / 'r'}"), stop=1.0, resolver=resolver(slaves()))
+            run(s.with_source("s", f"replay:{tmp_path / 'r'}"), stop=1.0, resolver=resolver(slaves()), loop=loop)
         assert caught.value.time == 0.4
 
     def test_before_the_beginning(self, tmp_path):

@@ -19,6 +19,7 @@ from robomill.orchestration.ssp.export import export
 from robomill.orchestration.ssp.importing import open_ssp
 from robomill.orchestration.system.definition import Component, Connection, Recording, System
 from tests.orchestration import c_fmu, c_fmu3
+from tests.tolerances import ROUNDOFF
 
 SCHEMAS = Path(fmpy.__file__).parent / "ssp/schema"
 
@@ -285,7 +286,7 @@ class TestOthers:
         expected = [0.0]
         for _ in range(5):
             expected.append(expected[-1] + 0.1 * 3.0 * 3.0)
-        assert np.allclose(r["2.y"], expected, rtol=1e-12)
+        assert np.allclose(r["2.y"], expected, rtol=ROUNDOFF, atol=0.0)
 
     def test_a_step_of_ones_own(self, euler, tmp_path):
         file = self.package(euler, tmp_path, ("osp:FixedStepAlgorithm", "osp:Other"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,8 @@ from robomill.cli import main
 from robomill.orchestration.assembly import run
 from robomill.orchestration.errors import SystemFileError
 from robomill.orchestration.system.definition import Connection, Recording, System
+from robomill.orchestration.system.entries import Entry
 from robomill.orchestration.system.parameters import same_unit_only
-from robomill.orchestration.system.toml_file import TomlFile
 from robomill.orchestration.system.toml_lines import key_lines
 from robomill.orchestration.system.toml_text import dump
 from tests.orchestration.mocks import gain
@@ -127,35 +128,47 @@ def test_parameters_are_exchanged(tmp_path):
 
 
 ERRORS = [
-    ("name =", "nam =", "system.toml:1: system: unknown key 'nam'; did you mean 'name'? available: name, description, step,"),
-    ('name = "groove"\n', "", "system.toml: system: name is missing"),
+    (
+        "name =",
+        "nam =",
+        "system.toml:1: nam: unknown key 'nam'; did you mean 'name'? available: algorithm, check_ranges, components,",
+    ),
+    ('name = "groove"\n', "", "system.toml: missing: name; known keys: algorithm, check_ranges, components, connections, description,"),
     ('"4 ms"', '"4 mm"', "system.toml:2: step: unit 'mm' does not measure 's'"),
     ('"4 ms"', '"soon"', "system.toml:2: step: 'soon' is not a number with a unit, such as '4 s'"),
-    ('"4 ms"', "true", "system.toml:2: system: step is a whole number or a number or a text; found True"),
+    ('"4 ms"', "true", "system.toml:2: step: True is neither a number nor a text with a unit; expected a quantity in s"),
     ('"4 ms"', '"-1 s"', "system.toml: step = -1.0 s is not a positive whole number of nanoseconds"),
-    ('"jacobi"', '"jakobi"', "system.toml: unknown algorithm 'jakobi'; did you mean 'jacobi'? available: jacobi, gauss-seidel"),
+    (
+        '"jacobi"',
+        '"jakobi"',
+        "system.toml:4: algorithm: unknown algorithm 'jakobi'; did you mean 'jacobi'? available: jacobi, gauss-seidel",
+    ),
     (
         'source = "robot_drive"',
         "sauce = 1",
-        "system.toml:11: component 'drive': unknown key 'sauce'; did you mean 'source'? available: source, parameters",
+        "system.toml:11: [components] drive.sauce: unknown key 'sauce'; did you mean 'source'? available: every, inputs, isolate,",
     ),
-    ('source = "robot_drive"\n', "", "system.toml:10: component 'drive': source is missing"),
+    ('source = "robot_drive"\n', "", "system.toml:10: [components] drive: missing: source; known keys: every, inputs,"),
     (
         "[components.drive]",
         "[components.1drive]",
-        "system.toml:10: component name '1drive': letters, digits and underscores only, no digit first",
+        "system.toml:10: [components] 1drive: the name of a component: letters, digits and underscores only, no digit first",
     ),
-    ("delayed = true", 'delayed = "yes"', "system.toml:26: connection 2: delayed is true or false; found 'yes'"),
+    ("delayed = true", 'delayed = "yes"', "system.toml:26: connections 2: delayed: expected true or false; found 'yes'"),
     (
         "delayed = true",
         "delay = true",
-        "system.toml:26: connection 2: unknown key 'delay'; did you mean 'delayed'? available: from, to, delayed",
+        "system.toml:26: connections 2: delay: unknown key 'delay'; did you mean 'delayed'? available: delayed, from, to",
     ),
-    ('to = "drive.d"', 'to = "drive"', "system.toml:25: connection 2: to = 'drive' is not of the form component.port"),
-    ('to = "drive.d"\n', "", "system.toml:23: connection 2: to is missing"),
-    ("every = 2", "every = 0", "system.toml: recording: every and chunk are at least 1; found 0 and 250"),
-    ("every = 2", "rows = 2", "system.toml:30: recording: unknown key 'rows'; available: columns, every, csv, chunk"),
-    ('["drive", "compliance.d[1]"]', "[1]", "system.toml:29: recording: columns is a list of texts; found [1]"),
+    ('to = "drive.d"', 'to = "drive"', "system.toml:25: connections 2: to: expected component.port; found 'drive'"),
+    ('to = "drive.d"\n', "", "system.toml:23: connections 2: missing: to; known keys: delayed, from, to"),
+    ("every = 2", "every = 0", "system.toml:28: [recording]: the recording's every and chunk are at least 1; found 0 and 250"),
+    (
+        "every = 2",
+        "rows = 2",
+        "system.toml:30: [recording] rows: unknown key 'rows'; available: checkpoint_every, chunk, columns, csv, every",
+    ),
+    ('["drive", "compliance.d[1]"]', "[1]", "system.toml:29: [recording] columns.0: expected a text; found 1"),
     ("[labels]", "[labels", "system.toml: not valid TOML: "),
 ]
 
@@ -201,7 +214,7 @@ class TestTomlText:
     )
     def test_a_key_is_found_or_the_table_above_it(self, tmp_path, path, line):
         (tmp_path / "x.toml").write_text(GOOD)
-        assert TomlFile.load(tmp_path / "x.toml", ValueError).line(*path) == line
+        assert replace(Entry.load(tmp_path / "x.toml", ValueError), key=path).line == line
 
     def test_every_key_of_every_shipped_file_has_its_line(self):
         """Against the parser: the same keys and elements; and on the line that is said, a table is opened or the key is written."""
@@ -242,6 +255,13 @@ class TestTomlText:
             System.load(tmp_path / "s.toml")
         assert main(["run", str(tmp_path / "s.toml")]) == 2
         assert "s.toml: not valid TOML: tables and arrays are nested more than 50 deep" in capsys.readouterr().err
+
+    def test_what_the_parser_itself_cannot_read_is_refused_with_the_file(self, tmp_path):
+        """An integer of thousands of digits; bytes that are no UTF-8."""
+        for content, text in ((b"a = " + b"9" * 5000, "Exceeds the limit"), (b"a = '\xff'", "not UTF-8: ")):
+            (tmp_path / "s.toml").write_bytes(content)
+            with pytest.raises(SystemFileError, match=f"^s.toml: not valid TOML: {text}"):
+                System.load(tmp_path / "s.toml")
 
     def test_none_is_left_out_and_other_things_are_refused(self):
         assert dump({"a": None, "b": 1}) == "b = 1\n"

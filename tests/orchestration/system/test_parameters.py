@@ -8,8 +8,8 @@ import pytest
 
 from robomill.orchestration.errors import OrchestrationError, PlacedError, SlaveError
 from robomill.orchestration.slaves.protocol import PortData
+from robomill.orchestration.system.entries import Entry
 from robomill.orchestration.system.parameters import prepare
-from robomill.orchestration.system.toml_file import TomlFile
 from robomill.orchestration.system.written import Written, merged, place_of
 from tests.orchestration.system.test_definition import convert
 
@@ -101,8 +101,8 @@ class TestWrittenByHand:
 
     def prepared(self, tmp_path, text):
         (tmp_path / "cell.toml").write_text(text)
-        file = TomlFile.load(tmp_path / "cell.toml", ValueError, "cell.toml")
-        return prepare("c", PORTS, file.written(file.table), convert)
+        entry = Entry.load(tmp_path / "cell.toml", ValueError, name="cell.toml")
+        return prepare("c", PORTS, entry.written(), convert)
 
     def test_what_has_no_unit_needs_none_and_zero_needs_none(self, tmp_path):
         found = self.prepared(tmp_path, 'length = 0\ngap = ["2 urad", 0.0]\nK = [1, 2, 3, 4, 5, "6"]\nmode = 2\npilot = true')

@@ -18,17 +18,19 @@ import pytest
 from matplotlib.image import imread
 
 from robomill import report
-from robomill.cell.binding import convert
+from robomill.cell.equipment import load_system
 from robomill.diagnose_command import lines
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
-from robomill.diagnosis.outcome.answer import Diagnosis, Menu
+from robomill.diagnosis.gate.checks import Finding
+from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Estimate, Gap, Menu, Which
 from robomill.diagnosis.outcome.next_run import Offer
+from robomill.diagnosis.outcome.verdict import Verdict, stands
 from robomill.models.robot.kinematics import forward
 from robomill.orchestration.runs.run import Run
-from robomill.orchestration.system.definition import System
 from robomill.report import robot, units
 from robomill.report.figures import draw_all
+from robomill.report.page import _times
 from robomill.report.page import page as html
 from robomill.report.style import COLOURS, MARK
 from robomill.report.subject import Subject, verdict_sentence
@@ -103,6 +105,11 @@ def page(subject: Callable[[str], Subject], tmp_path_factory: pytest.TempPathFac
     return made
 
 
+def _saying(s: Subject, **more: Any) -> Subject:
+    """The subject with another answer."""
+    return replace(s, found=replace(s.found, answer=replace(s.answer, **more)))
+
+
 def _text(page: Path | str) -> str:
     """What one reads, in one line; spaces as spaces."""
     body = (page if isinstance(page, str) else page.read_text(encoding="utf-8")).split("</style>", 1)[1]
@@ -118,7 +125,7 @@ class TestContent:
         self, page: Callable[[str], Path], subject: Callable[[str], Subject]
     ) -> None:
         text = _text(page("identified"))
-        value = subject("identified").result["which"][0]["parameters"]["stiffness_error[2]"]["value"]
+        value = subject("identified").answer.which[0].parameters["stiffness_error[2]"].value
         assert f"The gap is caused by stiffness, spring 2 (−{-100.0 * value:.2f} %)" in text
         assert re.search(
             r"displacement error on new conditions falls from [\d.]+ [µm]+ to ([\d.]+ [µm]+|less than can be measured) \(rms\)", text
@@ -133,7 +140,7 @@ class TestContent:
     def test_none_says_what_would_have_been_seen(self, page: Callable[[str], Path], subject: Callable[[str], Subject]) -> None:
         text = _text(page("none"))
         assert "No effect is needed to explain these runs" in text
-        gain = min(v["value"] for v in subject("none").result["smallest_visible"] if v["effect"] == "gain")
+        gain = min(v.value for v in subject("none").answer.smallest_visible if v.effect == "gain")
         assert units.quantity(gain, "%").replace("\u00a0", " ") in text
         assert "--adopt" not in text
         assert _figures(page("none")) == {"visible.svg", "visible.png"}
@@ -163,9 +170,11 @@ class TestContent:
 
     def test_what_stands_in_new_conditions_but_not_all_along_is_said_so(self, subject: Callable[[str], Subject]) -> None:
         s = subject("unknown elsewhere")
-        assert s.result["transfer"]["stands"] is False
-        result = {**s.result, "transfer": {**s.result["transfer"], "stands": True}}
-        other = replace(s, found=replace(s.found, result=result))
+        moved = s.answer.transfer
+        assert stands(moved) is False
+        held = replace(moved, gain=100.0, expected_gain=100.0, after=1.0)
+        assert stands(held) is True
+        other = _saying(s, transfer=held)
         assert "the best model does not hold all along the runs" in verdict_sentence(other)
 
     def test_what_changes_with_time_is_described_by_what_it_is_like(self, page: Callable[[str], Path]) -> None:
@@ -174,12 +183,12 @@ class TestContent:
         assert "it is like what gain, sensor 1 would do if that grows steadily during a run. That is a description, not a cause." in text
 
     def test_the_answer_in_sentences_says_what_it_is_worth_in_new_conditions(self, subject: Callable[[str], Subject]) -> None:
-        said = [line for line in lines(subject("identified").result) if line.startswith("new conditions")]
+        said = [line for line in lines(subject("identified").answer) if line.startswith("new conditions")]
         assert len(said) == 1
         assert re.fullmatch(
-            r"new conditions: gains \S+ nats of \S+ promised, leaves [\d.]+ times the energy of noise, nominal [\d.]+", said[0]
+            r"new conditions: gains \S+ nats of \S+ expected, leaves [\d.]+ times the chi2 of noise, nominal [\d.]+", said[0]
         )
-        assert not [line for line in lines(subject("ambiguous").result) if line.startswith("new conditions")]  # nothing was held out
+        assert not [line for line in lines(subject("ambiguous").answer) if line.startswith("new conditions")]  # nothing was held out
 
     def test_a_bad_log_is_shown_with_the_reason(self, page: Callable[[str], Path]) -> None:
         text = _text(page("bad_log"))
@@ -195,16 +204,15 @@ class TestContent:
 
     def test_findings_that_do_not_stop_are_notes(self, subject: Callable[[str], Subject]) -> None:
         s = subject("identified")
-        finding = {"channel": "t", "kind": "time", "value": 0.06, "unit": "s", "text": "no samples", "fatal": False, "repaired": False}
-        gate = {"usable": True, "findings": [finding, {**finding, "text": "late", "repaired": True}]}
-        text = _text(html(replace(s, found=replace(s.found, result={**s.result, "gate": gate})), {}))
+        finding = Finding("t", "time", 0.06, "s", "no samples", fatal=False)
+        text = _text(html(_saying(s, findings=(finding, replace(finding, text="late", repaired=True))), {}))
         assert "no samples 60.0 ms noted" in text
         assert "late 60.0 ms corrected" in text
 
     def test_a_guess_of_the_noise_is_called_one(self, subject: Callable[[str], Subject]) -> None:
         s = subject("identified")
-        guess = {**s.result, "gap": {**s.result["gap"], "noise_is_a_guess": True}}
-        assert "the noise is a guess" in _text(html(replace(s, found=replace(s.found, result=guess)), {}))
+        guess = replace(s.answer.gap, noise_is_a_guess=True)
+        assert "the noise is a guess" in _text(html(_saying(s, gap=guess), {}))
         assert "the noise is a guess" not in _text(html(s, {}))
 
     def test_names_are_escaped(self, subject: Callable[[str], Subject]) -> None:
@@ -273,6 +281,13 @@ class TestUnits:
     def test_percentages_do_not_say_all_or_nothing_of_less(self, share: float, text: str) -> None:
         assert units.percent(share).replace("\u00a0", " ") == text
 
+    def test_percentages_of_many_times_are_large(self) -> None:
+        texts = [units.percent(share).replace("\u00a0", " ") for share in (9.0, 15.0, -15.0)]
+        assert texts == ["900 %", "over 1000 %", "below −1000 %"]  # MANIFOLD
+
+    def test_a_number_with_many_decimals_has_an_exponent(self) -> None:
+        assert [units.number(x) for x in (1.234e-3, 1.234e-5, -3e-14)] == ["0.00123", "1.23e−05", "−3e−14"]  # DECIMALS
+
     def test_an_exponent_is_no_percentage(self) -> None:
         assert units.relative("size_effect_exponent", "1") == "1"
         assert units.relative("stiffness_error[2]", "1") == "%"
@@ -290,18 +305,18 @@ class TestUnits:
 ANGLES = np.deg2rad([[10.0, -70.0, 100.0, 5.0, -30.0, 20.0], [12.0, -68.0, 99.0, 4.0, -31.0, 21.0]])
 
 
-def _cell(entry: Mapping[str, Any], **more: Any) -> Subject:
-    """A diagnosis of the milling cell with this one entry in `which`, at ANGLES."""
+def _cell(*which: Which, verdict: Verdict = "identified") -> Subject:
+    """A diagnosis of the milling cell with these entries in `which`, at ANGLES."""
     channels = tuple(f"drive.q_motor[{i}]" for i in range(1, 7))
     curves = {"t": np.array([0.0, 1.0]), "measured": ANGLES, "nominal": ANGLES, "spread": np.full(6, 1e-6)}
-    result = {"verdict": "identified", "which": [entry], "where": [], "how_far": [], **more}
-    found = Diagnosis(result, {}, channels=channels, curves={"slot": curves})
-    return Subject(found, System.load(SCENARIOS / "milling_cell.toml", convert), [], Catalogue.load(SCENARIOS / "catalogue.toml"))
+    answer = Answer(verdict, which=which, gap=Gap(1.0, 0.0, 0.0, 0.1, 0.02, noise_is_a_guess=False))
+    found = Diagnosis(answer, {}, channels=channels, curves={"slot": curves})
+    return Subject(found, load_system(SCENARIOS / "milling_cell.toml"), [], Catalogue.load(SCENARIOS / "catalogue.toml"))
 
 
 class TestRobot:
     def test_the_drawn_tool_tip_is_that_of_the_kinematics(self) -> None:
-        body = robot.geometry(robot.arm(System.load(SCENARIOS / "milling_cell.toml", convert)))
+        body = robot.geometry(robot.arm(load_system(SCENARIOS / "milling_cell.toml")))
         drawn = robot.pose(body, ANGLES[0])
         forward(body, ANGLES[0])
         assert np.abs(drawn.tip - body.link_p[6]).max() == EXACT
@@ -310,7 +325,7 @@ class TestRobot:
         assert np.linalg.norm(np.cross(drawn.elbow - drawn.joints[4], body.link_R[3][:, 2])) < 1e-9
 
     def test_lengths_given_in_the_system_are_used(self) -> None:
-        arm = robot.arm(System.load(SCENARIOS / "milling_cell.toml", convert))
+        arm = robot.arm(load_system(SCENARIOS / "milling_cell.toml"))
         assert arm is not None
         longer = replace(arm, parameters={"dh_a[3]": 1.3, "p_FT_F": [0.1, 0.0, 0.2]})
         body = robot.geometry(longer)
@@ -318,8 +333,7 @@ class TestRobot:
         assert list(body.p_FT_F) == [0.1, 0.0, 0.2]
 
     def test_the_named_joint_is_marked(self, tmp_path: Path) -> None:
-        entry = {"effect": "backlash", "component": "drive", "location": "joint 3", "probability": 0.97, "parameters": {}}
-        svg = draw_all(_cell(entry, gap={"unexplained": 0.02}), tmp_path)["robot"]
+        svg = draw_all(_cell(Which("backlash", "drive", "joint 3", 0.97, {}, [])), tmp_path)["robot"]
         assert "backlash, joint 3" in svg
         circle = (tmp_path / "robot.svg").read_text().split(MARK)
         assert len(circle) > 3  # both views and the line to the name
@@ -329,7 +343,7 @@ class TestRobot:
         candidates = [
             c for c in Catalogue.load(SCENARIOS / "catalogue.toml").candidates if c.component == component and c.location != "path"
         ]
-        body = robot.geometry(robot.arm(System.load(SCENARIOS / "milling_cell.toml", convert)))
+        body = robot.geometry(robot.arm(load_system(SCENARIOS / "milling_cell.toml")))
         drawn = robot.pose(body, ANGLES[0])
         for c in candidates:
             places = robot.parts(c.component, c.location, c.effect)
@@ -338,8 +352,12 @@ class TestRobot:
 
     @pytest.mark.parametrize("component", ["controller", "logging"])
     def test_what_is_not_on_the_arm_is_not_drawn(self, component: str, tmp_path: Path) -> None:
-        entry = {"effect": "extra_delay", "component": component, "location": "corrections", "probability": 0.97, "parameters": {}}
-        assert "robot" not in draw_all(_cell(entry, gap={"unexplained": 0.02}), tmp_path)
+        assert "robot" not in draw_all(_cell(Which("extra_delay", component, "corrections", 0.97, {}, [])), tmp_path)
+
+    @pytest.mark.parametrize(("probability", "marked"), [(0.03, set()), (0.07, {"joint 3"})])
+    def test_what_is_hardly_likely_is_not_marked(self, probability: float, marked: set[str]) -> None:
+        entry = Which("backlash", "drive", "joint 3", probability, {}, [])
+        assert set(robot.marks(_cell(entry, verdict="ambiguous"))) == marked  # LIKELY
 
     def test_a_system_without_a_robot_has_no_drawing(self, subject: Callable[[str], Subject]) -> None:
         assert robot.draw(subject("identified")) is None
@@ -351,7 +369,7 @@ def test_labels_are_those_that_people_use() -> None:
         "compliance.p_BT_B": "tool-tip path error",
         "milling.spindle_torque": "spindle torque error",
     }
-    s = _cell({})
+    s = _cell()
     s = replace(s, found=replace(s.found, titles=titles))
     channels = ("drive.q_motor[3]", "compliance.p_BT_B[2]", "milling.spindle_torque", "sensor.f_T_T[1]")
     assert [s.label(c) for c in channels] == [
@@ -363,15 +381,29 @@ def test_labels_are_those_that_people_use() -> None:
 
 
 def test_two_causes_are_both_in_the_sentence() -> None:
-    entry = {"effect": "backlash", "component": "drive", "location": "joint 3", "probability": 0.97}
-    entry["parameters"] = {"backlash[3]": {"value": 8e-5, "interval": [7e-5, 9e-5], "unit": "rad"}}
-    other = {"effect": "tool_wear", "component": "milling", "location": "cutter", "probability": 0.9}
-    other["parameters"] = {"tool_wear": {"value": 0.2, "interval": [0.1, 0.3], "unit": "1"}}
-    s = _cell(entry, gap={"unexplained": 0.02})
-    s.result["which"].append(other)
-    sentence = verdict_sentence(s).replace("\u00a0", " ")
+    one = Which("backlash", "drive", "joint 3", 0.97, {"backlash[3]": Estimate(8e-5, [7e-5, 9e-5], "rad")}, [])
+    other = Which("tool_wear", "milling", "cutter", 0.9, {"tool_wear": Estimate(0.2, [0.1, 0.3], "1")}, [])
+    sentence = verdict_sentence(_cell(one, other)).replace("\u00a0", " ")
     causes = "The gap is caused by backlash, joint 3 (80.0 µrad) and tool wear, cutter (20.0 %)"
     assert sentence == f"{causes}, which together explain 98 % of what is beyond noise and calibration."
+
+
+def test_many_causes_are_counted() -> None:
+    """CAUSES are named."""
+    size = {"backlash[3]": Estimate(8e-5, [7e-5, 9e-5], "rad")}
+    entries = [Which("backlash", "drive", f"joint {i}", 0.15, size, []) for i in range(1, 7)]
+    sentence = verdict_sentence(_cell(*entries, verdict="ambiguous"))
+    assert re.findall(r"joint (\d)", sentence) == ["1", "2", "3", "4"]
+    assert sentence.endswith(" or one of 2 others.")
+
+
+def test_many_intervals_are_not_all_named() -> None:
+    """INTERVALS are."""
+    times = [[i, i + 0.5] for i in range(6)]
+    text = _times(_cell(), times)
+    assert text.count(" to ") == 4
+    assert text.endswith(" … s")
+    assert "…" not in _times(_cell({}), times[:4])
 
 
 @pytest.mark.slow

@@ -1,0 +1,95 @@
+"""What is in a case: the sealed truth, as the generator writes it and who scores reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from robomill.blind.conditions import Condition
+from robomill.blind.effects import BY_KEY, Instance
+from robomill.blind.prediction import Named
+
+
+@dataclass(frozen=True)
+class TrueEffect:
+    """A catalogue effect; value in SI."""
+
+    component: str
+    effect: str
+    parameter: str
+    """Name of the element: `stiffness_error[2]`."""
+    index: int
+    value: float
+    unit: str
+    formulation: str = "parameter"
+    """How it is made: by its parameter, or as `bouc_wen` or `dahl`."""
+    detectability: float | None = None
+    """Oracle ratio of this effect alone; None: not looked at."""
+
+    @property
+    def named(self) -> Named:
+        """As predictions name it."""
+        return Named.of(self.component, self.parameter)
+
+    @property
+    def instance(self) -> Instance:
+        """As it is switched on."""
+        return Instance(BY_KEY[f"{self.component}.{self.effect}"], self.index, self.value)
+
+
+@dataclass(frozen=True)
+class TrueOutside:
+    """A change that no catalogue entry expresses."""
+
+    name: str
+    component: str | None
+    """None: no single one."""
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class TrueFault:
+    """A fault of the log; `channel` is an array or an element of one."""
+
+    kind: str
+    channel: str
+    value: float
+    unit: str
+    detectability: float | None = None
+    """Oracle ratio; None: not looked at."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """All of a case; of a null there are no effects, and neither of the two after them."""
+
+    kind: str
+    effects: tuple[TrueEffect, ...] = ()
+    outside: TrueOutside | None = None
+    bad_log: TrueFault | None = None
+    case: int = 0
+    tier: str = "T1"
+    machine: Mapping[str, Mapping[str, Any]] | None = None
+    """Perturbed parameters; None: version 1 of the generator did not keep them."""
+    conditions: tuple[Condition, ...] = ()
+    """The training condition, and the held-out ones."""
+    detectability: float = 0.0
+    """Oracle ratio of all that is in it, the largest over the measured arrays."""
+    detectability_by_array: Mapping[str, float] = field(default_factory=dict)
+    ceiling: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Held-out condition -> tool tip or force -> closure if the true effects are adopted."""
+
+    @staticmethod
+    def read(content: Mapping[str, Any]) -> Truth:
+        """From the content of the sealed file."""
+        records: dict[str, Any] = {k: kind(**content[k]) for k, kind in (("outside", TrueOutside), ("bad_log", TrueFault)) if k in content}
+        records["effects"] = tuple(TrueEffect(**e) for e in content["effects"])
+        records["conditions"] = tuple(Condition(**{**c, "position": tuple(c["position"])}) for c in content.get("conditions", ()))
+        return Truth(**{**content, **records})
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The content of the sealed file."""
+        return {k: v for k, v in asdict(self).items() if v is not None}

@@ -1,0 +1,305 @@
+"""Scenarios of controlled material removal rate: the feed follows the force along a profile of depths, Pan & Zhang (paper 003) section 4.
+
+A scenario of kind "removal_rate"::
+
+    [scenario]
+    name = "step_depth_fixed"
+    kind = "removal_rate"
+    title = "..."
+    system = "rate_cell.toml"           # with the components `robot`, `process`, `controller`
+
+    [cut]
+    width = "50 mm"
+    rows = [["0 mm", "0 mm"], ["10 mm", "1 mm"]]    # way along the path, depth of cut; lines between
+    [[cut.bur]]                         # on top: raised-cosine flanks beside a flat top
+    at = "130 mm"                       # its middle
+    height = "3 mm"
+    flank = "15 mm"
+    top = "10 mm"
+
+    [section.depth_2mm]                 # what mean, scatter and line of the force are told of
+    from = "120 mm"
+    to = "180 mm"
+
+    [limit]
+    force = "300 N"                     # what the spindle bears: what exceeds it is said
+    [against]
+    feed = "35 mm/s"                    # constant feed that the time is compared with
+
+and [parameters], [variants], [paper] as in other scenarios (cell/scenario.py). Figures of a section are called `force_`, `std_`, `line_`,
+`feed_` and its name.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robomill.cell.binding import convert, resolve, with_fmus
+from robomill.cell.equipment import load_system
+from robomill.cell.milling import Progress, with_parameters
+from robomill.cell.scenario import ComponentParameters, ScenarioError, Variant, equipment, published_figures, variant
+from robomill.models.model.declaration import FloatArray
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run, check_vacant
+from robomill.orchestration.system.definition import EQUIPMENT, System
+from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.parameters import quantity
+from robomill.orchestration.system.toml_text import parse
+
+KIND = "removal_rate"
+PROFILE = "profile.npy"
+"""Table of depths in the folder of the results."""
+FINE = 2.5e-4
+"""Way [m] between rows of the table on the flanks of a bur."""
+STEADY = 0.5
+"""Scatter [N] of the force below which no line is looked for in it."""
+_TOP = {"scenario", "cut", "section", "limit", "against", "parameters", "variants", "paper", *EQUIPMENT}
+
+
+@dataclass(frozen=True)
+class Bur:
+    """Material on top of the profile; SI."""
+
+    at: float
+    height: float
+    flank: float
+    top: float
+
+    def above(self, way: FloatArray) -> FloatArray:
+        """Height [m] at places along the path [m]: 0.5 h (1 + cos(pi g/flank)) at a distance g from its flat top."""
+        gap = np.clip((np.abs(way - self.at) - 0.5 * self.top) / self.flank, 0.0, 1.0)
+        height: FloatArray = 0.5 * self.height * (1.0 + np.cos(np.pi * gap))
+        return height
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Where it begins and ends [m]."""
+        half = 0.5 * self.top + self.flank
+        return self.at - half, self.at + half
+
+
+@dataclass(frozen=True)
+class Section:
+    """A piece of the path that figures are told of [m]."""
+
+    name: str
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class RateScenario:
+    """A scenario file, paths made absolute."""
+
+    file: Path
+    name: str
+    title: str
+    system: Path
+    profile: FloatArray
+    """(n, 3): way along the path, depth, width [m]."""
+    burs: tuple[Bur, ...]
+    sections: tuple[Section, ...]
+    limit: float | None
+    """Force that must not be exceeded [N]."""
+    against: float | None
+    """Constant feed [m/s] that the time is compared with."""
+    parameters: ComponentParameters
+    variants: tuple[Variant, ...]
+    paper: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    equipment: Mapping[str, Entry] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RateResult:
+    """A variant that was run."""
+
+    variant: Variant
+    run: Run
+    figures: dict[str, float]
+    remarks: tuple[str, ...]
+    """What exceeds the limit, or did not get to the end."""
+    reference: float | None
+    """Reference force of the controller [N], where a file names one."""
+
+
+def is_removal_rate(file: Path) -> bool:
+    """Whether a TOML file is a scenario of this kind."""
+    try:
+        return bool(parse(file.read_text(encoding="utf-8"))["scenario"]["kind"] == KIND)
+    except (OSError, KeyError, TypeError, tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return False
+
+
+def load_removal_rate(path: str | Path) -> RateScenario:
+    """Read and check a scenario file. ScenarioError or FileNotFoundError says what is wrong and what is possible."""
+    file = Path(path).resolve()
+    top = Entry.load(file, ScenarioError, convert).keys({"scenario", "cut", "variants"}, _TOP)
+    head = top["scenario"].keys({"name", "system"}, {"kind", "title"})
+    cut = top["cut"].keys({"rows"}, {"width", "bur"})
+    burs = tuple(_bur(entry) for entry in cut.get("bur", []).each())
+    profile = _profile(cut, burs)
+    sections = tuple(_section(name, entry, profile[-1, 0]) for name, entry in top.get("section", {}).items())
+    return RateScenario(
+        file,
+        head["name"].folder_name(),
+        head.get("title", head["name"].value).text(),
+        head["system"].file(),
+        profile,
+        burs,
+        sections,
+        _positive(top["limit"].keys({"force"})["force"], "N") if "limit" in top else None,
+        _positive(top["against"].keys({"feed"})["feed"], "m/s") if "against" in top else None,
+        top.get("parameters", {}).parameters(),
+        tuple(variant(name, entry) for name, entry in top["variants"].items()),
+        {name: published_figures(entry) for name, entry in top.get("paper", {}).items()},
+        equipment(top),
+    )
+
+
+def _positive(entry: Entry, unit: str) -> float:
+    value = entry.si(unit)
+    if value <= 0.0:
+        raise entry.fail(f"{entry.value!r}; expected more than 0")
+    return value
+
+
+def _bur(entry: Entry) -> Bur:
+    entry.keys({"at", "height", "flank", "top"})
+    return Bur(entry["at"].si("m"), _positive(entry["height"], "m"), _positive(entry["flank"], "m"), entry["top"].si("m"))
+
+
+def _section(name: str, entry: Entry, end: float) -> Section:
+    entry.keys({"from", "to"})
+    start, stop = entry["from"].si("m"), entry["to"].si("m")
+    if not 0.0 <= start < stop <= end:
+        raise entry.fail(f"from {start:g} m to {stop:g} m; expected a piece of the path, which goes from 0 to {end:g} m")
+    return Section(name, start, stop)
+
+
+def _profile(cut: Entry, burs: Sequence[Bur]) -> FloatArray:
+    """The rows and the burs on top of them as a table of way, depth, width [m]."""
+    rows = cut["rows"].each()
+    pair = ("m", "m")
+    for row in rows:
+        if len(row.each()) != len(pair):
+            raise row.expected("way along the path and depth of cut")
+    table = np.array([[row[k].si(unit) for k, unit in enumerate(pair)] for row in rows]).reshape(-1, len(pair))
+    if len(table) < len(pair):
+        raise cut["rows"].fail("expected two rows at least: where the path begins and where it ends")
+    for i in np.flatnonzero(np.diff(table[:, 0]) <= 0.0):
+        raise rows[i + 1].fail(
+            f"the way {table[i + 1, 0]:g} m is not behind that of the row before, {table[i, 0]:g} m; "
+            "a step of the depth needs two rows a little apart"
+        )
+    if (table[:, 1] < 0.0).any():
+        raise cut["rows"].fail("a depth of cut is negative; air is 0")
+    fine = [np.arange(start, end + FINE, FINE) for start, end in (bur.ends for bur in burs)]
+    way = np.unique(np.concatenate([table[:, 0], *fine]))
+    way = way[(way >= table[0, 0]) & (way <= table[-1, 0])]
+    depth = np.interp(way, *table.T) + sum((bur.above(way) for bur in burs), np.zeros_like(way))
+    return np.column_stack([way, depth, np.full_like(way, cut.get("width", "1 mm").si("m"))])
+
+
+def run_variant(
+    scenario: RateScenario, chosen: Variant, folder: Path, fmus: Path | None = None, csv: bool = False, overwrite: bool = False
+) -> RateResult:
+    """Run a variant into `folder`/its name and work out its figures. Raises what the master raises."""
+    place = folder / chosen.name
+    place.mkdir(parents=True, exist_ok=True)
+    table = (place / PROFILE).resolve()
+    np.save(table, scenario.profile)
+    system = load_system(scenario.system, scenario.equipment)
+    for parameters in ({"process": {"profile": str(table)}}, scenario.parameters, chosen.parameters):
+        system = with_parameters(system, parameters)
+    system = replace(system, name=scenario.name, recording=replace(system.recording, csv=csv))
+    labels = {"condition": chosen.name, "kind": KIND}
+    recorded = run(
+        with_fmus(system, fmus) if fmus else system, place, resolver=resolve, convert=convert, labels=labels, overwrite=overwrite
+    )
+    return evaluate(scenario, chosen, system, recorded)
+
+
+def evaluate(scenario: RateScenario, chosen: Variant, system: System, recorded: Run) -> RateResult:
+    """Figures of a run, SI, percent as such; remarks on what exceeds the limit."""
+    force, feed, way = recorded["process.force"], recorded["robot.feed"], recorded["process.distance"]
+    figures = {"duration_s": float(recorded.t[-1]), "peak_force_n": float(force.max())}
+    figures["switches"] = float(np.count_nonzero(np.diff(recorded["controller.speed_ratio"])))
+    if scenario.against is not None:
+        figures["saved_percent"] = 100.0 * (
+            1.0 - figures["duration_s"] * scenario.against / (scenario.profile[-1, 0] - scenario.profile[0, 0])
+        )
+    for section in scenario.sections:
+        inside = (way >= section.start) & (way <= section.end)
+        figures |= _of_section(section.name, force[inside], feed[inside], system.step)
+    written = system.component("controller").parameters.get("F_r")
+    reference = None if written is None else quantity(written, "N", convert)
+    return RateResult(chosen, recorded, figures, tuple(_remarks(scenario, recorded, system.step)), reference)
+
+
+def _of_section(name: str, force: FloatArray, feed: FloatArray, step: float) -> dict[str, float]:
+    """Mean and scatter of the force [N], its strongest line [Hz] (0 if it is steady), mean feed [m/s]."""
+    if len(force) == 0:
+        return dict.fromkeys((f"force_{name}_n", f"std_{name}_n", f"line_{name}_hz", f"feed_{name}_m_s"), float("nan"))
+    spectrum = np.abs(np.fft.rfft((force - force.mean()) * np.hanning(len(force))))
+    line = float(np.fft.rfftfreq(len(force), step)[spectrum.argmax()]) if force.std() > STEADY else 0.0
+    return {
+        f"force_{name}_n": float(force.mean()),
+        f"std_{name}_n": float(force.std()),
+        f"line_{name}_hz": line,
+        f"feed_{name}_m_s": float(feed.mean()),
+    }
+
+
+def _remarks(scenario: RateScenario, recorded: Run, step: float) -> list[str]:
+    """Burs that could not be held, other places above the limit, a path that did not end."""
+    said = []
+    force, way = recorded["process.force"], recorded["process.distance"]
+    if scenario.limit is not None:
+        above = force > scenario.limit
+        for i, bur in enumerate(scenario.burs, 1):
+            inside = above & (way >= bur.ends[0]) & (way <= bur.ends[1])
+            if inside.any():
+                said.append(
+                    f"bur {i} at {1e3 * bur.at:.0f} mm cannot be held: {force[inside].max():.0f} N, above {scenario.limit:.0f} N for "
+                    f"{1e3 * step * np.count_nonzero(inside):.0f} ms; lower the nominal feed or take it off in two cuts"
+                )
+            above &= ~inside
+        if above.any():
+            said.append(f"above {scenario.limit:.0f} N beside the burs: {force[above].max():.0f} N at {1e3 * way[above][0]:.0f} mm")
+    if not recorded["process.finished"][-1]:
+        said.append(f"stopped at {1e3 * way[-1]:.0f} mm of {1e3 * scenario.profile[-1, 0]:.0f} mm: the end of the path was not reached")
+    return said
+
+
+def run_removal_rate(
+    scenario: RateScenario,
+    folder: Path,
+    fmus: Path | None = None,
+    csv: bool = False,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+) -> list[RateResult]:
+    """Run every variant below `folder`. Runs that are there are replaced with `overwrite`; else nothing is begun."""
+    if not overwrite:
+        check_vacant(folder / v.name for v in scenario.variants)
+    results = []
+    for i, chosen in enumerate(scenario.variants):
+        if progress is not None:
+            progress(scenario.name, i, len(scenario.variants))
+        results.append(run_variant(scenario, chosen, folder, fmus, csv, overwrite))
+    return results
+
+
+def summary(scenario: RateScenario, results: Sequence[RateResult]) -> dict[str, Any]:
+    """What summary.json holds; figures of a section that was not reached are null."""
+    variants = {
+        r.variant.name: {**{k: None if math.isnan(v) else v for k, v in r.figures.items()}, "remarks": list(r.remarks)} for r in results
+    }
+    return {"scenario": scenario.name, "kind": KIND, "variants": variants}

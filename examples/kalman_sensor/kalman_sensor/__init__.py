@@ -1,0 +1,1 @@
+"""A force sensor with a Kalman filter, as a component for robomill."""

@@ -1,0 +1,167 @@
+"""Measured sets for identification: rows of axis angles, loads and answers, from TOML files over CSV columns or from run folders.
+
+::
+
+    [robot]
+    name = "fanuc_r2000ic"          # models/data/robots; or file = "my_robot.toml"
+    springs = "joints"              # stiffness only; or "axes", the default: where the springs of coupled drives are
+    [tool]
+    name = "spindle_in_line"        # models/data/tools; or p_FT_F = ["6.9 mm", "245.3 mm", "319.3 mm"]
+    [q]
+    file = "joint_angles.csv"       # beside this file
+    columns = ["theta1", "theta2", "theta3", "theta4", "theta5", "theta6"]
+    unit = "rad"
+
+and so on for `force`, `moment` and `displacement`. Of a run folder the columns are those of the ports, whatever the component is called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robomill.logs.reading import SUFFIXES, read_log
+from robomill.models.model.declaration import FloatArray
+from robomill.models.model.parameters import DATA
+from robomill.models.model.units import convert
+from robomill.models.robot.kinematics import SPINDLE_ACROSS, Robot, Tool, load_robot, load_tool
+from robomill.orchestration.errors import OrchestrationError, unknown
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system.entries import Entry
+
+COUPLED, APART = "axes", "joints"
+_STANDARD = {"robot": "kr300_r2500_ultra", "tool": "spindle_across"}
+"""What the components start with: the equipment of simulated runs that name none."""
+
+
+class MeasuredSetError(OrchestrationError):
+    """A measured set cannot be used; the text says what, value, expected, available, remedy."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What an identification needs of every pose."""
+
+    name: str
+    unit: str
+    width: int
+    ports: tuple[str, ...]
+    """Its names in a run, the preferred one first."""
+    needed: bool = True
+
+
+@dataclass(frozen=True)
+class MeasuredSet:
+    """Measured rows with the robot and tool that they belong to."""
+
+    robot: Robot
+    tool: Tool
+    coupled: bool
+    """Whether the springs are at the axis angles; False: at the joints, the coupling is one of the display."""
+    values: Mapping[str, FloatArray]
+    """Quantity -> [n, width] in SI; zeros for one that is not measured and not needed."""
+
+
+def read_measured(files: Sequence[Path], quantities: Sequence[Quantity], robot: str | None = None, tool: str | None = None) -> MeasuredSet:
+    """Measured sets and runs, one below the other; `robot` and `tool` (names or .toml files) go before what they say themselves.
+
+    MeasuredSetError for what is missing or does not fit, and for sets of different robots, tools or places of the springs.
+    """
+    sets = [_from_run(f, quantities, robot, tool) if f.is_dir() else _from_toml(f, quantities, robot, tool) for f in files]
+    first = sets[0]
+    for file, other in zip(files[1:], sets[1:], strict=True):
+        same = other.robot.name == first.robot.name and np.array_equal(other.tool.p_FT_F, first.tool.p_FT_F)
+        if not same or other.coupled != first.coupled:
+            raise MeasuredSetError(
+                f"{file} is of {other.robot.name}, tool tip at {_mm(other.tool)} mm, {files[0]} of {first.robot.name}, tool tip at "
+                f"{_mm(first.tool)} mm, springs {'alike' if other.coupled == first.coupled else 'elsewhere'}; identify them one by one"
+            )
+    return replace(first, values={q.name: np.concatenate([s.values[q.name] for s in sets]) for q in quantities})
+
+
+def _mm(tool: Tool) -> list[float]:
+    return [round(1e3 * float(x), 3) for x in tool.p_FT_F]
+
+
+def _from_toml(file: Path, quantities: Sequence[Quantity], robot: str | None, tool: str | None) -> MeasuredSet:
+    if not file.is_file():
+        raise MeasuredSetError(f"no measured set {file}; expected a TOML file of columns or a run folder, see docs/identify.md")
+    if file.suffix != ".toml":
+        raise MeasuredSetError(f"{file} is no measured set: expected a run folder, or a TOML file that says which columns of it are what")
+    top = Entry.load(file, MeasuredSetError, convert, name=str(file))
+    top.keys({q.name for q in quantities if q.needed}, {"robot", "tool", *(q.name for q in quantities)})
+    about = top.get("robot", {}).keys((), ("name", "file", "springs"))
+    if robot is None and not about.value.keys() & {"name", "file"}:
+        raise top.fail("no robot: expected [robot] with a name of models/data/robots or a file, or the option --robot")
+    values: dict[str, FloatArray] = {}
+    for q in quantities:
+        if q.name in top:
+            values[q.name] = _columns(top[q.name], q)
+    rows = len(next(iter(values.values())))
+    for name, value in values.items():
+        if len(value) != rows:
+            raise top[name].fail(f"{len(value)} rows, {next(iter(values))} has {rows}; expected one row per pose in each")
+    return MeasuredSet(
+        load_robot(robot or (about["file"].file() if "file" in about else about["name"].text())),
+        load_tool(tool) if tool else _tool(top.get("tool", {})),
+        about.get("springs", COUPLED).choice((COUPLED, APART)) == COUPLED,
+        {q.name: values.get(q.name, np.zeros((rows, q.width))) for q in quantities},
+    )
+
+
+def _tool(entry: Entry) -> Tool:
+    entry.keys((), ("name", "file", "p_FT_F"))
+    named = load_tool(entry["file"].file() if "file" in entry else entry["name"].text()) if len(entry.value.keys() - {"p_FT_F"}) else None
+    if "p_FT_F" not in entry:
+        return named or SPINDLE_ACROSS
+    return replace(named or SPINDLE_ACROSS, p_FT_F=np.array(entry["p_FT_F"].vector("m")))
+
+
+def _columns(entry: Entry, wanted: Quantity) -> FloatArray:
+    """[n, width] in SI of the columns that a table names."""
+    entry.keys({"file", "columns", "unit"})
+    file, names = entry["file"].file(), entry["columns"].texts()
+    if len(names) != wanted.width:
+        raise entry["columns"].expected(f"{wanted.width} names of columns")
+    if file.suffix not in SUFFIXES:
+        raise entry["file"].fail(f"{unknown('suffix', file.suffix, SUFFIXES)}")
+    unit, log = entry["unit"].text(), read_log(file, SUFFIXES[file.suffix])
+    with entry["unit"].blamed_for(ValueError):
+        factor, offset = convert(1.0, unit, wanted.unit) - convert(0.0, unit, wanted.unit), convert(0.0, unit, wanted.unit)
+    return np.stack([log[name] for name in names], axis=1) * factor + offset
+
+
+def _from_run(folder: Path, quantities: Sequence[Quantity], robot: str | None, tool: str | None) -> MeasuredSet:
+    run = Run.load(folder)
+    values = {}
+    for q in quantities:
+        names = dict.fromkeys(n.partition("[")[0] for n in run.columns)
+        found = [n for port in q.ports for n in names if n.partition(".")[2] == port]
+        if not found and q.needed:
+            raise MeasuredSetError(
+                f"{folder}: no {q.name}: expected a column {' or '.join(f'*.{p}' for p in q.ports)}; it has {', '.join(names)}"
+            )
+        values[q.name] = run[found[0]] if found else np.zeros((len(run), q.width))
+    return MeasuredSet(load_robot(robot or _labelled(run, "robot")), load_tool(tool or _labelled(run, "tool")), True, values)
+
+
+def _labelled(run: Run, role: str) -> str:
+    """Name of the file in models/data of the robot or tool that a run is labelled with."""
+    label: Any = run.info.get(role, "")
+    if not label and run.info.get("kind") == "simulated":
+        return _STANDARD[role]
+    loader: Callable[[str], Robot | Tool] = load_robot if role == "robot" else load_tool
+    known = sorted(f.stem for f in (DATA / f"{role}s").glob("*.toml"))
+    for name in known:
+        try:
+            if label and label in (name, loader(name).name):
+                return name
+        except ValueError:
+            continue  # an end mill is no end effector
+    raise MeasuredSetError(
+        f"{run.folder} does not say its {role} (label {label!r}): give --{role}, one of {', '.join(known)} or a .toml file"
+    )

@@ -1,0 +1,236 @@
+"""What evidence is made of, on signals of which mean, noise and change are known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robomill.diagnosis.catalogue import LOGGING, Address
+from robomill.diagnosis.experiment.measured import DataError
+from robomill.diagnosis.inference.evidence import BEGINNING, DEPENDENCE, LATENESS, SETTLING, SUDDEN, TRUST, Evidence, gather
+from robomill.diagnosis.inference.noise import SPELL, own_noise
+from robomill.orchestration.slaves.protocol import FloatArray
+from tests.diagnosis.demo import STEP
+from tests.diagnosis.formula import Calculated, candidate
+from tests.tolerances import EXACT, ROUNDOFF, chance, of_variance
+
+P, Q, CALIBRATED = ("a", "p"), ("a", "q"), ("b", "calibrated")
+ROWS = 400
+RIDGE = 1e-9
+"""Relative: what is added to the variances of the channels, so that there is a Cholesky factor."""
+CHANNELS = ("a.x", "a.y", "b.z")
+
+
+def gathered(
+    groups: Sequence[Sequence[FloatArray]],
+    nominals: Sequence[Sequence[FloatArray]],
+    changes: Mapping[Address, Sequence[FloatArray]],
+    sizes: Mapping[Address, float],
+    scales: Mapping[Address, float],
+    tolerances: Mapping[Address, float],
+    decimation: int = 1,
+    **more: object,
+) -> Evidence:
+    laboratory = Calculated(lambda *_: None, ROWS, CHANNELS[: groups[0][0].shape[1]], len(groups), decimation)
+    names = [c.name for c in laboratory.conditions]
+    return gather(laboratory, names, groups, nominals, changes, sizes, scales, tolerances, **more)  # type: ignore[arg-type]
+
+
+def slopes(evidence: Evidence) -> Mapping[Address, FloatArray]:
+    """Whitened change per prior scale."""
+    return evidence.sensitivities
+
+
+def still(value: float = 0.0, channels: int = 1, rows: int = ROWS) -> FloatArray:
+    return np.full((rows, channels), value)
+
+
+class TestRepeats:
+    ROWS = 10000
+
+    def noise(self, seed: int, conditions: Sequence[tuple[int, int]]) -> tuple[list[list[FloatArray]], list[list[FloatArray]]]:
+        """White measurements and simulations, so many of each condition; a single simulation has no noise."""
+        rng = np.random.default_rng(seed)
+        groups = [[0.3 * rng.normal(size=(self.ROWS, 2)) for _ in range(n)] for n, _ in conditions]
+        nominals = [[0.3 * rng.normal(size=(self.ROWS, 2)) * (m > 1) for _ in range(m)] for _, m in conditions]
+        return groups, nominals
+
+    def evidence(self, conditions: Sequence[tuple[int, int]]) -> Evidence:
+        groups, nominals = self.noise(1, conditions)
+        changes = {P: [still(0.3, 2, self.ROWS) for _ in conditions]}  # the floor is 1/50 of the noise
+        return gathered(groups, nominals, changes, {P: 1.0}, {P: 1.0}, {})
+
+    def test_a_mean_is_worth_its_repeats_over_the_samples_that_are_worth_one(self) -> None:
+        """A mean of n measured runs against one of m simulations scatters as one of n m / (n + m) runs."""
+        found = self.evidence([(2, 1), (5, 1), (5, 8), (3, 3)])
+        assert found.repeats == pytest.approx(np.array([2.0, 5.0, 40.0 / 13.0, 1.5]) / DEPENDENCE, rel=ROUNDOFF)
+
+    @pytest.mark.parametrize(("repeats", "simulations"), [(2, 1), (6, 1), (5, 8), (4, 2)])
+    def test_what_noise_leaves_is_what_is_expected_of_it(self, repeats: int, simulations: int) -> None:
+        """One over DEPENDENCE in each sample that counts, by the mean itself and by the scatter of runs and simulations.
+
+        It is less where simulations scatter: what their mean does from sample to sample is taken for sudden. There the mean has less
+        than is expected, as it is where it is large that it counts for less.
+        """
+        found = self.evidence([(repeats, simulations)] * 2)
+        y = found.space.y.reshape(2, self.ROWS, 2)
+        assert not y[:, :BEGINNING].any()
+        assert np.all(y[:, BEGINNING:] != 0.0)
+        samples, counted = 4 * self.ROWS, 1.0 - BEGINNING / self.ROWS
+        error = chance(math.hypot(of_variance(samples), of_variance(samples * (repeats - 1))))
+        left, expected = float(np.sum(found.space.y**2)), float(found.expected.sum())
+        if simulations == 1:
+            assert left == pytest.approx(expected, rel=error)
+        else:
+            assert 0.9 * expected < left < (1.0 + error) * expected
+        own = np.sqrt((found.whitening.factor**2).sum(axis=1))
+        less = float(np.mean([1.0 / (1.0 + (s / own) ** 2) for s in found.sudden]))
+        assert (less == 1.0) is (simulations == 1)
+        assert expected == pytest.approx(samples * counted * less / DEPENDENCE, rel=error)
+
+    def test_whitened_repeats_are_those_of_single_runs(self) -> None:
+        found = self.evidence([(4, 1)])
+        (group,) = found.residuals
+        assert len(group) == 4
+        for run in group:
+            assert np.var(run[2 * BEGINNING :]) == pytest.approx(1.0, rel=chance(of_variance(2 * self.ROWS * 3 / 4)))
+
+
+class TestScales:
+    """Without noise: the floor is all that there is."""
+
+    def evidence(self, repeats: int = 2) -> Evidence:
+        """Two conditions; P was simulated at 4 and does 8, in the second condition -8; Q at 1, and does 2; a tolerance of 0.5, at 1.5."""
+        changes = {P: [still(8.0), still(-8.0)], Q: [still(2.0), still(2.0)], CALIBRATED: [still(6.0), still(0.0)]}
+        groups = [[still()] * repeats] * 2
+        return gathered(groups, [[still()]] * 2, changes, {P: 4.0, Q: 1.0, CALIBRATED: 1.5}, {P: 0.1, Q: 1.0}, {CALIBRATED: 0.5})
+
+    FLOOR = TRUST * 6.0 / math.sqrt(2.0)
+    """The median of the rms changes 8, 2 and 6 / sqrt(2), the last of which is only in one of two conditions."""
+
+    def counted(self, size: float, other: float, repeats: int) -> FloatArray:
+        """So large a change in the conditions, whitened."""
+        made = np.repeat([size, other], ROWS) / self.FLOOR * math.sqrt(repeats / DEPENDENCE)
+        made[np.arange(2 * ROWS) % ROWS < BEGINNING] = 0.0
+        return made
+
+    @pytest.mark.parametrize("repeats", [2, 18])
+    def test_a_signature_is_the_change_over_the_floor_times_the_root_of_what_the_repeats_are_worth(self, repeats: int) -> None:
+        found = self.evidence(repeats)
+        assert found.signature([still(5.0), still(-3.0)]) == pytest.approx(self.counted(5.0, -3.0, repeats), rel=RIDGE)
+        means = found.mean_signature([[still(4.0), still(6.0)], [still(-3.0), still(-3.0)]])
+        assert means == pytest.approx(self.counted(5.0, -3.0, repeats), rel=RIDGE)
+        assert found.signature([still(5.0), None]) is None
+        assert found.mean_signature([None, [still()]]) is None
+
+    def test_sensitivities_are_per_prior_scale_and_nuisances_per_deviation_whatever_they_were_simulated_at(self) -> None:
+        found = self.evidence()
+        assert slopes(found)[P] == pytest.approx(self.counted(8.0 * 0.1 / 4.0, -8.0 * 0.1 / 4.0, 2), rel=RIDGE)
+        assert slopes(found)[Q] == pytest.approx(self.counted(2.0, 2.0, 2), rel=RIDGE)
+        assert slopes(found).keys() == {P, Q}
+        column = found.space.nuisances[:, found.space.names.index(CALIBRATED)]
+        assert column == pytest.approx(self.counted(6.0 * 0.5 / 1.5, 0.0, 2), rel=RIDGE)
+
+    def test_the_residual_is_measured_minus_nominal_and_its_blocks_are_the_conditions(self) -> None:
+        changes = {P: [still(6.0 / math.sqrt(2.0))] * 2}
+        groups = [[still(3.0), still(5.0)], [still(1.0)] * 2]  # apart by 2: of 1 about their mean in one of two conditions
+        found = gathered(groups, [[still(1.0)], [still(2.0)]], changes, {P: 1.0}, {P: 1.0}, {})
+        w = found.whitening
+        steady = 1.0 - float(w.coefficients.sum())
+        expected = np.repeat([3.0, -1.0], ROWS) * steady / float(w.factor[0, 0]) * math.sqrt(2.0 / DEPENDENCE)
+        expected[np.arange(2 * ROWS) % ROWS < BEGINNING] = 0.0
+        assert found.space.y == pytest.approx(expected, rel=1e3 * ROUNDOFF)
+        assert found.space.blocks == {"condition 0": slice(0, ROWS), "condition 1": slice(ROWS, 2 * ROWS)}
+
+    def test_channels_that_nothing_changes_are_left_out_and_without_any_there_is_nothing_to_diagnose(self) -> None:
+        change = still(1.0, 3)
+        change[:, 1] = 0.0
+        groups, nominals = [[still(0.0, 3)] * 2], [[still(0.0, 3)]]
+        found = gathered(groups, nominals, {P: [change]}, {P: 1.0}, {P: 1.0}, {})
+        assert found.active.tolist() == [True, False, True]
+        assert found.space.y.size == 2 * ROWS
+        with pytest.raises(DataError, match="nothing to diagnose"):
+            gathered(groups, nominals, {P: [0.0 * change]}, {P: 1.0}, {P: 1.0}, {})
+
+    def test_the_beginning_is_at_most_a_part_of_a_short_run(self) -> None:
+        rows = 50
+        found = gathered([[still(1.0, rows=rows)] * 2], [[still(rows=rows)]], {P: [still(1.0, rows=rows)]}, {P: 1.0}, {P: 1.0}, {})
+        assert SETTLING * rows < BEGINNING
+        assert np.flatnonzero(found.space.y)[0] == int(SETTLING * rows)
+
+    def test_other_conditions_are_counted_in_the_same_units(self) -> None:
+        first = self.evidence()
+        there = gathered([[still(7.0)] * 2], [[still()]], {P: [still(50.0)]}, {P: 1.0}, {P: 1.0}, {}, like=first)
+        assert there.whitening is first.whitening
+        assert there.space.y == pytest.approx(self.counted(7.0, 0.0, 2)[:ROWS], rel=RIDGE)
+
+    def test_own_noise_of_single_runs_is_a_nuisance_of_its_condition_as_large_as_in_the_mean(self) -> None:
+        """Repeats that are apart by an offset; a mean of n runs has 1 / n of its variance, and counts as n over DEPENDENCE."""
+        apart, alike = [still(0.7), still(-0.7)], [still(), still()]
+        found = gathered([alike, apart], [[still()]] * 2, {P: [still(1.0)] * 2}, {P: 1.0}, {P: 1.0}, {}, like=self.evidence())
+        (_, runs) = found.residuals
+        single = own_noise([runs], 1, SPELL)
+        assert single.shape[1] > 0
+        assert [name for _, name in found.space.names[-single.shape[1] :]] == [f"noise {i + 1}" for i in range(single.shape[1])]
+        columns = found.space.nuisances[:, -single.shape[1] :]
+        assert not columns[:ROWS].any()
+        assert columns[ROWS:] == pytest.approx(single / math.sqrt(DEPENDENCE), rel=ROUNDOFF)
+
+
+class TestLateness:
+    @pytest.mark.parametrize("decimation", [1, 4])
+    def test_channels_of_a_component_may_be_late_by_a_part_of_a_step(self, decimation: int) -> None:
+        """The change that a shift of the signal makes: on a ramp as much everywhere; in the channels of one component at a time."""
+        t = STEP * decimation * np.arange(ROWS)
+        x = np.stack([3.0 * t, -0.5 * t, 2.0 * t], axis=1)
+        floor = np.array([0.1, 0.2, 0.5])
+        changes = {P: [np.tile(floor / TRUST, (ROWS, 1))]}
+        found = gathered([[x, x]], [[x]], changes, {P: 1.0}, {P: 1.0}, {}, decimation)
+        begin = math.ceil(BEGINNING / decimation)
+        for component, here in (("a", [True, True, False]), ("b", [False, False, True])):
+            column = found.space.nuisances[:, found.space.names.index((LOGGING, f"lag {component}.*"))].reshape(ROWS, 3)
+            shifted = np.stack([np.interp(t - LATENESS * STEP, t, channel) for channel in x.T], axis=1)
+            expected = (shifted - x) * here / floor * math.sqrt(2.0 / DEPENDENCE)
+            assert column[begin:] == pytest.approx(expected[begin:], rel=1e3 * RIDGE, abs=RIDGE)
+            assert not column[:begin].any()
+
+    def test_of_a_curve_it_is_the_rate_of_change(self) -> None:
+        """Where the curve is not sudden; to the third derivative, by central differences over two steps."""
+        t = STEP * np.arange(ROWS)
+        x = np.sin(2.0 * t)[:, None]
+        found = gathered([[x, x]], [[x]], {P: [still(1e3)]}, {P: 1.0}, {P: 1.0}, {})
+        column = found.space.nuisances[:, 0]
+        expected = -LATENESS * STEP * 2.0 * np.cos(2.0 * t) / (TRUST * 1e3) * math.sqrt(2.0 / DEPENDENCE)
+        inside = slice(BEGINNING, -1)
+        # (w h)^2 / 6 of the rate, which passes zero; SUDDEN of the curvature is far below so high a floor
+        assert column[inside] == pytest.approx(expected[inside], abs=(2.0 * STEP) ** 2 / 6.0 * np.abs(expected).max() * 1.01)
+
+    @pytest.mark.parametrize(("least", "stays"), [(0.5, False), (2.0, True)])
+    def test_who_is_late_by_more_than_a_late_clock_is_late_by_is_none_of_these(self, least: float, stays: bool) -> None:
+        """0.8 steps late, where a clock counts as late from so many steps on; of `b` no clock is known."""
+        t = STEP * np.arange(ROWS)
+        x = np.stack([np.sin(3.0 * t), np.sin(2.0 * t), np.cos(2.0 * t)], axis=1)
+        late = x - 0.8 * STEP * np.stack([3.0 * np.cos(3.0 * t), 2.0 * np.cos(2.0 * t), np.zeros(ROWS)], axis=1)
+        clock = replace(candidate("lag a.*"), component=LOGGING, minimum=least * STEP, unit="s")
+        found = gathered([[late, late]], [[x]], {P: [still(0.1, 3)]}, {P: 1.0}, {P: 1.0}, {}, clocks=[clock])
+        assert ((LOGGING, "lag a.*") in found.space.names) is stays
+        assert (LOGGING, "lag b.*") in found.space.names
+
+
+def test_a_jump_may_come_early_or_late_and_counts_for_less_around() -> None:
+    """Half a jump over the distance in samples, that is how far a sample is from a straight line over it: up to ten samples away."""
+    jump, at, repeats = 5.0, 200, 3
+    x = np.where(np.arange(ROWS) < at, 0.0, jump)[:, None]
+    found = gathered([[x] * repeats], [[x]], {P: [still(1.0)]}, {P: 1.0}, {P: 1.0}, {})
+    distance = np.abs(np.arange(ROWS) - at + 0.5) + 0.5  # 1 on both sides of the jump
+    expected = SUDDEN * np.where(distance <= 10.0, 0.5 * jump / distance, 0.0) * math.sqrt(repeats)
+    assert found.sudden[0][:, 0] == pytest.approx(expected, rel=ROUNDOFF, abs=EXACT)
+    # a change of 1 is 50 deviations of the floor, and of what is sudden so many less
+    white = found.signature([x + 1.0])
+    assert white is not None
+    plain = 1.0 / TRUST * math.sqrt(repeats / DEPENDENCE)
+    assert white[BEGINNING:] == pytest.approx((plain / np.hypot(1.0, expected / TRUST))[BEGINNING:], rel=1e2 * RIDGE)

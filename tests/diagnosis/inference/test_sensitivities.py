@@ -1,0 +1,173 @@
+"""What candidates do by themselves, for effects of which the signature and its derivative are known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robomill.diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
+from robomill.diagnosis.experiment.simulation import Simulator, setting
+from robomill.diagnosis.inference import sensitivities
+from robomill.diagnosis.inference.evidence import DEPENDENCE
+from robomill.diagnosis.inference.sensitivities import EVENLY, NOMINAL, TOLERANCES, changed
+from robomill.orchestration.slaves.protocol import FloatArray
+from tests.diagnosis.demo import STEP
+from tests.diagnosis.formula import Calculated, Formula, candidate
+from tests.tolerances import EXACT, ROUNDOFF
+
+ROWS = 800
+T = STEP * np.arange(ROWS)
+P = ("a", "p")
+NOISE = 0.01
+SAME = 1e3 * ROUNDOFF
+"""Relative: differences of simulations, whitened, against the formula, whitened."""
+ONE, OTHER = math.sqrt(2.0) * np.sin(3.0 * T), math.sqrt(2.0) * np.sin(7.0 * T + 1.0)
+"""Signals of rms 1 that have nothing to do with each other."""
+
+
+class Screened:
+    """Four noisy measurements, and what comes out of screening them."""
+
+    def __init__(
+        self, effect: Mapping[Address, Formula] | Formula, truth: float, *entries: Candidate, nuisances: tuple[Nuisance, ...] = ()
+    ):
+        self.laboratory = Calculated(effect, ROWS)  # type: ignore[arg-type]
+        measured = self.laboratory.formula(0, {P: truth})
+        assert measured is not None
+        rng = np.random.default_rng(1)
+        groups = [[measured + NOISE * rng.normal(size=(ROWS, 1)) for _ in range(4)]]
+        catalogue = Catalogue(Path("made up"), entries)
+        self.found = sensitivities.Sensitivities(catalogue, Simulator(self.laboratory), groups, nuisances)
+        self.evidence, self.starts = self.found.evidence, self.found.starts
+        self.slopes: Mapping[Address, FloatArray] = self.evidence.sensitivities
+
+    def white(self, change: FloatArray) -> FloatArray:
+        return self.evidence.whitening.apply(change[:, None], 4.0 / DEPENDENCE, self.evidence.sudden[0])
+
+
+def linear(_: int, values: Mapping[Address, float]) -> FloatArray:
+    """P adds to one signal, `q` to another, `calibrated` to the first, too, a tenth of it; `nothing` does nothing."""
+    one = values.get(P, 0.0) + 0.1 * values.get(("a", "calibrated"), 0.0)
+    return (np.cos(T) + one * ONE + values.get(("a", "q"), 0.0) * OTHER)[:, None]
+
+
+class TestLinear:
+    @pytest.mark.parametrize(("kind", "scale"), [("normal", 1.0), ("normal", 0.02), ("log-normal", 0.3)])
+    def test_the_sensitivity_is_the_derivative_times_the_prior_scale(self, kind: str, scale: float) -> None:
+        found = Screened(linear, 0.5, candidate("p", kind, scale), candidate("q", scale=5.0))
+        assert found.slopes[P] == pytest.approx(found.white(scale * ONE), rel=SAME, abs=SAME)
+        assert found.slopes["a", "q"] == pytest.approx(found.white(5.0 * OTHER), rel=SAME, abs=SAME)
+
+    def test_what_is_proportional_is_not_simulated_at_more_than_a_second_size_to_see_that(self) -> None:
+        found = Screened(linear, 0.5, candidate("p"))
+        assert not found.starts
+        assert sorted(values[0][1] for values in found.laboratory.asked if values) == [-0.5, 1.0]
+
+    def test_a_calibrated_number_is_a_nuisance_of_one_deviation_and_the_same_as_the_parameter_that_it_is_like(self) -> None:
+        calibrated = Nuisance(("a", "calibrated"), 0.2)
+        found = Screened(linear, 0.5, candidate("p"), nuisances=(calibrated,))
+        assert setting({calibrated.address: TOLERANCES * 0.2}) in found.laboratory.asked
+        space = found.evidence.space
+        column = space.nuisances[:, space.names.index(calibrated.address)]
+        assert column == pytest.approx(found.white(0.1 * 0.2 * ONE), rel=SAME, abs=SAME)
+        assert space.alike[P][calibrated.address] == pytest.approx(0.1 * 0.2, rel=SAME)
+
+    def test_what_changes_nothing_is_no_candidate(self) -> None:
+        found = Screened(linear, 0.5, candidate("p"), candidate("nothing"))
+        assert [c.name for c in found.found.candidates] == [candidate("p").name]
+
+
+def bent(part: float, power: int = 2) -> Formula:
+    """The value of one signal and a part of its square, or a higher power, of another."""
+
+    def effect(_: int, values: Mapping[Address, float]) -> FloatArray:
+        x = values.get(P, 0.0)
+        return (np.cos(T) + x * ONE + part * x**power * OTHER)[:, None]
+
+    return effect
+
+
+class TestBent:
+    """Per prior scale x = 1 does ONE + part OTHER; x = -1/2 does ONE - part / 2 OTHER, which is at an angle to that."""
+
+    def test_the_other_size_is_used_where_it_fits_better(self) -> None:
+        found = Screened(bent(0.5), -0.5, candidate("p"))
+        assert found.slopes[P] == pytest.approx(found.white(ONE - 0.25 * OTHER), rel=SAME, abs=SAME)
+
+    def test_and_is_not_where_it_fits_worse(self) -> None:
+        found = Screened(bent(0.5), 1.0, candidate("p"))
+        assert found.slopes[P] == pytest.approx(found.white(ONE + 0.5 * OTHER), rel=SAME, abs=SAME)
+
+    @pytest.mark.parametrize(("least", "smaller"), [(0.5, math.exp(-0.8)), (0.01, 0.1)])
+    def test_of_a_size_that_is_known_to_a_factor_the_other_one_is_that_smaller_or_half_way_to_none(
+        self, least: float, smaller: float
+    ) -> None:
+        """The spread of the prior is 0.8; the root of the part of the prior scale that an effect begins to count at."""
+        entry = replace(candidate("p", "log-normal", spread=0.8), minimum=least)
+        found = Screened(bent(0.9, power=3), 0.3, entry)
+        assert found.slopes[P] == pytest.approx(found.white(ONE + 0.9 * smaller**2 * OTHER), rel=SAME, abs=SAME)
+        assert not found.starts
+
+    def test_a_bend_that_is_small_is_none(self) -> None:
+        """The cosine of ONE + 0.1 OTHER and ONE - 0.05 OTHER is 0.99: whatever fits better, the size of the prior is as good."""
+        found = Screened(bent(0.1), -0.5, candidate("p"))
+        assert found.slopes[P] == pytest.approx(found.white(ONE + 0.1 * OTHER), rel=SAME, abs=SAME)
+
+
+def turning(_: int, values: Mapping[Address, float]) -> FloatArray:
+    """Late by P."""
+    return (np.cos(T) + late(values.get(P, 0.0)))[:, None]
+
+
+def late(x: float) -> FloatArray:
+    """The change: of two tones, so that no other lateness does the same."""
+    return np.asarray(sum(np.sin(w * (T - x)) - np.sin(w * T) for w in (20.0, 7.0)))
+
+
+class TestTurned:
+    @pytest.mark.parametrize("truth", [0.04, 0.3])
+    def test_the_fit_of_an_effect_that_turns_begins_at_the_nearest_of_many_sizes_with_its_slope_there(self, truth: float) -> None:
+        """A quarter apart from each other, or even parts of the largest one; the slope is that to a neighbour."""
+        scale, largest = 0.15, 1.0
+        found = Screened(turning, truth, candidate("p", "log-normal", scale, largest))
+        start = found.starts[P]
+        size = start.x * scale
+        # the sizes, a quarter apart in their logarithm
+        assert abs(math.log(size / truth)) <= 0.5 * 0.25
+        assert start.signature == pytest.approx(found.white(late(size)), rel=SAME, abs=SAME)
+        neighbours = (size * math.exp(-0.25), size * math.exp(0.25), size - largest / EVENLY, size + largest / EVENLY)
+        slopes = [found.white(late(near) - late(size)) / (near - size) * scale for near in neighbours]
+        assert any(start.sensitivity == pytest.approx(slope, rel=SAME, abs=SAME) for slope in slopes)
+
+
+def limited(_: int, values: Mapping[Address, float]) -> FloatArray:
+    """Nothing up to 3, what is beyond after that."""
+    return (np.cos(T) + max(values.get(P, 0.0) - 3.0, 0.0) * ONE)[:, None]
+
+
+def test_a_limit_that_its_usual_size_does_not_reach_is_simulated_at_the_largest() -> None:
+    found = Screened(limited, 6.0, candidate("p", "log-normal", scale=2.0, largest=8.0))
+    assert found.slopes[P] == pytest.approx(found.white((8.0 - 3.0) * 2.0 / 8.0 * ONE), rel=SAME, abs=SAME)
+
+
+class TestChanged:
+    def formula(self, condition: int, values: Mapping[Address, float]) -> FloatArray | None:
+        if values.get(("a", "impossible")) and condition == 1:
+            return None
+        noise = values.get(("a", "seed"), 0.0)
+        return np.full((3, 1), 10.0 * condition + 2.0 * values.get(P, 0.0) * (condition == 1) + 100.0 * noise)
+
+    def test_changes_are_against_the_first_nominal_simulation_with_the_same_noise(self) -> None:
+        laboratory = Calculated(self.formula, 3, conditions=2, seeds=[("a", "seed")])
+        simulator = Simulator(laboratory)
+        nominals = simulator.repeated([0, 1], (), NOMINAL)
+        assert [len(n or ()) for n in nominals] == [NOMINAL, NOMINAL]
+        sizes = {P: 3.0, ("a", "nothing"): 1.0, ("a", "impossible"): 1.0}
+        found = changed(simulator, [0, 1], sizes, [n for n in nominals if n is not None])
+        assert found.keys() == {P}  # what changes nothing and what cannot run are left out
+        assert [c[0, 0] for c in found[P]] == [EXACT, 6.0]
