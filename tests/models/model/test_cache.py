@@ -6,12 +6,13 @@ import gc
 import os
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from robomill.models.model.cache import _key, compiled_code, prune, source_files, user_folder
+from robomill.models.model.cache import IN_USE, _key, compiled_code, prune, source_files, user_folder
 
 MODEL = """
 from robomill.models.model.declaration import Model, Variable
@@ -82,6 +83,14 @@ def test_folders_used_longest_ago_are_removed(tmp_path: Path) -> None:
     prune(tmp_path, "a", kept=2)
     assert sorted(f.name for f in tmp_path.iterdir()) == ["a", "d", "e"]
     prune(tmp_path / "missing", "a")
+
+
+def test_a_folder_that_another_process_may_run_from_stays_however_many_there_are(tmp_path: Path) -> None:
+    for name, age in (("a", 0.0), ("b", 0.9 * IN_USE), ("c", 1.1 * IN_USE)):
+        (tmp_path / name).mkdir()
+        os.utime(tmp_path / name, (time.time() - age,) * 2)
+    prune(tmp_path, "a", kept=0)
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["a", "b"]
 
 
 def test_sources_are_those_imported_directly_through_others_and_inside_functions() -> None:
