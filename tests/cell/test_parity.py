@@ -30,8 +30,9 @@ def python(models: list[Model], folder: Path) -> None:
     ("builder", "variants"),
     [
         pytest.param(build_all, ("uncompensated", "cartesian", "axis", "cartesian_pilot"), id="native, FMI 2.0"),
-        pytest.param(partial(build_all, fmi=3), ("uncompensated", "cartesian", "axis", "cartesian_pilot"), id="native, FMI 3.0"),
-        pytest.param(python, ("cartesian_pilot",), id="python"),  # the others take long; the groove has them all (test_scenarios)
+        # one with everything on; the others take long, and the groove has them all (test_scenarios)
+        pytest.param(partial(build_all, fmi=3), ("cartesian_pilot",), id="native, FMI 3.0"),
+        pytest.param(python, ("cartesian_pilot",), id="python"),
     ],
 )
 def test_the_test_part_from_fmus(builder: Callable[..., object], variants: tuple[str, ...], runs: Runs, tmp_path: Path) -> None:

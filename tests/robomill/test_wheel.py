@@ -82,7 +82,6 @@ def test_it_runs_beside_foreign_packages_of_the_same_names(installed: tuple[Path
     where = "import robomill, robomill.models as m; print(robomill.__file__, m.__file__)"
     files = subprocess.run([sys.executable, "-c", where], cwd=work, env=installed[1], capture_output=True, text=True, check=True).stdout
     assert all(Path(f).is_relative_to(installed[0]) for f in files.split())
-    robomill(installed, work, "plan", "scenarios/robots/kr210_2.toml")
     robomill(installed, work, "example", "static_loads")
     summary = json.loads(robomill(installed, work, "run", "scenarios/static_loads.toml", "--json"))
     assert len(summary["cases"]) == 60
