@@ -28,6 +28,8 @@ LOADED = (
 """Load on the tool, and displacement of its tip against the link before the axis."""
 AXIS = (Quantity("torque", "N.m", 1, ("torque",)), Quantity("angle", "rad", 1, ("angle",)))
 """Torque about the axis and the angle that it turns by, where these are measured."""
+STILL = 1e-3
+"""Motion [rad] of the axes during a cycle from which on the robot does not hold its pose: a tenth of a degree would change no lever."""
 LEVER = 1e-3
 """Distance [m] of the tool tip from the axis below which a displacement says nothing of its angle."""
 DONE, UNSURE = 0, 1
@@ -144,15 +146,21 @@ def _loops(source: Path, spring: str | None, robot: str | None, tool: str | None
         raise MeasuredSetError(f"{source}: {unknown('spring', name, PLACES)}; give --spring, or name the condition after it")
     measured = read_measured([source], LOADED, robot, tool)
     v = measured.values
-    screw = screws(measured.robot, measured.tool, v["q"], (PLACES[name],), measured.coupled)[:, 0]
-    torque = np.einsum("ni,ni->n", screw, np.concatenate([v["force"], v["moment"]], axis=1))
-    lever = np.linalg.norm(screw[:, :3], axis=1)
-    if lever.min() < LEVER:
+    moved = np.ptp(v["q"], axis=0)
+    if moved.max() > STILL:
         raise MeasuredSetError(
-            f"{source}: the tool tip is {1e3 * lever.min():.2f} mm from the axis of {name}, so its displacement does not say the angle; "
+            f"{source}: A{int(np.argmax(moved)) + 1} moves by {1e3 * moved.max():.3g} mrad during the cycle, expected {1e3 * STILL:g} at most: "
+            "let the robot hold its pose"
+        )
+    screw = screws(measured.robot, measured.tool, v["q"].mean(axis=0)[None], (PLACES[name],), measured.coupled)[0, 0]
+    torque = np.concatenate([v["force"], v["moment"]], axis=1) @ screw
+    lever = float(np.linalg.norm(screw[:3]))
+    if lever < LEVER:
+        raise MeasuredSetError(
+            f"{source}: the tool tip is {1e3 * lever:.2f} mm from the axis of {name}, so its displacement does not say the angle; "
             f"measure with a lever of {1e3 * LEVER:.0f} mm or more, or give torque and angle"
         )
-    return Loops(source, name, torque, np.einsum("ni,ni->n", screw[:, :3], v["displacement"]) / lever**2)
+    return Loops(source, name, torque, v["displacement"] @ screw[:3] / lever**2)
 
 
 def _cycle(fit: CycleFit) -> dict[str, Any]:
@@ -211,7 +219,9 @@ def draw_cycle(loops: Loops, fit: CycleFit) -> Figure:
     first, last = fit.half_cycles[0]
     top = last if loops.torque[last] > loops.torque[first] else first
     x = np.array([-half, half])
-    ax.plot(1e3 * (middle + x), fit.whole.value * x, color="k", ls="--", lw=1.0, label=f"whole cycle {1e-5 * fit.whole.value:.2f}e5 N m/rad")
+    ax.plot(
+        1e3 * (middle + x), fit.whole.value * x, color="k", ls="--", lw=1.0, label=f"whole cycle {1e-5 * fit.whole.value:.2f}e5 N m/rad"
+    )
     for slope, colour, name in ((fit.loading_end, "tab:blue", "loading end"), (fit.unloading_start, "tab:red", "unloading start")):
         reach = min(0.45 * fit.twist, 0.7 * fit.amplitude / slope.value)
         away = np.array([0.0, -reach])
@@ -240,9 +250,9 @@ def draw_gap(loops: Loops, fit: GapFit) -> Figure:
     low, high = (0.5e6 * x for x in fit.interval)
     for sign in (1.0, -1.0):
         step.axhspan(min(sign * low, sign * high), max(sign * low, sign * high), color="tab:red", alpha=0.25, lw=0.0)
-        step.axhline(
-            sign * 0.5e6 * fit.gap, color="tab:red", lw=1.0, label=f"gap {1e6 * fit.gap:.1f} urad" if sign > 0.0 else None
-        )
-    step.set(xlabel="torque in N m", ylabel="angle in urad", title=f"{2.0 * low:.1f} to {2.0 * high:.1f} urad with {100 * CONFIDENCE:.0f} %")
+        step.axhline(sign * 0.5e6 * fit.gap, color="tab:red", lw=1.0, label=f"gap {1e6 * fit.gap:.1f} urad" if sign > 0.0 else None)
+    step.set(
+        xlabel="torque in N m", ylabel="angle in urad", title=f"{2.0 * low:.1f} to {2.0 * high:.1f} urad with {100 * CONFIDENCE:.0f} %"
+    )
     step.legend(fontsize=8, loc="upper left")
     return figure
