@@ -13,7 +13,7 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from robomill import identify_cycle
+from robomill import identify_cycle, identify_stations
 from robomill.measured_set import MeasuredSet, Quantity, read_measured
 
 _Q = Quantity("q", "rad", 6, ("q_link", "q", "q_motor"))
@@ -71,6 +71,7 @@ def add_arguments(parser: Any) -> None:
     payload.add_argument("--component", default="sensor", metavar="NAME", help="the sensor_chain that the result is for (default: sensor)")
     payload.add_argument("--out", type=Path, metavar="FILE.ssv", help="write its parameters for `robomill run --adopt FILE.ssv`")
     identify_cycle.add_arguments(kinds)
+    identify_stations.add_arguments(kinds)
     for kind in (stiffness, payload):
         kind.add_argument(
             "measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/identify.md)"
@@ -87,6 +88,7 @@ def run(options: Namespace) -> int:
         "payload": _payload,
         "cycle": identify_cycle.run_cycle,
         "backlash": identify_cycle.run_backlash,
+        "stations": identify_stations.run,
     }[options.kind](options)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from argparse import SUPPRESS, Namespace
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -113,18 +115,13 @@ def run_backlash(options: Namespace) -> int:
     return DONE if all(g["finding"] == "determined" for g in found) else UNSURE
 
 
-class _blamed:
+@contextmanager
+def _blamed(loops: Loops) -> Iterator[None]:
     """ValueError of a fit becomes one that says which measurement."""
-
-    def __init__(self, loops: Loops) -> None:
-        self.loops = loops
-
-    def __enter__(self) -> None:
-        """Nothing to prepare."""
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if isinstance(error, ValueError):
-            raise MeasuredSetError(f"{self.loops.source}, {self.loops.name}: {error}") from error
+    try:
+        yield
+    except ValueError as error:
+        raise MeasuredSetError(f"{loops.source}, {loops.name}: {error}") from error
 
 
 def _read(options: Namespace) -> list[Loops]:
@@ -149,8 +146,8 @@ def _loops(source: Path, spring: str | None, robot: str | None, tool: str | None
     moved = np.ptp(v["q"], axis=0)
     if moved.max() > STILL:
         raise MeasuredSetError(
-            f"{source}: A{int(np.argmax(moved)) + 1} moves by {1e3 * moved.max():.3g} mrad during the cycle, expected {1e3 * STILL:g} at most: "
-            "let the robot hold its pose"
+            f"{source}: A{int(np.argmax(moved)) + 1} moves by {1e3 * moved.max():.3g} mrad during the cycle, expected at most "
+            f"{1e3 * STILL:g}: let the robot hold its pose"
         )
     screw = screws(measured.robot, measured.tool, v["q"].mean(axis=0)[None], (PLACES[name],), measured.coupled)[0, 0]
     torque = np.concatenate([v["force"], v["moment"]], axis=1) @ screw
@@ -254,5 +251,5 @@ def draw_gap(loops: Loops, fit: GapFit) -> Figure:
     step.set(
         xlabel="torque in N m", ylabel="angle in urad", title=f"{2.0 * low:.1f} to {2.0 * high:.1f} urad with {100 * CONFIDENCE:.0f} %"
     )
-    step.legend(fontsize=8, loc="upper left")
+    step.legend(fontsize=8, loc="center right")
     return figure
