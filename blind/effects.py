@@ -62,6 +62,7 @@ EFFECTS = (
     Effect("compliance", "stiffness_hardening", 0.10, 0.60, "1", 6),
     Effect("compliance", "stiffness_asymmetry", 0.05, 0.30, "1", 6, signed=True),
     Effect("compliance", "gear_hysteresis", 20e-6, 150e-6, "rad", 6),
+    Effect("compliance", "gear_friction", 10.0, 60.0, "N.m", 6, wrist=0.3),
     Effect("compliance", "tilt_compliance", 2e-8, 1e-7, "rad/(N.m)", 6, wrist=5.0),
     Effect("compliance", "base_compliance", 0.02 * _UM, 0.15 * _UM, "m/N", 3),
     Effect("compliance", "tool_compliance", 0.1 * _UM, 0.6 * _UM, "m/N"),

@@ -83,28 +83,57 @@ def read_measured(files: Sequence[Path], quantities: Sequence[Quantity], robot: 
     return replace(first, values={q.name: np.concatenate([s.values[q.name] for s in sets]) for q in quantities})
 
 
+def read_signals(source: Path, quantities: Sequence[Quantity]) -> dict[str, FloatArray]:
+    """Columns of one run folder or TOML file without robot and tool: quantity -> [n, width] in SI, those that are not there left out.
+
+    `time` [n, 1] s is that of the run, of a TOML file the quantity of this name. MeasuredSetError for what is missing or does not fit.
+    """
+    if source.is_dir():
+        run = Run.load(source)
+        found = _of_run(run, quantities)
+        return {"time": run.t[:, None], **{name: np.reshape(value, (len(run), -1)) for name, value in found.items()}}
+    top = _top(source)
+    top.keys({q.name for q in quantities if q.needed}, {q.name for q in quantities})
+    return _of_tables(top, quantities)
+
+
+def says(source: Path, name: str) -> bool:
+    """Whether a TOML file has the quantity, or a run folder a column `*.name`."""
+    if source.is_dir():
+        return any(n.partition("[")[0].partition(".")[2] == name for n in Run.load(source).columns)
+    return name in _top(source)
+
+
 def _mm(tool: Tool) -> list[float]:
     return [round(1e3 * float(x), 3) for x in tool.p_FT_F]
 
 
-def _from_toml(file: Path, quantities: Sequence[Quantity], robot: str | None, tool: str | None) -> MeasuredSet:
+def _top(file: Path) -> Entry:
     if not file.is_file():
         raise MeasuredSetError(f"no measured set {file}; expected a TOML file of columns or a run folder, see docs/identify.md")
     if file.suffix != ".toml":
         raise MeasuredSetError(f"{file} is no measured set: expected a run folder, or a TOML file that says which columns of it are what")
-    top = Entry.load(file, MeasuredSetError, convert, name=str(file))
-    top.keys({q.name for q in quantities if q.needed}, {"robot", "tool", *(q.name for q in quantities)})
-    about = top.get("robot", {}).keys((), ("name", "file", "springs"))
-    if robot is None and not about.value.keys() & {"name", "file"}:
-        raise top.fail("no robot: expected [robot] with a name of models/data/robots or a file, or the option --robot")
-    values: dict[str, FloatArray] = {}
-    for q in quantities:
-        if q.name in top:
-            values[q.name] = _columns(top[q.name], q)
+    return Entry.load(file, MeasuredSetError, convert, name=str(file))
+
+
+def _of_tables(top: Entry, quantities: Sequence[Quantity]) -> dict[str, FloatArray]:
+    """The quantities that a TOML file has, all with as many rows."""
+    values = {q.name: _columns(top[q.name], q) for q in quantities if q.name in top}
     rows = len(next(iter(values.values())))
     for name, value in values.items():
         if len(value) != rows:
             raise top[name].fail(f"{len(value)} rows, {next(iter(values))} has {rows}; expected one row per pose in each")
+    return values
+
+
+def _from_toml(file: Path, quantities: Sequence[Quantity], robot: str | None, tool: str | None) -> MeasuredSet:
+    top = _top(file)
+    top.keys({q.name for q in quantities if q.needed}, {"robot", "tool", *(q.name for q in quantities)})
+    about = top.get("robot", {}).keys((), ("name", "file", "springs"))
+    if robot is None and not about.value.keys() & {"name", "file"}:
+        raise top.fail("no robot: expected [robot] with a name of models/data/robots or a file, or the option --robot")
+    values = _of_tables(top, quantities)
+    rows = len(next(iter(values.values())))
     return MeasuredSet(
         load_robot(robot or (about["file"].file() if "file" in about else about["name"].text())),
         load_tool(tool) if tool else _tool(top.get("tool", {})),
@@ -135,17 +164,24 @@ def _columns(entry: Entry, wanted: Quantity) -> FloatArray:
     return np.stack([log[name] for name in names], axis=1) * factor + offset
 
 
-def _from_run(folder: Path, quantities: Sequence[Quantity], robot: str | None, tool: str | None) -> MeasuredSet:
-    run = Run.load(folder)
+def _of_run(run: Run, quantities: Sequence[Quantity]) -> dict[str, FloatArray]:
+    """The quantities that a run has."""
     values = {}
+    names = dict.fromkeys(n.partition("[")[0] for n in run.columns)
     for q in quantities:
-        names = dict.fromkeys(n.partition("[")[0] for n in run.columns)
         found = [n for port in q.ports for n in names if n.partition(".")[2] == port]
         if not found and q.needed:
             raise MeasuredSetError(
-                f"{folder}: no {q.name}: expected a column {' or '.join(f'*.{p}' for p in q.ports)}; it has {', '.join(names)}"
+                f"{run.folder}: no {q.name}: expected a column {' or '.join(f'*.{p}' for p in q.ports)}; it has {', '.join(names)}"
             )
-        values[q.name] = run[found[0]] if found else np.zeros((len(run), q.width))
+        if found:
+            values[q.name] = run[found[0]]
+    return values
+
+
+def _from_run(folder: Path, quantities: Sequence[Quantity], robot: str | None, tool: str | None) -> MeasuredSet:
+    run = Run.load(folder)
+    values = {q.name: np.zeros((len(run), q.width)) for q in quantities} | _of_run(run, quantities)
     return MeasuredSet(load_robot(robot or _labelled(run, "robot")), load_tool(tool or _labelled(run, "tool")), True, values)
 
 

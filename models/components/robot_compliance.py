@@ -34,7 +34,11 @@ GRAVITY = 9.81
 ANGLE_LIMIT = 0.05
 """Largest elastic angle [rad] of a virtual joint; ten times what the largest milling loads cause."""
 ELEMENTS = 4
-"""Play elements per drive in the hysteresis; thresholds 1/4, 3/4, 5/4, 7/4 of `hysteresis_torque`."""
+"""Play elements per drive in the hysteresis; thresholds 1/4, 3/4, 5/4, 7/4 of `hysteresis_torque`. As many friction elements."""
+STUCK = 1.0 + 2.0 / 3.0 + 2.0 / 4.0 + 2.0 / 5.0
+"""Stiffness of all friction elements while none slips, in that of the first; they slip at angles as 2 : 3 : 4 : 5."""
+FAR = 1e300
+"""An elastic angle that is not reached: no friction element is left to slip."""
 
 # Three per cent of the rated torque of the gear, the zone in which lost motion is measured: 94 N.m for a cycloidal
 # gear of the size of A1..A3 (3136 N.m rated, data sheet from memory); wrist scaled with its drive stiffness.
@@ -93,6 +97,16 @@ VARIABLES = (
         (6,),
         minimum=0.0,
         maximum=2e-3,
+        effect=True,
+    ),
+    Variable(
+        "gear_friction",
+        "parameter",
+        "Friction beside the drive springs of A1..A6 (Maxwell slip), all elements slipping: hysteresis by another law than gear_hysteresis",
+        "N.m",
+        (6,),
+        minimum=0.0,
+        maximum=500.0,
         effect=True,
     ),
     Variable(
@@ -172,6 +186,16 @@ VARIABLES = (
     Variable("reference_torque", "parameter", "Torque that stiffness_hardening refers to, A1..A6", "N.m", (6,), _REFERENCE_TORQUE, 1.0),
     Variable("hysteresis_torque", "parameter", "Mean torque to cross the hysteresis loop, A1..A6", "N.m", (6,), _HYSTERESIS_TORQUE, 0.1),
     Variable(
+        "friction_stiffness",
+        "parameter",
+        "Stiffness of the friction elements of gear_friction while none slips, relative to the drive spring k_A",
+        "1",
+        (),
+        0.56,
+        1e-3,
+        100.0,
+    ),
+    Variable(
         "p_FG_F", "parameter", "Centre of gravity of the end effector from F, in F", "m", (3,), SPINDLE_ACROSS.p_FG_F, display_unit="mm"
     ),
     Variable("thermal_time_constant", "parameter", "Time constant of the warm-up", "s", (), 5400.0, 1.0, display_unit="min"),
@@ -181,6 +205,8 @@ VARIABLES = (
     Variable("mode_direction", "parameter", "Direction of the structural mode in B, normalised", "1", (3,), (0.0, 1.0, 0.0)),
     *GEOMETRIC_VARIABLES,
     Variable("hysteresis_play", "state", "Torques that the play elements of the gears of A1..A6 hold", "N.m", (6, ELEMENTS)),
+    Variable("friction_torque", "state", "Torques of the friction elements of A1..A6", "N.m", (6, ELEMENTS)),
+    Variable("friction_angle", "state", "Elastic angles of the drives of A1..A6 that these belong to", "rad", (6,)),
     Variable("mode_deflection", "state", "Deflection of the structural mode", "m"),
     Variable("mode_velocity", "state", "Velocity of the structural mode", "m/s"),
     Variable("fault_frame", "state", "Frame (Fig. 1 of the paper) or axis that an error message names", "1", kind="integer"),
@@ -197,8 +223,8 @@ ERRORS = (
     "the length of quat_FT is {fault_value}, expected 1 (unit quaternion w, x, y, z); normalise it",
     "mode_damping is {mode_damping} and mode_frequency {mode_frequency} Hz, mode_direction {mode_direction}; expected a damping ratio in "
     "[0, 1), a positive frequency and a direction that is not zero",
-    "reference_torque {reference_torque} N.m, hysteresis_torque {hysteresis_torque} N.m and thermal_time_constant "
-    "{thermal_time_constant} s must all be positive",
+    "reference_torque {reference_torque} N.m, hysteresis_torque {hysteresis_torque} N.m, friction_stiffness {friction_stiffness} and "
+    "thermal_time_constant {thermal_time_constant} s must all be positive",
     "the counterbalance cannot move: lever {counterbalance_lever} m, frame {counterbalance_frame_distance} m, "
     "area {counterbalance_area} m2, gas volume {counterbalance_volume} m3; "
     "expected a lever shorter than the frame and a volume above twice lever times area",
@@ -249,7 +275,7 @@ def check_parameters(s: Record) -> int:
             return _EFFECTS
         if not (s.reference_torque[i] > 0.0 and s.hysteresis_torque[i] > 0.0):
             return _POSITIVE
-    if not s.thermal_time_constant > 0.0:
+    if not (s.thermal_time_constant > 0.0 and s.friction_stiffness > 0.0):
         return _POSITIVE
     if not counterbalance_fits(s):
         return _COUNTERBALANCE
@@ -307,6 +333,45 @@ def _hysteresis(s: Record, i: int, torque: float) -> float:
 
 
 @kernel
+def _spring_and_friction(s: Record, i: int, torque: float, stiffness: float) -> float:
+    """Elastic angle [rad] of axis i = 0..5 at the torque [N.m]; advances its friction elements.
+
+    Maxwell slip beside the spring: torque = k gamma + sum_e f_e, |f_e| <= friction/4, each element a stiff spring that slips there.
+    The angle goes from slip to slip until the torque is balanced: rate-independent, passive, exact for any step over which the
+    torque is monotonic.
+    """
+    slip = s.gear_friction[i] / ELEMENTS
+    first = s.friction_stiffness * joint_stiffness(s, DRIVES[i], 2) / STUCK
+    rest = torque - stiffness * s.friction_angle[i]
+    for e in range(ELEMENTS):
+        rest -= s.friction_torque[i, e]
+    direction = 1.0 if rest >= 0.0 else -1.0
+    rest = abs(rest)
+    balanced = False
+    while not balanced:
+        slope = stiffness
+        way = FAR
+        for e in range(ELEMENTS):
+            left = slip - direction * s.friction_torque[i, e]
+            if left > 0.0:
+                slope += first * 2.0 / (2.0 + e)
+                way = min(way, left / (first * 2.0 / (2.0 + e)))
+        if rest <= slope * way:
+            way = rest / slope
+            balanced = True
+        for e in range(ELEMENTS):
+            left = slip - direction * s.friction_torque[i, e]
+            if left / (first * 2.0 / (2.0 + e)) <= way:
+                s.friction_torque[i, e] = direction * slip
+            else:
+                s.friction_torque[i, e] += direction * (first * 2.0 / (2.0 + e)) * way
+        s.friction_angle[i] += direction * way
+        rest -= slope * way
+    angle: float = s.friction_angle[i]
+    return angle
+
+
+@kernel
 def _gravity_moments(s: Record) -> None:
     """Add to s.joint_moment what wrong payload and wrong counterbalance do beyond the nominal robot [N.m]."""
     weight = s.payload_error * GRAVITY
@@ -343,7 +408,11 @@ def bend(s: Record) -> int:
         factor *= 1.0 + (s.stiffness_asymmetry[i] if torque >= 0.0 else -s.stiffness_asymmetry[i])
         lost = s.gear_hysteresis[i] * _hysteresis(s, i, torque)
         s.drive_stiffness[i] = joint_stiffness(s, j, 2) * factor
-        s.joint_angle[j, 2] = moment / s.drive_stiffness[i] + lost * s.axis_sign[i]
+        if s.gear_friction[i] > 0.0:
+            lost += _spring_and_friction(s, i, torque, s.drive_stiffness[i])
+            s.joint_angle[j, 2] = lost * s.axis_sign[i]
+        else:
+            s.joint_angle[j, 2] = moment / s.drive_stiffness[i] + lost * s.axis_sign[i]
         s.joint_angle[j, 0] += s.tilt_compliance[i] * s.joint_moment[j, 0]
         s.joint_angle[j, 1] += s.tilt_compliance[i] * s.joint_moment[j, 1]
     if s.geometric_stiffness > 0.0:
@@ -414,6 +483,8 @@ def rest(s: Record) -> None:
     for i in range(6):
         for e in range(ELEMENTS):
             s.hysteresis_play[i, e] = 0.0
+            s.friction_torque[i, e] = 0.0
+        s.friction_angle[i] = 0.0
     s.mode_deflection = s.mode_compliance * _mode_load(s)
     s.mode_velocity = 0.0
 

@@ -70,7 +70,13 @@ def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         ),
         "robot_compliance": (
             {"q_link": _axes(), "f_T_B": _force(), "m_T_B": _moment()},
-            {"gear_hysteresis": [1e-4] * 6, "tool_compliance": 2e-7, "mode_compliance": 1e-6, "payload_error": 5.0},
+            {
+                "gear_hysteresis": [1e-4] * 6,
+                "gear_friction": [70.0] * 6,
+                "tool_compliance": 2e-7,
+                "mode_compliance": 1e-6,
+                "payload_error": 5.0,
+            },
         ),
         "robot_compliance_dynamic": (
             {"q_link": _axes(), "f_T_B": _force(), "m_T_B": _moment()},

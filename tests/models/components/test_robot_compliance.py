@@ -20,7 +20,7 @@ from robomill.models.model.declaration import Record, record
 from robomill.models.robot.dynamics import counterbalance_torque
 from robomill.models.robot.kinematics import KR300, inverse
 from robomill.models.robot.virtual_joints import DRIVES
-from tests.tolerances import EXACT, ROUNDOFF, physics
+from tests.tolerances import EXACT, ROUNDOFF, discretisation, physics
 
 H = 0.004
 DEG = np.pi / 180.0
@@ -249,6 +249,71 @@ class TestGearHysteresis:
         assert abs(work - 4.0 * 1e-4 * threshold) < 1e5 * ROUNDOFF * work
 
 
+class TestGearFriction:
+    """Friction beside the drive spring (Maxwell slip): the other law of hysteresis."""
+
+    @staticmethod
+    def gear(axis: int, friction: float = 40.0) -> Twist:
+        values = np.zeros(6)
+        values[axis] = friction
+        return Twist(axis, gear_friction=values)
+
+    @pytest.mark.parametrize("axis", AXES)
+    def test_slips_before_the_spring_and_sticks_after_a_reversal(self, axis: int) -> None:
+        """All slipping M = k gamma + M_f; from there the torque falls with k (1 + rho)."""
+        twist = self.gear(axis)
+        k, large = twist.s.stiffness[DRIVES[axis], 2], 2000.0
+        assert abs(twist(large) - (large - 40.0) / k) < 1e4 * ROUNDOFF * large / k
+        fallen = twist(large) - twist(large - 10.0)
+        assert abs(fallen - 10.0 / (k * (1.0 + twist.s.friction_stiffness))) < 1e6 * ROUNDOFF * fallen
+
+    @pytest.mark.parametrize("axis", AXES)
+    def test_loop_is_as_wide_as_the_friction_bends_the_spring(self, axis: int) -> None:
+        """After a large torque either way, unloaded, the spring holds the whole friction: 2 M_f/k wide."""
+        twist = self.gear(axis)
+        twist(2000.0)
+        above = twist(0.0)
+        twist(-2000.0)
+        wide = above - twist(0.0)
+        assert abs(wide - 2.0 * 40.0 / twist.s.stiffness[DRIVES[axis], 2]) < 1e5 * ROUNDOFF * wide
+
+    def test_does_not_depend_on_the_rate(self) -> None:
+        slow, fast = self.gear(2), self.gear(2)
+        for end in (300.0, -120.0, 200.0, -50.0):
+            start = 0.0
+            for part in np.linspace(0.05, 1.0, 20):
+                slow_result = slow(start + (end - start) * part, 0.1)
+            assert abs(slow_result - fast(end, 1e-4)) < ROUNDOFF * 1e-3
+            slow(0.0)
+            fast(0.0)
+
+    def test_follows_elements_that_are_written_out(self) -> None:
+        """Against the definition, driven by the angle in steps of a nanoradian's order, over a path with inner loops."""
+        twist = self.gear(3, 60.0)
+        k = float(twist.s.stiffness[DRIVES[3], 2])
+        stick = twist.s.friction_stiffness * k * np.array([1 / 2, 1 / 3, 1 / 4, 1 / 5]) / (77 / 60)
+        element, angle = np.zeros(4), 0.0
+        for end in (8e-4, -2e-4, 5e-4, -9e-4, 1e-4):
+            for new in np.linspace(angle, end, 200)[1:]:
+                element = np.clip(element + stick * (new - angle), -15.0, 15.0)
+                angle = float(new)
+                found = twist(k * angle + float(element.sum()))
+                assert abs(found - angle) < 1e-3 * ROUNDOFF
+
+    def test_eats_the_energy_of_its_loop(self) -> None:
+        """Each element eats 4 f (gamma_max - f/k_e) in a cycle in which it slips both ways; no cycle gives energy."""
+        twist = self.gear(1, 80.0)
+        k, large = float(twist.s.stiffness[DRIVES[1], 2]), 2400.0
+        stick = twist.s.friction_stiffness * k * np.array([1 / 2, 1 / 3, 1 / 4, 1 / 5]) / (77 / 60)
+        twist(large)
+        torques = large * np.r_[np.linspace(1, -1, 2001), np.linspace(-1, 1, 2001)[1:]]
+        angles = np.array([twist(float(torque)) for torque in torques])
+        work = np.sum(0.5 * (torques[1:] + torques[:-1]) * np.diff(angles))
+        expected = np.sum(4.0 * 20.0 * ((large - 80.0) / k - 20.0 / stick))
+        assert abs(work - expected) < discretisation(1.0, 2.0 / 2000.0, 2) * expected * 10.0
+        assert np.sum(0.5 * (torques[1:21] + torques[:20]) * np.diff(angles[:21])) < 0.0
+
+
 class TestAdditionsAtTheTip:
     """Compliances and displacements that act on the tool tip directly."""
 
@@ -397,6 +462,7 @@ class TestEffectsInGeneral:
         companions = {
             "reference_torque": 10.0,
             "hysteresis_torque": 3.0,
+            "friction_stiffness": 2.0,
             "p_FG_F": 1.0,
             "thermal_time_constant": 1.0,
             "warm_up_time": 900.0,
@@ -420,7 +486,7 @@ class TestStates:
 
     def test_init_may_be_repeated(self) -> None:
         """Any number of times, after any inputs: the same as once with the last ones."""
-        values = {"gear_hysteresis": 1e-4, "mode_compliance": 1e-6, "thermal_growth": 1e-4}
+        values = {"gear_hysteresis": 1e-4, "gear_friction": 40.0, "mode_compliance": 1e-6, "thermal_growth": 1e-4}
         again = started(f_T_B=[500.0, -300.0, 100.0], **values)
         for k in range(5):
             assert step(again, k * H, H) == 0
@@ -430,6 +496,7 @@ class TestStates:
         once = started(f_T_B=[-50.0, 20.0, 30.0], **values)
         assert np.abs(outputs(again) - outputs(once)).max() == EXACT
         assert np.abs(again.hysteresis_play - once.hysteresis_play).max() == EXACT
+        assert np.abs(again.friction_torque - once.friction_torque).max() == EXACT
 
 
 def test_compiled_gives_the_same_bits_as_plain_python() -> None:
@@ -469,6 +536,7 @@ class TestErrors:
             ({"mode_direction": 0.0}, "a direction that is not zero"),
             ({"hysteresis_torque": 0.0}, "must all be positive"),
             ({"counterbalance_lever": 0.9}, "the counterbalance cannot move: lever 0.9 m, frame 0.8 m"),
+            ({"friction_stiffness": 0.0}, "friction_stiffness 0.0 and"),
             ({"thermal_time_constant": -5.0}, "thermal_time_constant -5.0 s must all be positive"),
         ],
     )
