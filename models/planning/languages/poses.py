@@ -55,6 +55,12 @@ class Frames:
     q_start: tuple[float, ...] | None = None
     """Axis angles [rad] that the robot goes to before the first pose: they choose the branch. None: it comes from where it stands."""
 
+    @property
+    def abc_FT(self) -> FloatArray:
+        """Orientation of T in F as A, B, C [rad] (3,)."""
+        abc: FloatArray = np.deg2rad(abc_degrees(np.array([self.quat_FT]))[0])
+        return abc
+
     @staticmethod
     def at(placement: Placement, tool: Tool, q_start: Sequence[float] | FloatArray | None = None) -> Frames:
         """The frames of a placement and an end effector."""
