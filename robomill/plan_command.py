@@ -163,8 +163,9 @@ def _from_options(options: Namespace) -> _Task:
     size = _metres(options.block) if options.block else None
     if size is not None and min(size) <= 0.0:
         raise ValueError(f"--block {' '.join(f'{v:g}' for v in options.block)}: expected three positive lengths in mm")
+    mill = _mill(options)
     program = read_program(options.program, _setup(options, size), options.orientation)
-    findings = check_plan(program, size, {0: _mill(options)}) if size is not None else Findings()
+    findings = check_plan(program, size, {0: mill}) if size is not None else Findings()
     placement = Placement((x, y, z), (math.radians(options.turn or 0.0), 0.0, 0.0))
     return _Task(program, placement, findings, robot, SPINDLE_ACROSS, robot.q_home)
 

@@ -42,9 +42,8 @@ class AxisLimits:
 
     def of(self, robot: Robot) -> FloatArray:
         """Limits (3, 6): speed [rad/s], acceleration [rad/s2], jerk [rad/s3]."""
-        acceleration = robot.speed_max / self.time_to_speed
-        rows: FloatArray = np.array([robot.speed_max, acceleration, acceleration / self.time_to_acceleration])
-        return rows
+        acceleration: FloatArray = robot.speed_max / self.time_to_speed
+        return np.array([robot.speed_max, acceleration, acceleration / self.time_to_acceleration])
 
 
 AXIS_LIMITS = load(AxisLimits, "planning/axis_limits")
@@ -88,8 +87,7 @@ class Reach:
     @property
     def share(self) -> FloatArray:
         """Peaks over limits (3, 6)."""
-        shares: FloatArray = self.peaks / self.limits
-        return shares
+        return self.peaks / self.limits
 
     def too_fast(self, plan: Plan) -> tuple[str, ...]:
         """One text for each axis that would have to be faster than it can."""

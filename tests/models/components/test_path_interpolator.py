@@ -393,7 +393,7 @@ class TestReachability:
             check_reachable(line_plan("G1 X10", Placement((4.0, 0.0, 1.0))))
 
     def test_axis_limit_names_line_axis_value_and_limits(self) -> None:
-        """Link arm stretched forward: A2 ends at -5 deg (FACTS 1.2). Found at the first tick behind it: 4 ms at 25 mm/s over 1 m, 0.006 deg."""
+        """Link arm stretched forward: A2 ends at -5 deg (FACTS 1.2). Found at the first tick behind it, 0.006 deg later."""
         with pytest.raises(PlanError) as caught:
             check_reachable(line_plan("G1 X10\nZ-1500"))
         message = str(caught.value)
