@@ -28,6 +28,8 @@ _CHUNK = 8192
 """Clock ticks that are looked at together."""
 _ROUNDS, _BELOW = 20, 0.99
 """Plans that are made at most until all limits are kept, and the share of a limit that the next one aims at."""
+_SLOWEST = 1e-3
+"""Share of the feed below which a line counts as one that cannot be moved along."""
 _ALIGNED = 1e-6
 """Nearness to a singular pose below which Eq. (4.5) is solved by least squares."""
 
@@ -186,10 +188,12 @@ def plan_within(
             return planned, reach
         for number in np.flatnonzero(over > 1.0).tolist():
             slower[number] = slower.get(number, 1.0) * _BELOW / over[number]
-    line = int(np.argmax(over))
+        if min(slower.values()) < _SLOWEST:
+            break
+    line = min(slower, key=lambda n: slower[n])
     raise PlanError(
-        f"{program.name} line {line}: an axis still exceeds its {within} limit at {100.0 * slower[line]:.2g} % of the feed; the line "
-        "passes a singular pose; move the workpiece, or turn the tool about its axis"
+        f"{program.name} line {line}: an axis would exceed its {within} limit unless the feed falls to {100.0 * slower[line]:.2g} %; "
+        "the line passes a singular pose, or another one holds it up; move the workpiece, or turn the tool about its axis"
     )
 
 

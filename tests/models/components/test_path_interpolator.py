@@ -157,6 +157,16 @@ class TestPhysics:
         np.testing.assert_allclose(trace["path_time"], np.arange(301) * H * ratio, rtol=ROUNDOFF, atol=EXACT)
         assert trace["v_BT_B"][-1, 0] == pytest.approx(0.025 * ratio, rel=ROUNDOFF)
 
+    @pytest.mark.parametrize("ratio", [0.3, 1.0])
+    def test_override_error_is_another_speed_ratio_and_nothing_at_zero(self, ratio: float) -> None:
+        """Effect: the machine runs at 1 + e times the ratio: path time and velocity as with that ratio, on the same path."""
+        chosen = ((ratio, 0.1), (ratio * 1.1, 0.0), (ratio, 0.0))
+        off, right, programmed = (run(instance(speed_ratio=r, override_error=e), 300) for r, e in chosen)
+        for name in ("path_time", "p_BT_B", "v_BT_B", "q_ref", "f_pilot_B"):
+            np.testing.assert_array_equal(off[name], right[name])
+        assert off["path_time"][-1] == pytest.approx(1.1 * programmed["path_time"][-1], rel=ROUNDOFF)
+        assert {v.name for v in MODEL.variables if v.effect} == {"override_error"}
+
     def test_changing_speed_ratio_does_not_leave_the_path(self) -> None:
         """A pocket at a seeded random override: at every path time the position is that of the plan."""
         p = planned("test_part.ngc")
