@@ -11,6 +11,7 @@ beyond a gain that has nothing to do with the machine, the simulation chatters.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import expm
@@ -45,7 +46,7 @@ def critical_gain(modes: Modes, G: FloatArray, largest: float) -> tuple[float, f
         return float(coupled_eigenvalues(modes, factor * G).real.max()) - bound
 
     gains = np.linspace(0.0, largest, SCAN + 1)
-    for low, high in zip(gains[:-1], gains[1:], strict=True):
+    for low, high in pairwise(gains):
         if growth(high) > 0.0:
             factor = brentq(growth, low, high) if growth(low) < 0.0 else low
             roots = coupled_eigenvalues(modes, factor * G)

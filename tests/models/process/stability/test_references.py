@@ -11,7 +11,13 @@ import pytest
 from robomill.models.process.cutting import CuttingCoefficients
 from robomill.models.process.stability import coupling
 from robomill.models.process.stability.modes import Modes, from_stiffness, receptance
-from robomill.models.process.stability.semi_discretisation import periodic_matrices, spectral_radius
+from robomill.models.process.stability.semi_discretisation import (
+    INTERVALS,
+    depth_limit,
+    enough_intervals,
+    periodic_matrices,
+    spectral_radius,
+)
 from robomill.models.process.stability.zero_order import Engagement, eigenvalues, limit_curve, lobes, mean_matrix, turning_limit
 from tests.tolerances import ROUNDOFF, physics
 
@@ -96,10 +102,26 @@ def _simulated_growth(depth: float, rpm: float, per_tooth: int = 200, teeth: int
 
 @pytest.mark.parametrize("rpm", [5000, 10000, 20000])
 def test_direct_integration_grows_above_the_limit_and_decays_below(rpm: int):
-    """15 % either side: close enough to fail for a wrong lobe, far enough to show within 160 tooth periods."""
-    limit = SEMI_DISCRETE[0][1][rpm] * MM
-    assert _simulated_growth(0.85 * limit, rpm) < 1.0
-    assert _simulated_growth(1.15 * limit, rpm) > 1.0
+    """10 % either side: close enough to fail for a wrong lobe, far enough to show within 160 tooth periods."""
+    period = 30.0 / rpm
+    matrices = periodic_matrices(BENCHMARK_CUT, 2, SLOT, enough_intervals(BENCHMARK, period))
+    limit = depth_limit(BENCHMARK, matrices, period, 4 * MM)
+    assert _simulated_growth(0.9 * limit, rpm) < 1.0
+    assert _simulated_growth(1.1 * limit, rpm) > 1.0
+
+
+def test_forty_intervals_are_too_few_where_a_tooth_period_has_many_vibrations():
+    """At 5000 rpm, 5.5 vibrations per tooth: 0.480 mm of the published resolution is unstable by direct integration."""
+    assert _simulated_growth(0.95 * 0.480 * MM, 5000) > 1.0
+    period = 30.0 / 5000
+    coarse, fine = (
+        depth_limit(BENCHMARK, periodic_matrices(BENCHMARK_CUT, 2, SLOT, m), period, 1.5 * MM)
+        for m in (INTERVALS, enough_intervals(BENCHMARK, period))
+    )
+    assert coarse > 1.1 * fine
+    finest = depth_limit(BENCHMARK, periodic_matrices(BENCHMARK_CUT, 2, SLOT, 400), period, 1.5 * MM)
+    # what 30 per vibration leaves: an error of second order, 0.16^2 of that of 40 intervals
+    assert fine == pytest.approx(finest, rel=physics(1.0, relative=0.015))
 
 
 def _residues(f: np.ndarray, frequency: list[float], damping: list[float], residue: list[complex]) -> np.ndarray:
