@@ -1,8 +1,9 @@
-"""Stability of milling by semi-discretisation (Insperger & Stepan 2004): the periodic cutting matrix in full.
+"""Stability of milling by semi-discretisation: the periodic cutting matrix in full.
 
-Int. J. Numer. Meth. Engng 61. A tooth period tau is divided into m intervals. In each, the cutting matrix is its mean, the delayed displacement is the mean of
-the two stored ones around t - tau, and the motion of the modes is exact. The product of the m transitions is the monodromy matrix
-of x = (q, q', past displacements); the cut is stable if all its eigenvalues are less than 1 in magnitude.
+Insperger & Stepan, Int. J. Numer. Meth. Engng 61 (2004). A tooth period tau is divided into m intervals. In each, the cutting
+matrix is its mean, the delayed displacement is the mean of the two stored ones around t - tau, and the motion of the modes is
+exact. The product of the m transitions is the monodromy matrix of x = (q, q', past displacements); the cut is stable if all its
+eigenvalues are less than 1 in magnitude.
 """
 
 from __future__ import annotations
