@@ -123,6 +123,12 @@ OWN_VARIABLES = (
         maximum=1000,
     ),
     Variable(
+        "edge_lifts",
+        "parameter",
+        "edge forces vanish where vibration takes an edge out of the chip; if not, they follow the feed alone, as in stability theory",
+        kind="boolean",
+    ),
+    Variable(
         "regenerative_gain_error",
         "parameter",
         "relative error of the chip that vibration leaves and meets: -1 is no regeneration",
@@ -454,7 +460,9 @@ def _edge(s: Record, j: int, b: int, length: float, height: float, ux: float, uy
         found = (k + 1) * s.chip * sine + s.radii[j] - s.radii[before] + gain * (nx * (s.u_P[0] - left[0]) + ny * (s.u_P[1] - left[1]))
         chip = found if k == 0 else min(chip, found)
     if chip <= 0.0:
-        return
+        chip = 0.0
+        if s.edge_lifts != 0:
+            return
     s.chip_peak = max(s.chip_peak, chip)
     cutting = (1.0 + s.cutting_coefficient_error) * chip
     if s.size_effect_exponent > 0.0:
