@@ -86,7 +86,7 @@ class LineStability:
 
     @property
     def stable(self) -> bool:
-        """Whether the planned cut is: by the monodromy matrix, by the zero-order margin where that is not computed, and by mode coupling."""
+        """Whether the planned cut is: by growth, by margin where that is not computed, and by mode coupling."""
         regenerative = self.growth < 1.0 if self.growth is not None else self.margin > 1.0
         return regenerative and self.coupling > 1.0
 
@@ -128,7 +128,9 @@ def _process(system: System, modes: str | Path | None) -> tuple[CuttingCoefficie
         given = {**starts, **assembly.parameters.get("milling", {})}
     lacking = [name for name in _COEFFICIENTS if name not in given]
     if lacking:
-        raise ScenarioError(f"{system.name}: component 'milling' has no {', '.join(lacking)}: its force does not follow from a chip thickness")
+        raise ScenarioError(
+            f"{system.name}: component 'milling' has no {', '.join(lacking)}: its force does not follow from a chip thickness"
+        )
     coefficients = CuttingCoefficients(*(float(given[name]) for name in _COEFFICIENTS))
     if modes is not None:
         return coefficients, None if str(modes) == "none" else load_modes(modes), ()

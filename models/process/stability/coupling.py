@@ -98,3 +98,45 @@ def explicit_limit(frequency: float, damping: float, step: float, extra: int = 0
     while excess(high) <= 0.0:
         high *= 2.0
     return float(brentq(excess, 0.0, high))
+
+
+EXPLICIT, ITERATED, LINEAR = "explicit", "iterated", "linear"
+"""How two simulations exchange a force: that of the last exchange, that of this one, or a ramp from the last to this one."""
+
+
+def exchange_transition(modes: Modes, G: FloatArray, step: float, scheme: str) -> FloatArray:
+    """Transition (2 n, 2 n) of modes and a force G u, G (3, 3) [N/m], that is exchanged once per `step` [s]; the modes move exactly.
+
+    EXPLICIT: the force of the last exchange acts over the step. ITERATED: that of its end. LINEAR: from the one to the other, iterated.
+    ValueError for another scheme.
+    """
+    n, w = len(modes.frequency), modes.circular
+    A = np.zeros((2 * n, 2 * n))
+    A[:n, n:] = np.eye(n)
+    A[n:, :n], A[n:, n:] = -np.diag(w**2), -2.0 * np.diag(modes.damping * w)
+    B = np.vstack([np.zeros((n, 3)), modes.shape.T])
+    whole = np.zeros((2 * n + 6, 2 * n + 6))
+    whole[: 2 * n, : 2 * n], whole[: 2 * n, 2 * n : 2 * n + 3] = A, B
+    whole[2 * n : 2 * n + 3, 2 * n + 3 :] = np.eye(3) / step
+    moved = expm(whole * step)
+    P, held, ramp = moved[: 2 * n, : 2 * n], moved[: 2 * n, 2 * n : 2 * n + 3], moved[: 2 * n, 2 * n + 3 :]
+    force = G @ np.hstack([modes.shape, np.zeros((3, n))])
+    if scheme == EXPLICIT:
+        return np.asarray(P + held @ force)
+    if scheme == ITERATED:
+        return np.asarray(np.linalg.solve(np.eye(2 * n) - held @ force, P))
+    if scheme == LINEAR:
+        return np.asarray(np.linalg.solve(np.eye(2 * n) - ramp @ force, P + (held - ramp) @ force))
+    raise ValueError(f"unknown scheme {scheme!r}; there are {EXPLICIT!r}, {ITERATED!r}, {LINEAR!r}")
+
+
+def simulated_gain(modes: Modes, G: FloatArray, step: float, scheme: str, largest: float) -> float:
+    """Least factor on G (3, 3) [N/m] up to `largest` at which a simulation with that exchange grows; inf if it does not."""
+
+    def excess(factor: float) -> float:
+        return float(np.abs(np.linalg.eigvals(exchange_transition(modes, factor * G, step, scheme))).max()) - 1.0 - GROWTH
+
+    for low, high in pairwise(np.linspace(0.0, largest, SCAN + 1)):
+        if excess(high) > 0.0:
+            return float(brentq(excess, low, high)) if excess(low) < 0.0 else float(low)
+    return math.inf
