@@ -27,6 +27,8 @@ from robomill.models.process.stability.modes import Modes, frequency_grid, from_
 from robomill.models.process.stability.semi_discretisation import enough_intervals, periodic_matrices, spectral_radius
 from robomill.models.process.stability.zero_order import Engagement, Lobes, lobes, mean_matrix
 from robomill.models.robot.elastic_modes import ElasticMachine, elastic_modes
+from robomill.models.robot.kinematics import inverse
+from robomill.models.robot.numeric_inverse import kinematics
 from robomill.orchestration.assembly import assemble
 from robomill.orchestration.system.definition import System
 
@@ -255,3 +257,33 @@ def _growth(cell: Cell, cut: PlannedCut, q: FloatArray) -> float:
     period = 2.0 * math.pi / (mill.teeth * cut.spindle_speed)
     matrices = periodic_matrices(cell.coefficients, int(mill.teeth), engagement_of(cut), enough_intervals(modes, period))
     return spectral_radius(modes, matrices, cut.axial, period)
+
+
+MAP_POINTS = 60
+"""Frequencies per mode of a map: its limits are within 1 % of those of the lobes."""
+
+
+def map_of(cell: Cell, line: LineStability, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Margin (ny, nx) of the cut of a line if the tool tip stood at x (nx,), y (ny,) [m] in B, height and orientation as planned.
+
+    nan where the robot does not get there; one number throughout for a rigid robot.
+    """
+    robot, tool = (cell.machine.robot, cell.machine.tool) if cell.machine is not None else (None, None)
+    margin = np.full((len(y), len(x)), line.margin)
+    if robot is None or tool is None:
+        return margin
+    s = kinematics(robot, tool)
+    place = cell.planned.placement.to_base(line.position)
+    R = np.ascontiguousarray(cell.planned.rotation(np.array([line.cut.time])).as_matrix()[0])
+    mill = mill_of(cell, line.cut)
+    A = mean_matrix(cell.coefficients, mill.teeth, engagement_of(line.cut))
+    q = np.zeros(6)
+    for row, column in np.ndindex(margin.shape):
+        if inverse(s, np.array([x[column], y[row], place[2]]), R, line.q, q) != 0:
+            margin[row, column] = np.nan
+            continue
+        modes = modes_at(cell, line.cut, q)
+        f = frequency_grid(modes, MAP_POINTS)
+        limit = lobes(f, receptance(modes, f), A, mill.teeth, np.array([line.spindle_speed])).depth[0]
+        margin[row, column] = limit / line.depth
+    return margin
