@@ -167,11 +167,11 @@ def robot_modes(cell: Cell, q: FloatArray, R: FloatArray) -> Modes | None:
     return Modes(tip.frequency, tip.damping, tip.shape[:3]).turned(R)
 
 
-def modes_at(cell: Cell, cut: PlannedCut, q: FloatArray) -> Modes:
-    """Modes of robot, spindle and tool at axis angles q [rad] in the cutting frame of a planned cut."""
+def modes_at(cell: Cell, cut: PlannedCut, q: FloatArray, robot_alone: bool = False) -> Modes:
+    """Modes of robot, spindle and tool at axis angles q [rad] in the cutting frame of a planned cut; or of the robot alone."""
     R = frame_of(cell, cut)
     robot = robot_modes(cell, q, R)
-    if cell.spindle is None:
+    if cell.spindle is None or robot_alone:
         assert robot is not None  # `prepare` refuses a cell where nothing vibrates
         return robot
     R_BT = cell.planned.rotation(np.array([cut.time])).as_matrix()[0]
@@ -189,10 +189,10 @@ def engagement_of(cut: PlannedCut) -> Engagement:
     return Engagement(BOUNDS, cut.depth / cut.axial)
 
 
-def lobes_at(cell: Cell, cut: PlannedCut, q: FloatArray, speeds: FloatArray) -> Lobes:
-    """Zero-order lobes [m] of a planned cut at axis angles q [rad] over spindle speeds [rad/s]."""
-    modes, mill = modes_at(cell, cut, q), mill_of(cell, cut)
-    f = frequency_grid(modes)
+def lobes_at(cell: Cell, cut: PlannedCut, q: FloatArray, speeds: FloatArray, robot_alone: bool = False, points: int = 160) -> Lobes:
+    """Zero-order lobes [m] of a planned cut at axis angles q [rad] over spindle speeds [rad/s]; `points`: frequencies per mode."""
+    modes, mill = modes_at(cell, cut, q, robot_alone), mill_of(cell, cut)
+    f = frequency_grid(modes, points)
     A = mean_matrix(cell.coefficients, mill.teeth, engagement_of(cut))
     return lobes(f, receptance(modes, f), A, mill.teeth, speeds)
 
@@ -264,26 +264,19 @@ MAP_POINTS = 60
 
 
 def map_of(cell: Cell, line: LineStability, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Margin (ny, nx) of the cut of a line if the tool tip stood at x (nx,), y (ny,) [m] in B, height and orientation as planned.
+    """Margin (ny, nx) of the cut of a line with the modes of the robot alone, if the tool tip stood at x (nx,), y (ny,) [m] in B.
 
-    nan where the robot does not get there; one number throughout for a rigid robot.
+    Height and orientation as planned. Spindle and tool are left out, as their modes go with the tool. nan where the robot does not get
+    there. ScenarioError for a rigid robot.
     """
-    robot, tool = (cell.machine.robot, cell.machine.tool) if cell.machine is not None else (None, None)
-    margin = np.full((len(y), len(x)), line.margin)
-    if robot is None or tool is None:
-        return margin
-    s = kinematics(robot, tool)
-    place = cell.planned.placement.to_base(line.position)
+    if cell.machine is None:
+        raise ScenarioError("a map shows how the modes of the robot change over its work space; this one is rigid (no springs, no bodies)")
+    s = kinematics(cell.machine.robot, cell.machine.tool)
+    height = cell.planned.placement.to_base(line.position)[2]
     R = np.ascontiguousarray(cell.planned.rotation(np.array([line.cut.time])).as_matrix()[0])
-    mill = mill_of(cell, line.cut)
-    A = mean_matrix(cell.coefficients, mill.teeth, engagement_of(line.cut))
-    q = np.zeros(6)
+    margin = np.full((len(y), len(x)), np.nan)
+    speed, q = np.array([line.spindle_speed]), np.zeros(6)
     for row, column in np.ndindex(margin.shape):
-        if inverse(s, np.array([x[column], y[row], place[2]]), R, line.q, q) != 0:
-            margin[row, column] = np.nan
-            continue
-        modes = modes_at(cell, line.cut, q)
-        f = frequency_grid(modes, MAP_POINTS)
-        limit = lobes(f, receptance(modes, f), A, mill.teeth, np.array([line.spindle_speed])).depth[0]
-        margin[row, column] = limit / line.depth
+        if inverse(s, np.array([x[column], y[row], height]), R, line.q, q) == 0:
+            margin[row, column] = lobes_at(cell, line.cut, q, speed, True, MAP_POINTS).depth[0] / line.depth
     return margin

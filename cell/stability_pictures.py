@@ -39,6 +39,11 @@ def draw_lobes(cell: Cell, lines: Sequence[LineStability], speeds: tuple[float, 
         depth = np.where(np.isfinite(found.depth), found.depth, np.nan) * 1e3
         lowest.append(np.nanmin(depth) if np.any(np.isfinite(depth)) else 0.0)
         axes.plot(n * RPM, depth, color=f"C{i}", lw=1.4, label=f"limit at line {line.line}")
+        if cell.machine is not None and cell.spindle is not None:
+            alone = lobes_at(cell, line.cut, line.q, n, True).depth * 1e3
+            axes.plot(
+                n * RPM, np.where(np.isfinite(alone), alone, np.nan), "--", color=f"C{i}", lw=1.0, label=f"robot alone, line {line.line}"
+            )
     for stable, marker, colour in ((True, "o", "tab:green"), (False, "X", "tab:red")):
         of = [x for x in lines if x.stable == stable]
         if of:
@@ -78,7 +83,7 @@ def draw_map(x: FloatArray, y: FloatArray, margin: FloatArray, line: LineStabili
     axes.set_ylabel("y of the base, m")
     axes.set_aspect("equal")
     axes.set_title(
-        f"limit over planned depth, {1e3 * line.depth:.2f} mm at {line.spindle_speed * RPM:.0f} rev/min; grey: out of reach",
+        f"robot alone: limit over planned {1e3 * line.depth:.2f} mm at {line.spindle_speed * RPM:.0f} rev/min; grey: out of reach",
         loc="left",
         fontsize=9,
     )

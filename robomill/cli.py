@@ -201,7 +201,9 @@ def _stability_arguments(stability: argparse.ArgumentParser) -> None:
         metavar=("LOW", "HIGH"),
         help="spindle speeds of the lobes, rev/min (default: around the program's)",
     )
-    stability.add_argument("--map", action="store_true", help="also the margin of the worst line over places 0.6 m around it (some 10 s)")
+    stability.add_argument(
+        "--map", action="store_true", help="also the margin of the worst line over places 0.6 m around it, robot alone (some 10 s)"
+    )
     stability.add_argument("--out", type=Path, metavar="DIR", help="folder for stability.json and the pictures (default: results/NAME)")
     stability.add_argument("--no-pictures", action="store_true", help="skip the pictures")
 

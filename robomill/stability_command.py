@@ -132,7 +132,7 @@ def _show(cell: Cell, lines: Sequence[LineStability], files: Sequence[Path]) -> 
             f"{x.margin:.2f}" if math.isfinite(x.margin) else "none",
             f"{1e3 * x.depth * x.margin:.2f}" if math.isfinite(x.margin) else "none",
             f"{x.chatter:.1f}" if math.isfinite(x.chatter) else "-",
-            "-" if x.growth is None else f"{x.growth:.3f}",
+            "-" if x.growth is None else f"{x.growth:.4f}",
             f"{x.coupling:.2f}" if math.isfinite(x.coupling) else "none",
             "stable" if x.stable else "[red]unstable[/red]",
         )
