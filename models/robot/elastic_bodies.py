@@ -44,6 +44,7 @@ ELASTIC_VARIABLES: tuple[Variable, ...] = (
         display_unit="ms",
     ),
     Variable("elastic_count", "state", "Number of elastic coordinates", "1", kind="integer"),
+    Variable("elastic_payload", "state", "Mass of the payload that is moved", "kg"),
     Variable("elastic_joint", "state", "Virtual joint of each elastic coordinate, from 0", "1", (COORDINATES,), kind="integer"),
     Variable("elastic_axis", "state", "Its axis: 0, 1, 2 = x, y, z of the frame", "1", (COORDINATES,), kind="integer"),
     Variable("elastic_drive", "state", "Coordinate of the drive of axes 1..6, from 0", "1", (6,), kind="integer"),
@@ -86,6 +87,7 @@ def elastic_coordinates(s: Record) -> None:
                 s.elastic_damping[n] = s.damping_time[j, c] * s.elastic_stiffness[n]
                 n += 1
     s.elastic_count = n
+    s.elastic_payload = s.payload_mass
 
 
 @kernel
@@ -136,7 +138,7 @@ def place_bodies(s: Record) -> None:
     _set_screws(s)
     for b in range(6):
         _weigh(s, b, b, s.body_mass[b], s.body_com[b], s.body_inertia[b])
-    _weigh(s, 6, 5, s.payload_mass, s.payload_com_F, s.payload_inertia)
+    _weigh(s, 6, 5, s.elastic_payload, s.payload_com_F, s.payload_inertia)
 
 
 @kernel
