@@ -24,6 +24,8 @@ CELLS = 1_000_000
 """Cells that the block is divided into at most."""
 CELLS_PER_RADIUS = 24.0
 """Cells that the radius of the smallest tool is resolved by, where `CELLS` allows."""
+LEAST_REMOVED = 1e-3
+"""Share of diameter times depth that a cut takes away at least: at the walls of a finished slot edges see parts of cells."""
 MOST_SAMPLES = 200_000
 """Looks at a program at most; a longer one is looked at less often."""
 
@@ -79,8 +81,10 @@ def planned_cuts(plan: Plan, size: Vector, radii: Mapping[int, float]) -> tuple[
     nx, ny = workpiece.cells(lx, spacing), workpiece.cells(ly, spacing)
     angle = 0.5 * (BOUNDS[1:] + BOUNDS[:-1])
     depth = np.zeros((len(middle), BINS))
-    compiled(_walk)(np.zeros(nx * ny), nx, ny, lx / nx, ly / ny, -lz, points, radius, np.sin(angle), np.cos(angle), depth)
-    area = depth.sum(axis=1)
+    removed = np.zeros(len(middle))
+    compiled(_walk)(np.zeros(nx * ny), nx, ny, lx / nx, ly / ny, -lz, points, radius, np.sin(angle), np.cos(angle), depth, removed)
+    ways = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
+    area = np.where(removed > LEAST_REMOVED * 2.0 * radius * depth.max(axis=1) * ways, depth.sum(axis=1), 0.0)
     lines, speeds = rows[:, LINE].astype(int), plan.spindle_speed(middle)
     found = []
     for line in dict.fromkeys(lines[area > 0.0].tolist()):
@@ -117,6 +121,7 @@ def _walk(
     sines: FloatArray,
     cosines: FloatArray,
     depth: FloatArray,
+    removed: FloatArray,
 ) -> None:
     for k in range(1, len(p)):
         xa, ya, za = p[k - 1, 0], p[k - 1, 1], p[k - 1, 2]
@@ -128,4 +133,4 @@ def _walk(
             ux, uy = (xb - xa) / length, (yb - ya) / length
             low = bottom - z if bottom > z else 0.0
             workpiece.engagement(height, nx, ny, dx, dy, x, y, z, r, ux, uy, low, len(sines), sines, cosines, depth[k - 1])
-        workpiece.cut(height, nx, ny, dx, dy, 0.0, bottom, xa, ya, za, xb, yb, zb, r, False)
+        removed[k - 1] = workpiece.cut(height, nx, ny, dx, dy, 0.0, bottom, xa, ya, za, xb, yb, zb, r, False)

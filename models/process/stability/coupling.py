@@ -100,14 +100,15 @@ def explicit_limit(frequency: float, damping: float, step: float, extra: int = 0
     return float(brentq(excess, 0.0, high))
 
 
-EXPLICIT, ITERATED, LINEAR = "explicit", "iterated", "linear"
-"""How two simulations exchange a force: that of the last exchange, that of this one, or a ramp from the last to this one."""
+EXPLICIT, END, MIDDLE = "explicit", "end", "middle"
+"""Which force acts over a step: that of the last exchange, or iterated that of the end or of the middle of this step."""
 
 
 def exchange_transition(modes: Modes, G: FloatArray, step: float, scheme: str) -> FloatArray:
     """Transition (2 n, 2 n) of modes and a force G u, G (3, 3) [N/m], that is exchanged once per `step` [s]; the modes move exactly.
 
-    EXPLICIT: the force of the last exchange acts over the step. ITERATED: that of its end. LINEAR: from the one to the other, iterated.
+    EXPLICIT: the force of the last exchange is held over the step. END, MIDDLE: that of the displacement at the end, or of the mean of
+    the displacements at both ends, which is what `milling_force` and `robot_compliance_dynamic` do when they are iterated.
     ValueError for another scheme.
     """
     n, w = len(modes.frequency), modes.circular
@@ -115,19 +116,14 @@ def exchange_transition(modes: Modes, G: FloatArray, step: float, scheme: str) -
     A[:n, n:] = np.eye(n)
     A[n:, :n], A[n:, n:] = -np.diag(w**2), -2.0 * np.diag(modes.damping * w)
     B = np.vstack([np.zeros((n, 3)), modes.shape.T])
-    whole = np.zeros((2 * n + 6, 2 * n + 6))
-    whole[: 2 * n, : 2 * n], whole[: 2 * n, 2 * n : 2 * n + 3] = A, B
-    whole[2 * n : 2 * n + 3, 2 * n + 3 :] = np.eye(3) / step
+    whole = np.zeros((2 * n + 3, 2 * n + 3))
+    whole[: 2 * n, : 2 * n], whole[: 2 * n, 2 * n :] = A, B
     moved = expm(whole * step)
-    P, held, ramp = moved[: 2 * n, : 2 * n], moved[: 2 * n, 2 * n : 2 * n + 3], moved[: 2 * n, 2 * n + 3 :]
-    force = G @ np.hstack([modes.shape, np.zeros((3, n))])
-    if scheme == EXPLICIT:
-        return np.asarray(P + held @ force)
-    if scheme == ITERATED:
-        return np.asarray(np.linalg.solve(np.eye(2 * n) - held @ force, P))
-    if scheme == LINEAR:
-        return np.asarray(np.linalg.solve(np.eye(2 * n) - ramp @ force, P + (held - ramp) @ force))
-    raise ValueError(f"unknown scheme {scheme!r}; there are {EXPLICIT!r}, {ITERATED!r}, {LINEAR!r}")
+    P, force = moved[: 2 * n, : 2 * n], moved[: 2 * n, 2 * n :] @ G @ np.hstack([modes.shape, np.zeros((3, n))])
+    now = {EXPLICIT: 0.0, END: 1.0, MIDDLE: 0.5}
+    if scheme not in now:
+        raise ValueError(f"unknown scheme {scheme!r}; there are {EXPLICIT!r}, {END!r}, {MIDDLE!r}")
+    return np.asarray(np.linalg.solve(np.eye(2 * n) - now[scheme] * force, P + (1.0 - now[scheme]) * force))
 
 
 def simulated_gain(modes: Modes, G: FloatArray, step: float, scheme: str, largest: float) -> float:
