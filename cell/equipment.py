@@ -34,6 +34,7 @@ from robomill.models.model.declaration import FloatArray
 from robomill.models.model.parameters import DATA, load
 from robomill.models.process.cutting import CuttingCoefficients
 from robomill.models.robot.dynamics import RobotDynamics, in_robot_frames
+from robomill.models.robot.elastic_modes import ElasticMachine
 from robomill.models.robot.kinematics import KR300, SPINDLE_ACROSS, Robot, Tool
 from robomill.models.robot.virtual_joints import Compliance
 from robomill.orchestration.errors import SystemFileError, unknown
@@ -43,7 +44,7 @@ from robomill.orchestration.system.entries import Entry
 from robomill.orchestration.system.parameters import prepare
 from robomill.orchestration.system.written import merged, place_of
 
-__all__ = ["load_system", "robot_of", "tool_of"]
+__all__ = ["load_system", "machine_of", "robot_of", "tool_of"]
 
 Values = Mapping[str, "float | FloatArray"]
 """Parameter -> value in SI."""
@@ -101,6 +102,17 @@ def robot_of(system: System) -> Robot:
 def tool_of(system: System) -> Tool:
     """The tool that a system names; the one that the components start with if it names none."""
     return _load(Tool, _named(system, "tool"), "tools") if "tool" in system.equipment else SPINDLE_ACROSS
+
+
+def machine_of(system: System) -> ElasticMachine | None:
+    """Robot, springs, bodies and tool that a system names; None if it names no robot, or one without springs or bodies."""
+    if "robot" not in system.equipment:
+        return None
+    entry = system.equipment["robot"]
+    compliance, dynamics = _beside(Compliance, entry, "compliance"), _beside(RobotDynamics, entry, "dynamics")
+    if compliance is None or dynamics is None:
+        return None
+    return ElasticMachine(robot=robot_of(system), compliance=compliance, dynamics=dynamics, tool=tool_of(system))
 
 
 def _equipped(system: System) -> System:

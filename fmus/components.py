@@ -43,6 +43,7 @@ NAMES = (
     "surface_contact",
     "path_learning",
     "lead_through",
+    "regenerative_milling",
 )
 """In the order of the signal flow, then what stands beside it; each is `MODEL` in `models/components/<name>.py`."""
 

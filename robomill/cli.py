@@ -31,6 +31,7 @@ ACTIONS = {
     "diagnose": ("diagnose_command", "run"),
     "blind": ("blind_command", "blind"),
     "identify": ("identify_command", "run"),
+    "stability": ("stability_command", "run"),
 }
 """Module and function of each command; imported when it is called, because some take seconds."""
 
@@ -123,6 +124,14 @@ def parser() -> argparse.ArgumentParser:
     plan = _command(commands, "plan", "plan a program and say what it does", "robomill plan scenarios/groove.ngc")
     _plan_arguments(plan)
 
+    stability = _command(
+        commands,
+        "stability",
+        "say whether the cuts of a program chatter, and draw the lobes at its poses",
+        "robomill stability scenarios/robots/kr210_2.toml --map",
+    )
+    _stability_arguments(stability)
+
     bring = _command(
         commands,
         "import",
@@ -176,6 +185,29 @@ def parser() -> argparse.ArgumentParser:
     )
     identify_command.add_arguments(identify)
     return main_parser
+
+
+def _stability_arguments(stability: argparse.ArgumentParser) -> None:
+    stability.add_argument("scenario", type=Path, metavar="SCENARIO", help="a milling scenario: program, block, robot, tool, material")
+    stability.add_argument(
+        "--modes",
+        metavar="NAME",
+        help="modes of spindle and tool: a name of models/data/modes, a .toml file, or none (default: those of the component milling, "
+        "else spindle_d16, an assumption)",
+    )
+    stability.add_argument("--rigid", action="store_true", help="the robot is rigid: spindle and tool alone")
+    stability.add_argument(
+        "--speeds",
+        type=float,
+        nargs=2,
+        metavar=("LOW", "HIGH"),
+        help="spindle speeds of the lobes, rev/min (default: around the program's)",
+    )
+    stability.add_argument(
+        "--map", action="store_true", help="also the margin of the worst line over places 0.6 m around it, robot alone (some 10 s)"
+    )
+    stability.add_argument("--out", type=Path, metavar="DIR", help="folder for stability.json and the pictures (default: results/NAME)")
+    stability.add_argument("--no-pictures", action="store_true", help="skip the pictures")
 
 
 def _plan_arguments(plan: argparse.ArgumentParser) -> None:

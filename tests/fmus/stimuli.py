@@ -193,6 +193,23 @@ def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
             {"f_T_B": np.array([0.0, -15.0, 0.0]) * _rise(0.2, 0.05) * (1.0 - _rise(0.3, 0.02)), "f_hand_B": 0.02 * _force()},
             {"operator": OPERATOR, "released": [1.0, 1.0, 0.0, 1.0, 1.0, 1.0]},
         ),
+        "regenerative_milling": (
+            {
+                "p_BT_B": _mill_pose() + np.array([0.0, 0.0, 0.0025]),
+                "v_BT_B": np.array([0.06, 0.0, 0.0]) * np.ones_like(T),
+                "spindle_speed": GROOVE - 100.0 * _rise(0.2, 0.1),
+            },
+            {
+                "block_size": [0.1, 0.03, 0.03],
+                "mode_frequency": [350.0, 420.0, 200.0] + [0.0] * 9,
+                "mode_damping": [0.04, 0.05, 0.2] + [0.0] * 9,
+                "mode_stiffness": [2e6, 2.5e6, 4e6] + [0.0] * 9,
+                "mode_direction": [0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.96, 0.28, 0.0] + [0.0] * 27,
+                "resolution": 4,
+                "runout": 1e-5,
+                "regenerative_gain_error": 0.1,
+            },
+        ),
     }[name]
 
 
