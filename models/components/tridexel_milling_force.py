@@ -24,14 +24,12 @@ NOSE = 12
 """Elements of a rounded corner from its lowest point to the cylinder: 7.5 degrees each."""
 DISCS = 60
 """Elements along the cutter's profile, at most: those of the corner and of the cylinder."""
-DISC = 5e-4
+DISC = 1e-3
 """Height of an element of the cylinder [m], unless the engaged height needs more than there are."""
-RING = 1.25
+RING = 1.75
 """Material is looked for this many cells outside of the cutter, ahead along the feed, clear of what it has cut itself."""
-GATE = 0.5
+GATE = 0.75
 """The edge itself may be this many cells outside of the material that it is about to meet."""
-SCALLOP = 1e-6
-"""Height [m] of the ridges that the positions at which the cutter is taken out leave between them."""
 MOST_SUBSTEPS = 96
 """Instants per step at which the peak is looked for, at most."""
 PROBES = 9
@@ -351,25 +349,29 @@ def _cut_at(s: Record, tip: tridexels.FloatArray, axis: tridexels.FloatArray) ->
 
 @kernel
 def _sweep(s: Record) -> int:
-    """Take the cutter out of the stock at positions so close that the ridges between them stay below SCALLOP. Returns a status."""
-    way = 0.0
-    tilt = 0.0
-    for i in range(3):
-        way += (s.p_PT_P[i] - s.p_last[i]) * (s.p_PT_P[i] - s.p_last[i])
-        tilt += (s.axis[i] - s.axis_last[i]) * (s.axis[i] - s.axis_last[i])
-    way = math.sqrt(way) + s.mill_cutting_length * math.sqrt(tilt)
-    pieces = math.floor(way / math.sqrt(4.0 * s.mill_diameter * SCALLOP)) + 1
-    for i in range(4):
-        s.removed[i] = 0.0
-    for n in range(1 if s.imprinted == 1 else 0, pieces + 1):
-        share = n / pieces
-        for i in range(3):
-            s.ahead[i] = s.p_PT_P[i] if n == pieces else s.p_last[i] + share * (s.p_PT_P[i] - s.p_last[i])
-            s.left[i] = s.axis[i] if n == pieces else s.axis_last[i] + share * (s.axis[i] - s.axis_last[i])
-        if n < pieces:
-            _unit(s.left)
-        if not _cut_at(s, s.ahead, s.left):
-            return _NO_ROOM
+    """Take out of the stock what the cutter fills in this step. Returns a status."""
+    done = tridexels.sweep(
+        s.pool,
+        s.cells,
+        s.origin,
+        s.pitch,
+        s.tick,
+        s.segments,
+        s.p_last,
+        s.axis_last,
+        s.p_PT_P,
+        s.axis,
+        s.imprinted == 1,
+        0.5 * s.mill_diameter,
+        s.mill_corner,
+        s.mill_cutting_length,
+        s.ahead,
+        s.left,
+        s.point,
+        s.removed,
+    )
+    if not done:
+        return _NO_ROOM
     if s.removed[0] > s.mill_cutting_length:
         s.depth = s.removed[0]
         return _TOO_DEEP

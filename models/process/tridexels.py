@@ -38,6 +38,9 @@ LOWER = 4294967295
 THIN = 1e-7
 """Intervals and gaps thinner than this [m] are roundoff and vanish."""
 
+SCALLOP = 1e-6
+"""Height [m] of the ridges that the positions at which the cutter is taken out leave between them."""
+
 GIVEN_UP = 2.0
 """Intervals and gaps of fewer cells than this may be given up where a line has no room left."""
 
@@ -225,6 +228,7 @@ def centre_distance(
     """
     total = 0.0
     signed = 0.0
+    per_tick = 1.0 / tick
     for k in range(3):
         if k != 0 and (x < 0 or x >= cells[0]):
             continue
@@ -233,16 +237,15 @@ def centre_distance(
         if k != 2 and (z < 0 or z >= cells[2]):
             continue
         n = x if k == 0 else (y if k == 1 else z)
-        place = math.floor((n + 0.5) * pitch[k] / tick + 0.5)
+        place = math.floor((n + 0.5) * pitch[k] * per_tick + 0.5)
         d = depth_in_line(pool, line_of(cells, k, x, y, z) * segments, segments, place)
         reach = (abs(d) if d != 0 else 1) * tick
         weight = 1.0 / (reach * reach)
         total += weight
         signed += weight if d > 0 else -weight
     far = FAR * max(max(pitch[0], pitch[1]), pitch[2])
-    if total * far * far <= 1.0:
-        return far if signed > 0.0 else -far
-    return 1.0 / math.sqrt(total) if signed > 0.0 else -1.0 / math.sqrt(total)
+    size = far if total * far * far <= 1.0 else 1.0 / math.sqrt(total)
+    return size if signed > 0.0 else -size
 
 
 @kernel
@@ -330,6 +333,75 @@ def cut(
                     found[0] = max(found[0], w + max(axis[k] * first_taken * tick, axis[k] * last_taken * tick))
         found[1 + k] += lost * tick * pitch[i] * pitch[j]
     return True
+
+
+@kernel
+def sweep(
+    pool: IntArray,
+    cells: IntArray,
+    origin: FloatArray,
+    pitch: FloatArray,
+    tick: float,
+    segments: int,
+    tip_a: FloatArray,
+    axis_a: FloatArray,
+    tip_b: FloatArray,
+    axis_b: FloatArray,
+    cut_at_a: bool,
+    radius: float,
+    corner: float,
+    reach: float,
+    tip: FloatArray,
+    axis: FloatArray,
+    point: FloatArray,
+    found: FloatArray,
+) -> bool:
+    """Take out of the lines what the cutter fills on its way from a to b; False if a line has no room.
+
+    The cutter is taken out at positions so close that the ridges between them stay below SCALLOP, up to `reach` [m] along its
+    axis if that turns. `cut_at_a`: this has been done at a, the end of the last step. tip, axis, point (3,) are scratch; `found`
+    is set to zero and filled as in `cut`.
+    """
+    way = 0.0
+    tilt = 0.0
+    for i in range(3):
+        way += (tip_b[i] - tip_a[i]) * (tip_b[i] - tip_a[i])
+        tilt += (axis_b[i] - axis_a[i]) * (axis_b[i] - axis_a[i])
+    way = math.sqrt(way) + reach * math.sqrt(tilt)
+    pieces = math.floor(way / math.sqrt(8.0 * radius * SCALLOP)) + 1
+    for i in range(4):
+        found[i] = 0.0
+    for n in range(1 if cut_at_a else 0, pieces + 1):
+        share = n / pieces
+        length = 0.0
+        for i in range(3):
+            tip[i] = tip_b[i] if n == pieces else tip_a[i] + share * (tip_b[i] - tip_a[i])
+            axis[i] = axis_b[i] if n == pieces else axis_a[i] + share * (axis_b[i] - axis_a[i])
+            length += axis[i] * axis[i]
+        if n < pieces and length > 0.0:
+            for i in range(3):
+                axis[i] /= math.sqrt(length)
+        if not cut(pool, cells, origin, pitch, tick, segments, tip, axis, radius, corner, point, found):
+            return False
+    return True
+
+
+@kernel
+def surface_between(pool: IntArray, first: int, segments: int, low: int, high: int) -> int:
+    """Place of an end of an interval of a line between two places, the nearest to their middle; the middle if there is none."""
+    middle = (low + high) // 2
+    best = high - low
+    place = middle
+    for i in range(segments):
+        word = pool[first + i]
+        if word == 0:
+            break
+        for side in range(2):
+            end = word >> 32 if side == 0 else word & LOWER
+            if end >= low and end <= high and abs(end - middle) < best:
+                best = abs(end - middle)
+                place = end
+    return place
 
 
 @kernel
