@@ -13,7 +13,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
+from robomill.cell import part_picture
 from robomill.cell.evaluation import Cut, Result, cutting
+from robomill.cell.part import is_tridexel
 from robomill.cell.scenario import Scenario, Workpiece
 from robomill.models.metrology.height_map import cut_height_map
 from robomill.models.metrology.surface import SurfaceDeviation
@@ -46,6 +48,9 @@ def draw_all(scenario: Scenario, results: Sequence[Result], folder: Path) -> lis
         files.append(_save(surfaces([result], scenario.workpiece), folder / result.name / "surface.png"))
         files.append(_save(forces(result), folder / result.name / "force.png"))
         files.append(_save(projection(result), folder / result.name / "projection.png"))
+        if is_tridexel(result.run):
+            title = f"{result.title}: {_headline(result)}"
+            files.append(_save(part_picture.draw(result.run, scenario.workpiece, result.surface, title), folder / result.name / "part.png"))
     return files
 
 

@@ -83,7 +83,7 @@ VARIABLES = (
         "spacing", "parameter", "largest distance of lines of dexels; the cells fill the stock exactly", "m", start=SPACING, minimum=1e-5
     ),
     Variable(
-        "segments", "parameter", "intervals that a line of dexels has room for", kind="integer", start=3, minimum=1, maximum=64
+        "segments", "parameter", "intervals that a line of dexels has room for at first", kind="integer", start=2, minimum=1, maximum=64
     ),
     Variable(
         "corner_radius",
@@ -141,7 +141,6 @@ VARIABLES = (
     Variable("tool_numbers", "state", "T numbers of the tool table, 0 behind the last", shape=(tool_table.SHOWN,), kind="integer"),
     Variable("tool_row", "state", "values of a row of the tool table, for the message", shape=(len(tool_table.COLUMNS),)),
     _count("cells", "cells along x, y, z of P", (3,)),
-    _count("words", "intervals that the lines have room for"),
     _scratch("origin", "lower corner of the box of the stock in P", "m", (3,)),
     _scratch("pitch", "size of a cell", "m", (3,)),
     _scratch("extent", "size of the box", "m", (3,)),
@@ -196,7 +195,7 @@ ERRORS = (
     "at t = {t} s tool T{tool} (diameter {mill_diameter} m) stands {depth:.6f} m deep in material when it comes into the spindle; "
     "change it clear of the workpiece",
     "a line through the stock goes into it and not out again: the surface of the triangles is not closed; mend the mesh",
-    "at t = {t} s a line of dexels needs more than {segments} intervals; the stock has more walls in a row: give more segments",
+    "at t = {t} s the workpiece has more walls than the 2097152 intervals available hold at a spacing of {spacing} m; use a larger spacing",
     "engagement_error {engagement_error} m cannot be given to a stock of triangles; it is for blocks",
 )
 _BAD_PARAMETER, _BAD_QUATERNION, _TOO_MANY_CELLS, _NOT_FINITE, _REVERSE, _BAD_CORNER, _CHIP_TOO_THICK, _TOO_DEEP, _BAD_STEP = range(1, 10)
@@ -341,7 +340,7 @@ def _near(s: Record) -> bool:
 # ---------------------------------------------------------------- the cut
 @kernel
 def _cut_at(s: Record, tip: tridexels.FloatArray, axis: tridexels.FloatArray) -> bool:
-    """Take the cutter out of the stock; False if a line has no room."""
+    """Take the cutter out of the stock; False if the pool is full."""
     return tridexels.cut(
         s.pool, s.cells, s.origin, s.pitch, s.tick, s.segments, tip, axis, 0.5 * s.mill_diameter, s.mill_corner, s.point, s.removed
     )
@@ -815,7 +814,7 @@ def _lay_out(s: Record, spacing: float) -> bool:
     for i in range(3):
         s.cells[i] = dexels.cells(s.extent[i], spacing)
         s.pitch[i] = s.extent[i] / s.cells[i]
-    fits: bool = tridexels.lines(s.cells) * s.segments <= tridexels.CAPACITY
+    fits: bool = tridexels.word_of(tridexels.lines(s.cells), s.segments) <= tridexels.CAPACITY
     return fits
 
 
@@ -832,9 +831,7 @@ def _finest(s: Record) -> float:
 @kernel
 def _fill(s: Record) -> int:
     """Fill the lines with the stock. Returns a status."""
-    for n in range(s.words):
-        s.pool[n] = 0
-    s.words = tridexels.lines(s.cells) * s.segments
+    tridexels.clear(s.pool, s.cells, s.segments)
     if s.stock_rows == 0:
         tridexels.fill_box(s.pool, s.cells, s.pitch, s.tick, s.segments)
         return 0
@@ -842,8 +839,7 @@ def _fill(s: Record) -> int:
         s.pool, s.cells, s.origin, s.pitch, s.tick, s.segments, s.stock_at, s.stock_rows, s.stock_error
     )
     if found != 0:
-        for n in range(s.words):
-            s.pool[n] = 0
+        tridexels.clear(s.pool, s.cells, s.segments)
     return 0 if found == 0 else (_NO_ROOM if found == 1 else _NOT_CLOSED)
 
 

@@ -21,8 +21,12 @@ from robomill.models.process import dexels, tridexels
 
 IntArray = npt.NDArray[np.int64]
 
-SEGMENTS = 6
-"""Intervals per line: outside of a component room costs little."""
+SEGMENTS = 2
+"""Intervals that a line has room for at first."""
+GROWTH = 4
+"""Room for all lines, over that at first: what is not used takes no memory."""
+MORE = 100000
+"""And so much more, for small parts of many walls."""
 CLEAR = 1e-3
 """The surface stays this part of a cell away from cell centres, so that no two corners of triangles fall together in a file."""
 
@@ -47,7 +51,7 @@ class Part:
 
     @classmethod
     def solid(cls, triangles: npt.ArrayLike, spacing: float, segments: int = SEGMENTS) -> Part:
-        """The inside of closed triangles (n, 3, 3) [m]. ValueError if they are not closed, or have more walls in a row than `segments`."""
+        """The inside of closed triangles (n, 3, 3) [m]. ValueError if they are not closed, or have too many walls."""
         rows = np.ascontiguousarray(triangles, dtype=np.float64).reshape(-1, tridexels.COLUMNS)
         corners = rows.reshape(-1, 3)
         part = cls._empty(corners.min(axis=0), corners.max(axis=0), spacing, segments)
@@ -55,7 +59,7 @@ class Part:
             part.pool, part.cells, part.origin, part.pitch, part.tick, part.segments, rows.ctypes.data, len(rows)
         )
         if found:
-            what = "a line through it has more walls than there is room for" if found == 1 else "the surface is not closed"
+            what = "it has more walls than there is room for" if found == 1 else "the surface is not closed"
             raise ValueError(f"solid of {len(rows)} triangles: {what}")
         return part
 
@@ -65,32 +69,38 @@ class Part:
         if low.shape != (3,) or high.shape != (3,) or not np.all(extent > 0.0) or not spacing > 0.0:
             raise ValueError(f"stock from {low} to {high} m in cells of {spacing} m: expected three positive lengths")
         cells = np.array([dexels.cells(float(length), spacing) for length in extent], dtype=np.int64)
-        lines = int(cells[0] * cells[1] + cells[1] * cells[2] + cells[2] * cells[0])
+        room = int(cells[0] * cells[1] + cells[1] * cells[2] + cells[2] * cells[0]) * segments * GROWTH + MORE
         pitch = np.asarray(extent / cells, dtype=np.float64)
-        return cls(np.zeros(lines * segments, dtype=np.int64), cells, low.copy(), pitch, float(extent.max()) / tridexels.TICKS, segments)
+        return cls(np.zeros(room, dtype=np.int64), cells, low.copy(), pitch, float(extent.max()) / tridexels.TICKS, segments)
 
     def cut(
-        self, tip: npt.ArrayLike, axis: npt.ArrayLike, radius: float | FloatArray, corner: float | FloatArray, reach: float
+        self,
+        tip: npt.ArrayLike,
+        axis: npt.ArrayLike,
+        radius: float | FloatArray,
+        corner: float | FloatArray,
+        reach: float,
+        turning: npt.ArrayLike = True,
     ) -> None:
         """Take out what the cutter fills along its path: tip (n, 3) [m], axis (n, 3) from tip to spindle, radii [m] one or (n,).
 
-        Where the radii change the tool is another, which begins where it is. `reach` [m]: length of the cutter along its axis.
-        ValueError where a line has more walls than there is room for.
+        Where the radii change the tool is another, which begins where it is. `reach` [m]: length of the cutter along its axis;
+        `turning` (n,): where the spindle turns. ValueError where the part has more walls than there is room for.
         """
         p, a = (np.ascontiguousarray(v, dtype=np.float64) for v in (tip, axis))
         r, c = (np.ascontiguousarray(np.broadcast_to(v, len(p)), dtype=np.float64) for v in (radius, corner))
-        done = compiled(_cut_all)(self.pool, self.cells, self.origin, self.pitch, self.tick, self.segments, p, a, r, c, reach)
+        on = np.ascontiguousarray(np.broadcast_to(np.asarray(turning, dtype=np.uint8), len(p)))
+        done = compiled(_cut_all)(self.pool, self.cells, self.origin, self.pitch, self.tick, self.segments, p, a, r, c, on, reach)
         if not done:
-            raise ValueError(f"tri-dexels: a line has more than {self.segments} intervals; give more segments")
+            raise ValueError(f"tri-dexels: the part needs more than {len(self.pool)} intervals; give more segments or a larger spacing")
 
     def volumes(self) -> FloatArray:
         """Volume [m3] by the lines along x, y and z (3,): three estimates of one thing."""
-        words = self.pool.reshape(-1, self.segments)
-        length = ((words & tridexels.LOWER) - (words >> 32)).sum(axis=1) * self.tick
-        n = self.cells
-        bounds = np.cumsum([0, n[0] * 0 + n[1] * n[2], n[2] * n[0], n[0] * n[1]])
+        lengths = np.zeros(3)
+        compiled(_lengths)(self.pool, self.cells, self.segments, lengths)
         areas = (self.pitch[1] * self.pitch[2], self.pitch[2] * self.pitch[0], self.pitch[0] * self.pitch[1])
-        return np.array([length[bounds[k] : bounds[k + 1]].sum() * areas[k] for k in range(3)])
+        result: FloatArray = lengths * self.tick * np.array(areas)
+        return result
 
     def surface(self) -> FloatArray:
         """The closed surface as triangles (n, 3, 3) [m] in P, facing outwards; empty if there is no material."""
@@ -140,7 +150,7 @@ class Part:
 class Deviation:
     """How far a machined surface lies from a nominal one: points (n, 3) [m] of it, normals (n, 3), deviation [m] (n,).
 
-    `beside` (n,): beside an edge, where the nearest machined surface is another one. Positive: material is left.
+    `beside` (n,): on or beside an edge, where the nearest machined surface is another one. Positive: material is left.
     """
 
     points: FloatArray
@@ -151,36 +161,48 @@ class Deviation:
 
 SAME_SURFACE = 0.7
 """Cosine between normals from which on two surfaces are one."""
+EVEN = 0.97
+"""Length of the sum of the areas about a corner over the sum of their sizes, below which the corner is on an edge (28 degrees)."""
+SAME_PLACE = 1e-9
+"""Distance [m] within which two corners are one."""
+_LOOKED_AT = 4
+"""Machined corners about a point, one of which is compared with it."""
 
 
-def compare(nominal: Part, actual: Part, points: npt.NDArray[np.bool_] | None = None) -> Deviation:
-    """Deviation of `actual` at the corners of the triangles of `nominal`, along the normal of the nearest machined surface.
+def compare(nominal: Part, actual: Part, raw: Part) -> Deviation:
+    """Deviation of `actual` at the corners of the triangles of `nominal` that the tool made, along the normal of the machined surface.
 
-    `points`: which of the corners; all by default. ValueError if either has no surface.
+    `raw`: the stock, in the same cells; what is still its surface is not compared. ValueError if nothing is left, or nothing cut.
     """
     corners, triangles = nominal.mesh()
     other, others = actual.mesh()
     if len(triangles) == 0 or len(others) == 0:
         raise ValueError("there is no surface to compare: nothing is left of the part")
-    normal, their = corner_normals(corners, triangles), corner_normals(other, others)
-    if points is not None:
-        corners, normal = corners[points], normal[points]
-    _, nearest = cKDTree(other).query(corners, k=4)
-    # of the four nearest corners the one whose surface faces as the nominal one does
+    cut = cKDTree(raw.mesh()[0]).query(corners, distance_upper_bound=SAME_PLACE)[0] > SAME_PLACE
+    if not np.any(cut):
+        raise ValueError("there is no surface to compare: nothing of the stock is cut")
+    normal, even = corner_normals(corners, triangles)
+    their, even_there = corner_normals(other, others)
+    corners, normal, even = corners[cut], normal[cut], even[cut]
+    nearest = cKDTree(other).query(corners, k=min(_LOOKED_AT, len(other)))[1].reshape(len(corners), -1)
+    # of the nearest corners the one whose surface faces as the nominal one does
     alike = np.einsum("nkj,nj->nk", their[nearest], normal)
     chosen = nearest[np.arange(len(corners)), np.argmax(alike, axis=1)]
     way = np.einsum("nj,nj->n", other[chosen] - corners, their[chosen])
-    return Deviation(corners, normal, way, alike.max(axis=1) < SAME_SURFACE)
+    return Deviation(corners, normal, way, (alike.max(axis=1) < SAME_SURFACE) | (even < EVEN) | (even_there[chosen] < EVEN))
 
 
-def corner_normals(corners: FloatArray, triangles: IntArray) -> FloatArray:
-    """Unit normals (m, 3) at the corners (m, 3) of triangles (n, 3), weighted by area."""
+def corner_normals(corners: FloatArray, triangles: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Unit normals (m, 3) at the corners (m, 3) of triangles (n, 3), weighted by area, and how even the surface is there (m,), 1 = flat."""
     a, b, c = (corners[triangles[:, k]] for k in range(3))
     area = np.cross(b - a, c - a)
-    total = np.stack([np.bincount(triangles.ravel(), np.repeat(area[:, i], 3), len(corners)) for i in range(3)], axis=1)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    result: FloatArray = total / np.where(length > 0.0, length, 1.0)
-    return result
+    size = np.linalg.norm(area, axis=1)
+    at = triangles.ravel()
+    total = np.stack([np.bincount(at, np.repeat(area[:, i], 3), len(corners)) for i in range(3)], axis=1)
+    length = np.linalg.norm(total, axis=1)
+    sizes = np.bincount(at, np.repeat(size, 3), len(corners))
+    there = np.where(length > 0.0, length, 1.0)
+    return total / there[:, None], length / np.where(sizes > 0.0, sizes, 1.0)
 
 
 # ---------------------------------------------------------------- loops over the edges of a cube
@@ -219,12 +241,14 @@ def _loops(code: int) -> tuple[Sequence[int], ...]:
 
 # ---------------------------------------------------------------- compiled loops
 def _fill_box(pool: IntArray, cells: IntArray, pitch: FloatArray, tick: float, segments: int) -> None:
+    tridexels.clear(pool, cells, segments)
     tridexels.fill_box(pool, cells, pitch, tick, segments)
 
 
 def _fill_solid(
     pool: IntArray, cells: IntArray, origin: FloatArray, pitch: FloatArray, tick: float, segments: int, address: int, rows: int
 ) -> int:
+    tridexels.clear(pool, cells, segments)
     return tridexels.fill_solid(pool, cells, origin, pitch, tick, segments, address, rows, 0.0)
 
 
@@ -239,6 +263,7 @@ def _cut_all(
     a: FloatArray,
     r: FloatArray,
     c: FloatArray,
+    on: npt.NDArray[np.uint8],
     reach: float,
 ) -> bool:
     tip = np.zeros(3)
@@ -246,13 +271,25 @@ def _cut_all(
     point = np.zeros(3)
     found = np.zeros(4)
     for i in range(len(p)):
-        same = i > 0 and r[i] == r[i - 1] and c[i] == c[i - 1]
+        if on[i] == 0:
+            continue
+        same = i > 0 and on[i - 1] != 0 and r[i] == r[i - 1] and c[i] == c[i - 1]
         j = i - 1 if same else i
         if not tridexels.sweep(
             pool, cells, origin, pitch, tick, segments, p[j], a[j], p[i], a[i], same, r[i], c[i], reach, tip, axis, point, found
         ):
             return False
     return True
+
+
+def _lengths(pool: IntArray, cells: IntArray, segments: int, lengths: FloatArray) -> None:
+    for k in range(3):
+        first = tridexels.line_of(cells, k, 0, 0, 0)
+        for n in range(cells[(k + 1) % 3] * cells[(k + 2) % 3]):
+            at, room = tridexels.block(pool, tridexels.word_of(first + n, segments), segments)
+            for i in range(room):
+                word = pool[at + i]
+                lengths[k] += (word & tridexels.LOWER) - (word >> 32)
 
 
 def _inside(pool: IntArray, cells: IntArray, pitch: FloatArray, tick: float, segments: int, inside: npt.NDArray[np.uint8]) -> None:
@@ -281,7 +318,7 @@ def _ends(
         x = keys[m] // 3 // (cells[2] + 2) // (cells[1] + 2) - 1
         n = x if k == 0 else (y if k == 1 else z)
         low = (n + 0.5) * pitch[k]
-        first = tridexels.line_of(cells, k, x, y, z) * segments
+        first = tridexels.word_of(tridexels.line_of(cells, k, x, y, z), segments)
         place = tridexels.surface_between(pool, first, segments, int(low / tick), int((low + pitch[k]) / tick) + 1) * tick
         place = min(max(place, low + clear * pitch[k]), low + (1.0 - clear) * pitch[k])
         out[m, 0] = origin[0] + (x + 0.5) * pitch[0]

@@ -1,13 +1,13 @@
 """The workpiece as tri-dexels: three fields of lines along x, y and z of P, each with the intervals in which it is in material.
 
 The box of the stock has nx x ny x nz equal cells. Through the centre of every cell goes one line of each field, so
-the three fields share their crossings, the cell centres. A line has room for `segments` intervals. An interval is one
-whole number of 64 bits: where it begins in the upper half, where it ends in the lower half, in ticks of TICKS to the
-longest edge (0.2 nm for 200 mm). 0 is no interval. Line l of the pool has the words l*segments ... ; the lines along x
-come first (y fastest), then those along y (z fastest), then those along z (x fastest).
+the three fields share their crossings, the cell centres. An interval is one whole number of 64 bits: where it begins in the
+upper half, where it ends in the lower half, in ticks of TICKS to the longest edge (0.2 nm for 200 mm). 0 is no interval.
 
-Lines that lie in a surface to within a scallop would need any number of intervals. Where the room is used up, the
-thinnest interval or gap is given up; if even that is no scallop (GIVEN_UP cells), the room is too small for the part.
+The pool holds all of them. Word 0 is the number of words in use. Line l begins at word 1 + l*segments with room for
+`segments` intervals; the lines along x come first (y fastest), then those along y (z fastest), then those along z
+(x fastest). A line that needs more moves to the end of the pool, to twice the room: its first word is then negative and
+says where it is and how much room it has (MOVED).
 
 All functions are kernels on the caller's arrays; lengths in m. `cells` (3,) number of cells,
 `origin` (3,) lower corner of the box in P, `pitch` (3,) size of a cell.
@@ -41,8 +41,8 @@ THIN = 1e-7
 SCALLOP = 1e-6
 """Height [m] of the ridges that the positions at which the cutter is taken out leave between them."""
 
-GIVEN_UP = 2.0
-"""Intervals and gaps of fewer cells than this may be given up where a line has no room left."""
+MOVED = 65536
+"""The first word of a line that has moved: -(place * MOVED + room)."""
 
 FAR = 2.0
 """Distances beyond this many cells are not told apart."""
@@ -72,14 +72,53 @@ def line_of(cells: IntArray, k: int, x: int, y: int, z: int) -> int:
 
 
 @kernel
+def word_of(line: int, segments: int) -> int:
+    """Word at which a line begins, unless it has moved."""
+    return 1 + line * segments
+
+
+@kernel
+def block(pool: IntArray, first: int, segments: int) -> tuple[int, int]:
+    """Word at which the intervals of the line are that begins at word `first`, and the room for them."""
+    word = pool[first]
+    if word < 0:
+        return -word // MOVED, -word % MOVED
+    return first, segments
+
+
+@kernel
+def _grow(pool: IntArray, first: int, segments: int) -> bool:
+    """Move a line to twice the room; False if the pool is full."""
+    at, room = block(pool, first, segments)
+    more = 2 * room
+    new = pool[0]
+    if new + more > len(pool) or more >= MOVED:
+        return False
+    pool[0] = new + more
+    for n in range(room):
+        pool[new + n] = pool[at + n]
+        pool[at + n] = 0
+    pool[first] = -(new * MOVED + more)
+    return True
+
+
+@kernel
+def clear(pool: IntArray, cells: IntArray, segments: int) -> None:
+    """Empty the pool and lay out the lines of so many cells."""
+    for n in range(pool[0]):
+        pool[n] = 0
+    pool[0] = word_of(lines(cells), segments)
+
+
+@kernel
 def fill_box(pool: IntArray, cells: IntArray, pitch: FloatArray, tick: float, segments: int) -> None:
-    """All lines are in material from end to end; the words must be zero before."""
+    """All lines are in material from end to end; to be called after `clear`."""
     for k in range(3):
         full = math.floor(cells[k] * pitch[k] / tick + 0.5)
         i, j = (k + 1) % 3, (k + 2) % 3
         first = line_of(cells, k, 0, 0, 0)
         for n in range(cells[i] * cells[j]):
-            pool[(first + n) * segments] = full
+            pool[word_of(first + n, segments)] = full
 
 
 @kernel
@@ -94,9 +133,9 @@ def fill_solid(
     rows: int,
     lift: float,
 ) -> int:
-    """Fill the lines with the inside of the triangles at `address`, raised by `lift` [m]; the words must be zero before.
+    """Fill the lines with the inside of the triangles at `address`, raised by `lift` [m]; to be called after `clear`.
 
-    Returns 0; 1 where a line has more than `segments` intervals; 2 where a line goes in and not out: the surface is not closed.
+    Returns 0; 1 where the pool is full; 2 where a line goes in and not out: the surface is not closed.
     """
     for row in range(rows):
         for k in range(3):
@@ -104,9 +143,9 @@ def fill_solid(
                 return 1
     # from crossings, two to a word and one more than their place, to intervals
     for n in range(lines(cells)):
-        first = n * segments
+        first, room = block(pool, word_of(n, segments), segments)
         kept = 0
-        for i in range(segments):
+        for i in range(room):
             word = pool[first + i]
             pool[first + i] = 0
             if word == 0:
@@ -134,7 +173,7 @@ def _cross_lines(
     k: int,
     lift: float,
 ) -> bool:
-    """Note where the lines along k cross a triangle; False where one of them has no room. An edge of two triangles counts in one."""
+    """Note where the lines along k cross a triangle; False if the pool is full. An edge of two triangles counts in one."""
     i, j = (k + 1) % 3, (k + 2) % 3
     u0, v0, h0 = _corner(address, rows, row, 0, i, j, k, origin, lift)
     u1, v1, h1 = _corner(address, rows, row, 1, i, j, k, origin, lift)
@@ -156,8 +195,13 @@ def _cross_lines(
                 share2 = ((u1 - u0) * (v - v0) - (u - u0) * (v1 - v0)) / area
                 height = h0 + share1 * (h1 - h0) + share2 * (h2 - h0)
                 place = math.floor(min(max(height, 0.0), cells[k] * pitch[k]) / tick + 0.5)
-                if not _insert(pool, (base + b * cells[i] + a) * segments, segments, place + 1):
-                    return False
+                first = word_of(base + b * cells[i] + a, segments)
+                at, room = block(pool, first, segments)
+                if pool[at + room - 1] & LOWER != 0:
+                    if not _grow(pool, first, segments):
+                        return False
+                    at, room = block(pool, first, segments)
+                _insert(pool, at, room, place + 1)
     return True
 
 
@@ -184,10 +228,10 @@ def _left_of(u: float, v: float, ua: float, va: float, ub: float, vb: float) -> 
 
 
 @kernel
-def _insert(pool: IntArray, first: int, segments: int, place: int) -> bool:
-    """Insert a crossing into the ascending ones of a line, two to a word (first in the upper half); False if there is no room."""
+def _insert(pool: IntArray, first: int, room: int, place: int) -> None:
+    """Insert a crossing into the ascending ones of a line, two to a word (first in the upper half)."""
     carried = place
-    for i in range(segments):
+    for i in range(room):
         word = pool[first + i]
         upper, lower = word >> 32, word & LOWER
         if upper == 0 or carried < upper:
@@ -196,16 +240,16 @@ def _insert(pool: IntArray, first: int, segments: int, place: int) -> bool:
             lower, carried = carried, lower
         pool[first + i] = (upper << 32) | lower
         if carried == 0:
-            return True
-    return False
+            return
 
 
 @kernel
 def depth_in_line(pool: IntArray, first: int, segments: int, place: int) -> int:
     """Ticks from a place on a line to the nearest end of an interval; positive inside of material, negative outside."""
+    at, room = block(pool, first, segments)
     gap = NONE
-    for i in range(segments):
-        word = pool[first + i]
+    for i in range(room):
+        word = pool[at + i]
         if word == 0:
             break
         begin, end = word >> 32, word & LOWER
@@ -238,7 +282,7 @@ def centre_distance(
             continue
         n = x if k == 0 else (y if k == 1 else z)
         place = math.floor((n + 0.5) * pitch[k] * per_tick + 0.5)
-        d = depth_in_line(pool, line_of(cells, k, x, y, z) * segments, segments, place)
+        d = depth_in_line(pool, word_of(line_of(cells, k, x, y, z), segments), segments, place)
         reach = (abs(d) if d != 0 else 1) * tick
         weight = 1.0 / (reach * reach)
         total += weight
@@ -295,7 +339,7 @@ def cut(
     point: FloatArray,
     found: FloatArray,
 ) -> bool:
-    """Take what the cutter fills with its tip at `tip` out of the lines; False if a line has no room for what is left.
+    """Take what the cutter fills with its tip at `tip` out of the lines; False if the pool is full.
 
     `found[0]` becomes the greatest height [m] above the tip, along the tool axis, at which material was met, if it is more;
     `found[1 + k]` grows by the volume [m3] that the lines along axis k lose. `point` (3,) is scratch.
@@ -308,11 +352,12 @@ def cut(
         base = line_of(cells, k, 0, 0, 0)
         length = cells[k] * pitch[k]
         lost = 0
+        thin = math.floor(THIN / tick)
         point[k] = origin[k]
         for b in range(v_first, v_last + 1):
             point[j] = origin[j] + (b + 0.5) * pitch[j]
             for a in range(u_first, u_last + 1):
-                first = (base + b * cells[i] + a) * segments
+                first = word_of(base + b * cells[i] + a, segments)
                 if pool[first] == 0:
                     continue
                 point[i] = origin[i] + (a + 0.5) * pitch[i]
@@ -320,11 +365,13 @@ def cut(
                 if low >= high:
                     continue
                 begin, end = math.floor(low / tick + 0.5), math.floor(high / tick + 0.5)
-                taken, first_taken, last_taken = _subtract(pool, first, segments, begin, end, math.floor(THIN / tick))
+                at, room = block(pool, first, segments)
+                taken, first_taken, last_taken = _subtract(pool, at, room, begin, end, thin)
                 if taken < 0:
-                    if not _give_up(pool, first, segments, begin, end, math.floor(GIVEN_UP * pitch[k] / tick)):
+                    if not _grow(pool, first, segments):
                         return False
-                    continue
+                    at, room = block(pool, first, segments)
+                    taken, first_taken, last_taken = _subtract(pool, at, room, begin, end, thin)
                 if taken > 0:
                     lost += taken
                     w = 0.0
@@ -356,7 +403,7 @@ def sweep(
     point: FloatArray,
     found: FloatArray,
 ) -> bool:
-    """Take out of the lines what the cutter fills on its way from a to b; False if a line has no room.
+    """Take out of the lines what the cutter fills on its way from a to b; False if the pool is full.
 
     The cutter is taken out at positions so close that the ridges between them stay below SCALLOP, up to `reach` [m] along its
     axis if that turns. `cut_at_a`: this has been done at a, the end of the last step. tip, axis, point (3,) are scratch; `found`
@@ -392,8 +439,9 @@ def surface_between(pool: IntArray, first: int, segments: int, low: int, high: i
     middle = (low + high) // 2
     best = high - low
     place = middle
-    for i in range(segments):
-        word = pool[first + i]
+    at, room = block(pool, first, segments)
+    for i in range(room):
+        word = pool[at + i]
         if word == 0:
             break
         for side in range(2):
@@ -424,12 +472,12 @@ def shadow(
 
 
 @kernel
-def _subtract(pool: IntArray, first: int, segments: int, begin: int, end: int, thin: int) -> tuple[int, int, int]:
+def _subtract(pool: IntArray, first: int, room: int, begin: int, end: int, thin: int) -> tuple[int, int, int]:
     """Take begin..end out of a line: ticks removed, where they begin and end. -1 and the line as it was if it has no room."""
     taken = 0
     low, high = end, begin
     i = 0
-    while i < segments:
+    while i < room:
         word = pool[first + i]
         if word == 0:
             break
@@ -442,9 +490,9 @@ def _subtract(pool: IntArray, first: int, segments: int, begin: int, end: int, t
         left = begin - start > thin
         right = stop - end > thin
         if left and right:
-            if pool[first + segments - 1] != 0:
+            if pool[first + room - 1] != 0:
                 return -1, 0, 0
-            for n in range(first + segments - 1, first + i, -1):
+            for n in range(first + room - 1, first + i, -1):
                 pool[n] = pool[n - 1]
             pool[first + i] = (start << 32) | begin
             pool[first + i + 1] = (end << 32) | stop
@@ -460,44 +508,7 @@ def _subtract(pool: IntArray, first: int, segments: int, begin: int, end: int, t
             i += 1
         else:
             taken += stop - start
-            for n in range(first + i, first + segments - 1):
+            for n in range(first + i, first + room - 1):
                 pool[n] = pool[n + 1]
-            pool[first + segments - 1] = 0
+            pool[first + room - 1] = 0
     return taken, low, high
-
-
-@kernel
-def _give_up(pool: IntArray, first: int, segments: int, begin: int, end: int, most: int) -> bool:
-    """A full line that is to lose begin..end amid an interval: give up the thinnest of intervals and gaps, if thinner than `most`."""
-    # the pieces after the cut, without making room: find the interval that is split
-    split = 0
-    while (pool[first + split] & LOWER) <= begin:
-        split += 1
-    start, stop = pool[first + split] >> 32, pool[first + split] & LOWER
-    least, what, which = end - begin, 0, split  # 0: not to cut at all
-    if begin - start < least:
-        least, what = begin - start, 1  # without the piece before the cut
-    if stop - end < least:
-        least, what = stop - end, 2  # without the piece behind it
-    for i in range(segments):
-        size = (pool[first + i] & LOWER) - (pool[first + i] >> 32)
-        if i != split and size < least:
-            least, what, which = size, 3, i  # without another interval
-        if i > 0:
-            size = (pool[first + i] >> 32) - (pool[first + i - 1] & LOWER)
-            if size < least:
-                least, what, which = size, 4, i  # with a gap closed
-    if least >= most:
-        return False
-    if what == 1:
-        pool[first + split] = (end << 32) | stop
-    elif what == 2:
-        pool[first + split] = (start << 32) | begin
-    elif what > 2:
-        if what == 4:
-            pool[first + which - 1] = ((pool[first + which - 1] >> 32) << 32) | (pool[first + which] & LOWER)
-        for n in range(first + which, first + segments - 1):
-            pool[n] = pool[n + 1]
-        pool[first + segments - 1] = 0
-        _subtract(pool, first, segments, begin, end, 0)
-    return True

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from robomill.models.components.milling_force import MODEL as MILLING
 from robomill.models.components.tridexel_milling_force import MODEL
+from robomill.models.metrology.tridexel_part import Part
 from robomill.models.model.declaration import Model, record
 from robomill.models.model.parameters import load
 from robomill.models.process.cutting import CuttingCoefficients
@@ -100,12 +101,8 @@ class Mill:
     @property
     def volume(self) -> float:
         """What is left [m3]: the mean of the three fields."""
-        words = self.data["pool"][0]
-        n, pitch, segments = self.data["cells"][0], self.data["pitch"][0], int(self.data["segments"][0])
-        length = ((words & 0xFFFFFFFF) - (words >> 32)) * self.data["tick"][0]
-        ends = np.cumsum([0, n[1] * n[2], n[2] * n[0], n[0] * n[1]]) * segments
-        areas = (pitch[1] * pitch[2], pitch[2] * pitch[0], pitch[0] * pitch[1])
-        return float(np.mean([length[ends[k] : ends[k + 1]].sum() * areas[k] for k in range(3)]))
+        fields = (self.data[name][0] for name in ("pool", "cells", "origin", "pitch", "tick", "segments"))
+        return float(np.mean(Part(*fields).volumes()))
 
 
 def slot(model: Model, ap: float, angle: float = 0.0, steps: int = 12, **parameters: Any) -> np.ndarray:
@@ -183,7 +180,7 @@ def test_what_is_removed_is_what_the_lines_lose(corner: float) -> None:
     """Two separate calculations: the way of the engaged envelope, and the lengths of all lines before and after."""
     tool = Rotation.from_euler("xy", [15.0, 20.0], degrees=True)
     velocity = np.array([0.05, 0.02, 0.0])
-    mill = Mill([-0.005, 0.0, -0.004], tool, velocity=velocity, corner_radius=corner, segments=6)
+    mill = Mill([-0.005, 0.0, -0.004], tool, velocity=velocity, corner_radius=corner)
     before = mill.volume
     removed = mill.line([-0.005, 0.0, -0.004], velocity, 50, tool)[:, 9].sum() * H
     assert removed == pytest.approx(before - mill.volume, rel=LINES)
@@ -323,7 +320,7 @@ STOCK = 1e-3
     [
         ({"diameter": 0.0}, "must be positive"),
         ({"quat_BP": [1, 1, 0, 0]}, "not of unit length"),
-        ({"block_size": [0.5, 0.4, 0.1]}, "2097152 intervals available at a spacing of 0.00025 m and 3 segments; use a spacing of 0.000"),
+        ({"block_size": [0.5, 0.4, 0.1]}, "2097152 intervals available at a spacing of 0.00025 m and 2 segments; use a spacing of 0.000"),
         ({"corner_radius": 0.009}, "corner radius 0.009 m is more than half of the diameter 0.016 m"),
     ],
 )
@@ -340,16 +337,33 @@ def test_an_open_surface_is_refused() -> None:
     assert "engagement_error 0.001 m cannot be given to a stock of triangles" in mill.message(mill.status)
 
 
-def test_more_walls_than_a_line_has_room_for_are_refused() -> None:
-    mill = Mill([-0.02, -0.04, -0.004], diameter=0.002, segments=2)
-    status = 0
-    for k in range(3):
-        mill.place([-0.015 + 0.005 * k, -0.04, 0.05])
+def test_a_line_with_many_walls_moves_to_more_room() -> None:
+    """A comb: eleven slots of 2 mm across the block, through which lines along x have twelve intervals."""
+    mill = Mill([-0.02, -0.04, -0.004], diameter=0.002, segments=1)
+    before = mill.volume
+    for x in np.linspace(-0.02, 0.02, 11):
+        mill.place([x, -0.04, 0.05])
         assert mill.step(mill.s, 0.0, H) == 0
-        for y in np.linspace(-0.03, 0.03, 40):
-            mill.place([-0.015 + 0.005 * k, y, -0.004])
-            status = status or mill.step(mill.s, 0.0, H)
-    assert "needs more than 2 intervals" in mill.message(status)
+        for y in np.linspace(-0.04, 0.04, 41):
+            mill.place([x, y, -0.004])
+            assert mill.step(mill.s, 0.0, H) == 0
+        assert mill.step(mill.s, 0.0, H) == 0
+        mill.place([x, 0.04, 0.05])
+        assert mill.step(mill.s, 0.0, H) == 0
+    assert before - mill.volume == pytest.approx(11 * 0.002 * 0.04 * 0.004, rel=COMB)
+    pool = mill.data["pool"][0]
+    assert -pool.min() % 65536 == 16  # room for twelve
+
+
+COMB = 0.03
+"""Relative: slots of 2 mm, counted by lines 0.25 mm apart."""
+
+
+def test_a_pool_that_is_full_is_refused() -> None:
+    mill = Mill([-0.03, 0.0, -0.004], diameter=0.002, segments=1)
+    mill.data["pool"][0, 0] = 2097152
+    mill.place([-0.02, 0.0, -0.004])
+    assert "more walls than the 2097152 intervals" in mill.message(mill.step(mill.s, 0.0, H))
 
 
 def test_the_shank_and_a_thick_chip_are_refused() -> None:
