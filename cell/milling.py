@@ -131,7 +131,9 @@ def lay_out(
             "milling", {"p_BP_B": list(workpiece.position), "quat_BP": quaternion.tolist(), "block_size": list(workpiece.size)}
         )
         if workpiece.stock is not None:
-            system = system.with_parameters("milling", {"stock": _table(folder, "stock", workpiece.stock.reshape(len(workpiece.stock), -1))})
+            system = system.with_parameters(
+                "milling", {"stock": _table(folder, "stock", workpiece.stock.reshape(len(workpiece.stock), -1))}
+            )
         if scenario.tools:
             if not _names_tool(system):
                 raise ScenarioError(f"{scenario.file}: has [tools], but {system.file} does not connect path.tool to milling.tool")

@@ -38,7 +38,9 @@ def require(system: System) -> None:
     """ValueError if the milling component of a system is not that of tri-dexels: there is no part to write then."""
     source = system.component("milling").source
     if Path(source).stem != TRIDEXEL:
-        raise ValueError(f"--stl: the part is written of cells with tri-dexels; in {system.file} milling is {source!r}, expected {TRIDEXEL!r}")
+        raise ValueError(
+            f"--stl: the part is written of cells with tri-dexels; in {system.file} milling is {source!r}, expected {TRIDEXEL!r}"
+        )
 
 
 def _parameter(run: Run, name: str) -> Any:
@@ -107,4 +109,3 @@ def scan(run: Run, workpiece: Workpiece) -> SurfaceDeviation:
         path_time=run.t[when],
         path_length=way[when],
     )
-

@@ -49,7 +49,9 @@ def draw(run: Run, workpiece: Workpiece, surface: SurfaceDeviation | None, title
         figure.colorbar(mapped, ax=ax, shrink=0.7, pad=0.08).set_label("deviation in mm (red: material left, blue: gouged)")
     light = LightSource(azdeg=300, altdeg=50)
     shade = light.shade_normals(normal, fraction=1.0)
-    ax.add_collection3d(Poly3DCollection(1e3 * faces, facecolors=colours * (DARKEST + (1.0 - DARKEST) * shade[:, None]), linewidths=0, antialiased=False))
+    ax.add_collection3d(
+        Poly3DCollection(1e3 * faces, facecolors=colours * (DARKEST + (1.0 - DARKEST) * shade[:, None]), linewidths=0, antialiased=False)
+    )
     low, high = 1e3 * corners.min(axis=0), 1e3 * corners.max(axis=0)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]), xlabel="x in mm", ylabel="y in mm", zlabel="z in mm")
     ax.set_box_aspect(high - low)

@@ -226,9 +226,7 @@ def _workpiece(entry: Entry) -> Workpiece:
     else:
         x, y, z = np.ptp(stock.reshape(-1, 3), axis=0).tolist()
         size = (x, y, z)
-    return Workpiece(
-        entry["position"].vector("m"), size, entry.get("abc", [0, 0, 0]).vector("rad"), _work_offsets(entry, size), stock
-    )
+    return Workpiece(entry["position"].vector("m"), size, entry.get("abc", [0, 0, 0]).vector("rad"), _work_offsets(entry, size), stock)
 
 
 def _stock(entry: Entry) -> FloatArray:

@@ -109,7 +109,9 @@ def _only_systems_take(options: Namespace, *names: str) -> None:
 def _only_cells_take(options: Namespace, kind: str) -> None:
     """Refuse options that a scenario of another kind would silently ignore."""
     given = [
-        f"--{n.replace('_', '-')}" for n in ("loop", "adopt", "resume", "checkpoint_every", "stl") if getattr(options, n) not in (None, False)
+        f"--{n.replace('_', '-')}"
+        for n in ("loop", "adopt", "resume", "checkpoint_every", "stl")
+        if getattr(options, n) not in (None, False)
     ]
     if given:
         raise ValueError(

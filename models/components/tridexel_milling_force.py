@@ -103,10 +103,10 @@ VARIABLES = (
         minimum=1,
         maximum=MOST_SUBSTEPS,
     ),
-    Variable(
-        "spindle_start_angle", "parameter", "angle of tooth 1 at the start, clockwise from +y of T", "rad", display_unit="deg"
+    Variable("spindle_start_angle", "parameter", "angle of tooth 1 at the start, clockwise from +y of T", "rad", display_unit="deg"),
+    replace(
+        MILLING.variable("stock_error"), description="extra height of the stock above its nominal top; a stock from triangles is raised"
     ),
-    replace(MILLING.variable("stock_error"), description="extra height of the stock above its nominal top; a stock from triangles is raised"),
     replace(
         MILLING.variable("engagement_error"), description="extra stock on each of the four side faces of the block; not with triangles"
     ),
@@ -159,7 +159,9 @@ VARIABLES = (
     _scratch("level", "bounds of the elements: height, radius, sine and cosine of the normal against the axis", shape=(DISCS + 1, 4)),
     _scratch("middle", "the same in the middle of the elements", shape=(DISCS, 4)),
     _scratch("edge", "length of the edge in an element along the profile", "m", (DISCS,)),
-    _scratch("lower", "how far the material reaches beyond the edge at the lower bound of an element, per bound of a bin", "m", (BINS + 1,)),
+    _scratch(
+        "lower", "how far the material reaches beyond the edge at the lower bound of an element, per bound of a bin", "m", (BINS + 1,)
+    ),
     _scratch("upper", "the same at its upper bound", "m", (BINS + 1,)),
     _scratch("engaged", "share of the element that is in material, per bound of a bin", shape=(BINS + 1,)),
     _scratch("share", "share of the element that is in material, per bin", shape=(BINS,)),
@@ -327,7 +329,7 @@ def _near(s: Record) -> bool:
     way = 0.0
     for i in range(3):
         way += abs(s.p_PT_P[i] - s.p_last[i]) + s.mill_cutting_length * abs(s.axis[i] - s.axis_last[i])
-    grown = 0.5 * s.mill_diameter + 0.5 * way + 2.0 * max(max(s.pitch[0], s.pitch[1]), s.pitch[2]) + s.contact_zone
+    grown = 0.5 * s.mill_diameter + 0.5 * way + 2.0 * max(s.pitch[0], s.pitch[1], s.pitch[2]) + s.contact_zone
     for i in range(3):
         s.point[i] = s.p_mid[i] - (grown - 0.5 * s.mill_diameter) * s.axis_mid[i]
     for i in range(3):
@@ -486,7 +488,7 @@ def _reach(s: Record, sine: float, cosine: float, height: float, radius: float, 
 
     Positive where an edge is in it; far negative where the envelope does not advance, up to a bin's width of it.
     """
-    far = -tridexels.FAR * max(max(s.pitch[0], s.pitch[1]), s.pitch[2])
+    far = -tridexels.FAR * max(s.pitch[0], s.pitch[1], s.pitch[2])
     ax, ay, az = s.axis_mid[0], s.axis_mid[1], s.axis_mid[2]
     ox = sine * s.ahead[0] + cosine * s.left[0]
     oy = sine * s.ahead[1] + cosine * s.left[1]
@@ -502,13 +504,11 @@ def _reach(s: Record, sine: float, cosine: float, height: float, radius: float, 
     if facing < -TWO_PI / BINS:
         return far
     px, py, pz = s.p_mid[0] + rx, s.p_mid[1] + ry, s.p_mid[2] + rz
-    spacing = max(max(s.pitch[0], s.pitch[1]), s.pitch[2])
+    spacing = max(s.pitch[0], s.pitch[1], s.pitch[2])
     bend = 0.5 * s.mill_diameter
     q = RING * spacing / bend
     way = bend * (math.sqrt(facing * facing + 2.0 * q + q * q) - facing) / speed
-    before = tridexels.distance(
-        s.pool, s.cells, s.origin, s.pitch, s.tick, s.segments, px + way * vx, py + way * vy, pz + way * vz
-    )
+    before = tridexels.distance(s.pool, s.cells, s.origin, s.pitch, s.tick, s.segments, px + way * vx, py + way * vy, pz + way * vz)
     if before <= 0.0:
         return before
     here = tridexels.distance(s.pool, s.cells, s.origin, s.pitch, s.tick, s.segments, px, py, pz) + GATE * spacing
@@ -835,9 +835,7 @@ def _fill(s: Record) -> int:
     if s.stock_rows == 0:
         tridexels.fill_box(s.pool, s.cells, s.pitch, s.tick, s.segments)
         return 0
-    found = tridexels.fill_solid(
-        s.pool, s.cells, s.origin, s.pitch, s.tick, s.segments, s.stock_at, s.stock_rows, s.stock_error
-    )
+    found = tridexels.fill_solid(s.pool, s.cells, s.origin, s.pitch, s.tick, s.segments, s.stock_at, s.stock_rows, s.stock_error)
     if found != 0:
         tridexels.clear(s.pool, s.cells, s.segments)
     return 0 if found == 0 else (_NO_ROOM if found == 1 else _NOT_CLOSED)
@@ -882,7 +880,7 @@ def _change_tool(s: Record) -> int:
     s.contact_share = 0.0
     s.imprinted = 0
     # along the axis: a tool in a hole of its own diameter is in none
-    spacing = max(max(s.pitch[0], s.pitch[1]), s.pitch[2])
+    spacing = max(s.pitch[0], s.pitch[1], s.pitch[2])
     height = s.mill_corner + spacing
     while height < s.mill_cutting_length:
         gap = tridexels.distance(

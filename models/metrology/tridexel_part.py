@@ -55,9 +55,7 @@ class Part:
         rows = np.ascontiguousarray(triangles, dtype=np.float64).reshape(-1, tridexels.COLUMNS)
         corners = rows.reshape(-1, 3)
         part = cls._empty(corners.min(axis=0), corners.max(axis=0), spacing, segments)
-        found = compiled(_fill_solid)(
-            part.pool, part.cells, part.origin, part.pitch, part.tick, part.segments, rows.ctypes.data, len(rows)
-        )
+        found = compiled(_fill_solid)(part.pool, part.cells, part.origin, part.pitch, part.tick, part.segments, rows.ctypes.data, len(rows))
         if found:
             what = "it has more walls than there is room for" if found == 1 else "the surface is not closed"
             raise ValueError(f"solid of {len(rows)} triangles: {what}")

@@ -76,7 +76,9 @@ def chord(
 
 
 @kernel
-def _ball(w: float, slope: float, along: float, square: float, radius: float, length: float, low: float, high: float) -> tuple[float, float]:
+def _ball(
+    w: float, slope: float, along: float, square: float, radius: float, length: float, low: float, high: float
+) -> tuple[float, float]:
     """The interval of sphere and upper cylinder (low..high) together."""
     if slope > 0.0:
         low = max(low, (radius - w) / slope)
@@ -124,4 +126,3 @@ def _approach(
         if (t - end) * way >= 0.0:
             return end
     return t
-

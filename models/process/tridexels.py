@@ -181,10 +181,10 @@ def _cross_lines(
     area = (u1 - u0) * (v2 - v0) - (u2 - u0) * (v1 - v0)
     if area == 0.0:
         return True
-    u_first = max(math.ceil(min(min(u0, u1), u2) / pitch[i] - 0.5), 0)
-    u_last = min(math.floor(max(max(u0, u1), u2) / pitch[i] - 0.5), cells[i] - 1)
-    v_first = max(math.ceil(min(min(v0, v1), v2) / pitch[j] - 0.5), 0)
-    v_last = min(math.floor(max(max(v0, v1), v2) / pitch[j] - 0.5), cells[j] - 1)
+    u_first = max(math.ceil(min(u0, u1, u2) / pitch[i] - 0.5), 0)
+    u_last = min(math.floor(max(u0, u1, u2) / pitch[i] - 0.5), cells[i] - 1)
+    v_first = max(math.ceil(min(v0, v1, v2) / pitch[j] - 0.5), 0)
+    v_last = min(math.floor(max(v0, v1, v2) / pitch[j] - 0.5), cells[j] - 1)
     base = line_of(cells, k, 0, 0, 0)
     for b in range(v_first, v_last + 1):
         v = (b + 0.5) * pitch[j]
@@ -262,9 +262,7 @@ def depth_in_line(pool: IntArray, first: int, segments: int, place: int) -> int:
 
 
 @kernel
-def centre_distance(
-    pool: IntArray, cells: IntArray, pitch: FloatArray, tick: float, segments: int, x: int, y: int, z: int
-) -> float:
+def centre_distance(pool: IntArray, cells: IntArray, pitch: FloatArray, tick: float, segments: int, x: int, y: int, z: int) -> float:
     """Signed distance [m] of a cell centre to the surface, positive inside, from the three lines through it; exact for a plane.
 
     With distances d_x, d_y, d_z along the lines to a plane, 1/d^2 = 1/d_x^2 + 1/d_y^2 + 1/d_z^2. The centre may lie outside
@@ -287,7 +285,7 @@ def centre_distance(
         weight = 1.0 / (reach * reach)
         total += weight
         signed += weight if d > 0 else -weight
-    far = FAR * max(max(pitch[0], pitch[1]), pitch[2])
+    far = FAR * max(pitch[0], pitch[1], pitch[2])
     size = far if total * far * far <= 1.0 else 1.0 / math.sqrt(total)
     return size if signed > 0.0 else -size
 
@@ -309,7 +307,7 @@ def distance(
     v = (py - origin[1]) / pitch[1] - 0.5
     w = (pz - origin[2]) / pitch[2] - 0.5
     if not (u > -FAR and v > -FAR and w > -FAR and u < cells[0] + 1.0 and v < cells[1] + 1.0 and w < cells[2] + 1.0):
-        return -FAR * max(max(pitch[0], pitch[1]), pitch[2])
+        return -FAR * max(pitch[0], pitch[1], pitch[2])
     x, y, z = math.floor(u), math.floor(v), math.floor(w)
     u -= x
     v -= y

@@ -160,7 +160,8 @@ def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         "tridexel_milling_force": (
             # a tilted bull nose that meets a corner of the block in the last steps: plain Python takes a second for each
             {
-                "p_BT_B": np.hstack([-0.035 + 0.06 * T, np.full_like(T, 0.002), np.full_like(T, -0.0012)]) + np.array([1.595, -0.018, 1.099]),
+                "p_BT_B": np.hstack([-0.035 + 0.06 * T, np.full_like(T, 0.002), np.full_like(T, -0.0012)])
+                + np.array([1.595, -0.018, 1.099]),
                 "quat_BT": np.array([0.66, 0.08, 0.74, 0.05]) / np.linalg.norm([0.66, 0.08, 0.74, 0.05]) * np.ones_like(T),
                 "v_BT_B": np.array([0.06, 0.0, 0.0]) * np.ones_like(T),
                 "spindle_speed": np.full_like(T, GROOVE),

@@ -30,7 +30,7 @@ REV_250 = 250 * 2 * math.pi
 FEED = 0.025
 CHIP = FEED / (TEETH * 250)
 SLOT = 2.5e-3
-"""Relative: the height of the material is known to a hundredth of a cell (2.5 um of 2 mm here), and 3 degrees are added up by their middles."""
+"""Relative: the height of material is known to a hundredth of a cell (2.5 um of 2 mm), and 3 degrees are added up by their middles."""
 TILTED = 4e-3
 """Relative: as SLOT, with elements of 1 mm in height against lines that lie across them."""
 ENTRY = 0.75
@@ -403,9 +403,7 @@ def test_tools_are_changed_and_have_corners_of_their_own() -> None:
 @pytest.mark.parametrize("name", EFFECTS)
 def test_each_effect_changes_the_force(name: str) -> None:
     start, velocity = ([-0.03, 0.0, -0.0005], [FEED, 0.0, 0.0])
-    plain, other = (
-        Mill(start, velocity=velocity, **values).line(start, velocity, 25)[-1] for values in ({}, {name: EFFECTS[name]})
-    )
+    plain, other = (Mill(start, velocity=velocity, **values).line(start, velocity, 25)[-1] for values in ({}, {name: EFFECTS[name]}))
     assert np.abs(other[:3] - plain[:3]).max() > SEEN * np.abs(plain[:3]).max()
 
 
