@@ -1,4 +1,4 @@
-"""Cost, memory and accuracy of tri-dexels by the distance of their lines: ``python -m benchmarks.tridexels``; docs/workpiece.md has the table.
+"""Cost, memory and accuracy of tri-dexels by the distance of their lines: ``python -m benchmarks.tridexels`` (docs/workpiece.md).
 
 A block of 200 x 150 x 30 mm is milled in rows 12 mm apart, 2 mm deep, with a cutter of 16 mm, 0.4 mm per step of 4 ms (0.1 m/s): 30 000
 steps are two minutes. Times are of the processor, of one core.
@@ -46,7 +46,7 @@ def rows(steps: int) -> FloatArray:
 
 
 def cutting(spacing: float, steps: int) -> tuple[float, float, float, float]:
-    """Seconds for cutting `steps` steps, megabytes of the lines, and the error of a slot's volume by the lines along the tool and by the surface."""
+    """Seconds for cutting `steps` steps, MB of lines, error of the volume of a slot by the lines along the tool and by the surface."""
     low, high = (-0.5 * SIZE[0], -0.5 * SIZE[1], -SIZE[2]), (0.5 * SIZE[0], 0.5 * SIZE[1], 0.0)
     part = Part.block(low, high, spacing)
     up = np.array([0.0, 0.0, 1.0])
@@ -57,7 +57,9 @@ def cutting(spacing: float, steps: int) -> tuple[float, float, float, float]:
     seconds = time.process_time() - start
     slot = Part.block((-0.02, -0.02, -0.01), (0.02, 0.02, 0.0), spacing)
     x = np.arange(-0.04, 0.04, WAY)
-    slot.cut(np.column_stack([x, np.full_like(x, 1.234e-3), np.full_like(x, -DEPTH - 3.1e-5)]), np.tile(up, (len(x), 1)), RADIUS, 0.0, 0.032)
+    slot.cut(
+        np.column_stack([x, np.full_like(x, 1.234e-3), np.full_like(x, -DEPTH - 3.1e-5)]), np.tile(up, (len(x), 1)), RADIUS, 0.0, 0.032
+    )
     removed = 2.0 * RADIUS * (DEPTH + 3.1e-5) * 0.04
     block = 0.04 * 0.04 * 0.01
     by_lines = (block - slot.volumes()[2]) / removed - 1.0

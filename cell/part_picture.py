@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, TwoSlopeNorm
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from scipy.spatial import cKDTree
 
 from robomill.cell.part import WALL, cut_part
@@ -20,6 +20,7 @@ DRAWN = 1.2e-3
 """Distance of the lines [m]: finer than can be seen."""
 VIEW = (35.0, -60.0)
 """Elevation and azimuth [deg] of the eye."""
+ZOOM = 1.15
 PLAIN = 0.78
 """Grey of what is not machined."""
 DARKEST = 0.55
@@ -30,7 +31,7 @@ def draw(run: Run, workpiece: Workpiece, surface: SurfaceDeviation | None, title
     """The machined part in space, coloured by its deviation where it is machined."""
     part = cut_part(run, workpiece, spacing=DRAWN)
     corners, triangles = part.mesh()
-    figure = Figure(figsize=(8.5, 6.0), layout="constrained")
+    figure = Figure(figsize=(8.5, 5.0), layout="constrained")
     ax: Any = figure.add_subplot(projection="3d", computed_zorder=False)
     faces = corners[triangles]
     normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
@@ -54,7 +55,7 @@ def draw(run: Run, workpiece: Workpiece, surface: SurfaceDeviation | None, title
     )
     low, high = 1e3 * corners.min(axis=0), 1e3 * corners.max(axis=0)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]), xlabel="x in mm", ylabel="y in mm", zlabel="z in mm")
-    ax.set_box_aspect(high - low)
+    ax.set_box_aspect(high - low, zoom=ZOOM)
     ax.locator_params(axis="z", nbins=3)
     ax.view_init(*VIEW)
     ax.set_title(title, fontsize=10)

@@ -25,6 +25,8 @@ from robomill.orchestration.runs.run import Run
 MAP = "RdBu_r"
 RELIEF = 4e-4
 """Cell size [m] of the height maps in the pictures."""
+LEAST_HEIGHT = 5.2
+"""Height [inches] of the maps, at least: what is beside the colour bar needs it."""
 DOT = 1.1e-3
 """Size [m] at which a scanned point is drawn."""
 EDGE = "gold"
@@ -70,7 +72,9 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
     rows = -(-len(results) // columns)
     size = np.array(workpiece.size[:2]) * 1e3
     width = 8.0 if alone else 6.4
-    figure = Figure(figsize=(width * columns + 1.2, (0.72 * width * size[1] / size[0] + 0.9) * rows), layout="constrained")
+    figure = Figure(
+        figsize=(width * columns + 1.2, max((0.72 * width * size[1] / size[0] + 0.9) * rows, LEAST_HEIGHT)), layout="constrained"
+    )
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     limit = 1e3 * max((r.figures.max_deviation_m or 0.0 for r in results), default=0.0) or 1.0
     norm = TwoSlopeNorm(0.0, -limit, limit)

@@ -13,7 +13,7 @@ from dataclasses import replace
 from robomill.models.components.milling_force import MODEL as MILLING
 from robomill.models.maths.elementary import atan2, exp, power, sincos, tan
 from robomill.models.maths.frames import cross, dot, mat_t_vec, mat_vec, quat_to_matrix
-from robomill.models.model.declaration import Model, Record, Variable, kernel
+from robomill.models.model.declaration import FloatArray, Model, Record, Variable, kernel
 from robomill.models.model.table_access import cell
 from robomill.models.process import dexels, tool_table, tridexels
 from robomill.models.process.cutting import LEAST_LAG, MAX_TEETH, chip_law, tooth_radii
@@ -315,7 +315,7 @@ def _means(s: Record, h: float) -> None:
 
 
 @kernel
-def _unit(a: tridexels.FloatArray) -> None:
+def _unit(a: FloatArray) -> None:
     """Divide a vector by its length, unless that is 0."""
     length = math.sqrt(dot(a, a))
     if length > 0.0:
@@ -341,7 +341,7 @@ def _near(s: Record) -> bool:
 
 # ---------------------------------------------------------------- the cut
 @kernel
-def _cut_at(s: Record, tip: tridexels.FloatArray, axis: tridexels.FloatArray) -> bool:
+def _cut_at(s: Record, tip: FloatArray, axis: FloatArray) -> bool:
     """Take the cutter out of the stock; False if the pool is full."""
     return tridexels.cut(
         s.pool, s.cells, s.origin, s.pitch, s.tick, s.segments, tip, axis, 0.5 * s.mill_diameter, s.mill_corner, s.point, s.removed
@@ -475,7 +475,7 @@ def _profile(s: Record) -> None:
 
 
 @kernel
-def _level(out: tridexels.FloatArray, k: int, height: float, radius: float, sine: float, cosine: float) -> None:
+def _level(out: FloatArray, k: int, height: float, radius: float, sine: float, cosine: float) -> None:
     out[k, 0] = height
     out[k, 1] = radius
     out[k, 2] = sine
@@ -488,7 +488,7 @@ def _reach(s: Record, sine: float, cosine: float, height: float, radius: float, 
 
     Positive where an edge is in it; far negative where the envelope does not advance, up to a bin's width of it.
     """
-    far = -tridexels.FAR * max(s.pitch[0], s.pitch[1], s.pitch[2])
+    far: float = -tridexels.FAR * max(s.pitch[0], s.pitch[1], s.pitch[2])
     ax, ay, az = s.axis_mid[0], s.axis_mid[1], s.axis_mid[2]
     ox = sine * s.ahead[0] + cosine * s.left[0]
     oy = sine * s.ahead[1] + cosine * s.left[1]
@@ -511,12 +511,12 @@ def _reach(s: Record, sine: float, cosine: float, height: float, radius: float, 
     before = tridexels.distance(s.pool, s.cells, s.origin, s.pitch, s.tick, s.segments, px + way * vx, py + way * vy, pz + way * vz)
     if before <= 0.0:
         return before
-    here = tridexels.distance(s.pool, s.cells, s.origin, s.pitch, s.tick, s.segments, px, py, pz) + GATE * spacing
+    here: float = tridexels.distance(s.pool, s.cells, s.origin, s.pitch, s.tick, s.segments, px, py, pz) + GATE * spacing
     return min(before, here)
 
 
 @kernel
-def _row(s: Record, n: int, out: tridexels.FloatArray) -> None:
+def _row(s: Record, n: int, out: FloatArray) -> None:
     """`_reach` at level n of the profile, at all bounds of bins."""
     for b in range(BINS):
         out[b] = _reach(s, s.bound_sine[b], s.bound_cosine[b], s.level[n, 0], s.level[n, 1], s.level[n, 2], s.level[n, 3])

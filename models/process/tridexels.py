@@ -64,11 +64,12 @@ def lines(cells: IntArray) -> int:
 @kernel
 def line_of(cells: IntArray, k: int, x: int, y: int, z: int) -> int:
     """Number of the line along axis k through cell x, y, z."""
-    if k == 0:
-        return z * cells[1] + y
+    line: int = z * cells[1] + y
     if k == 1:
-        return cells[1] * cells[2] + x * cells[2] + z
-    return cells[1] * cells[2] + cells[2] * cells[0] + y * cells[0] + x
+        line = cells[1] * cells[2] + x * cells[2] + z
+    elif k == 2:
+        line = cells[1] * cells[2] + cells[2] * cells[0] + y * cells[0] + x
+    return line
 
 
 @kernel
@@ -253,10 +254,9 @@ def depth_in_line(pool: IntArray, first: int, segments: int, place: int) -> int:
         if word == 0:
             break
         begin, end = word >> 32, word & LOWER
-        if place < begin:
-            return -min(gap, begin - place)
         if place <= end:
-            return min(place - begin, end - place)
+            depth: int = min(place - begin, end - place) if place >= begin else -min(gap, begin - place)
+            return depth
         gap = place - end
     return -gap
 
@@ -307,7 +307,8 @@ def distance(
     v = (py - origin[1]) / pitch[1] - 0.5
     w = (pz - origin[2]) / pitch[2] - 0.5
     if not (u > -FAR and v > -FAR and w > -FAR and u < cells[0] + 1.0 and v < cells[1] + 1.0 and w < cells[2] + 1.0):
-        return -FAR * max(pitch[0], pitch[1], pitch[2])
+        outside: float = -FAR * max(pitch[0], pitch[1], pitch[2])
+        return outside
     x, y, z = math.floor(u), math.floor(v), math.floor(w)
     u -= x
     v -= y

@@ -24,13 +24,25 @@ BEVEL = 0.02
 """Relative to what is cut: the bevels of its edges (half a cell high and wide), facets of the solids that it is compared with."""
 EVEN = discretisation(1.0, SPACING, 2) / RADIUS + 2e-6
 """Distance [m] of the surface from the true one where it is smooth: chords over a cell, and the ridges of two scallops (1 um)."""
-CUTTERS = [(0.0, (0.0, 0.0)), (0.002, (0.0, 0.0)), (RADIUS, (0.0, 0.0)), (0.0, (20.0, 15.0)), (0.002, (-25.0, 30.0)), (RADIUS, (20.0, 45.0))]
+CUTTERS = [
+    (0.0, (0.0, 0.0)),
+    (0.002, (0.0, 0.0)),
+    (RADIUS, (0.0, 0.0)),
+    (0.0, (20.0, 15.0)),
+    (0.002, (-25.0, 30.0)),
+    (RADIUS, (20.0, 45.0)),
+]
 
 
 def body(corner: float, turn: tuple[float, float], tip: np.ndarray) -> manifold3d.Manifold:
     """The cutter at a place as a solid: hull of two discs, or a profile turned about the axis."""
     angle = np.linspace(0.0, 0.5 * math.pi, 13)
-    profile = [(0.0, 0.0), *zip(RADIUS - corner + corner * np.sin(angle), corner * (1 - np.cos(angle)), strict=True), (RADIUS, REACH), (0.0, REACH)]
+    profile = [
+        (0.0, 0.0),
+        *zip(RADIUS - corner + corner * np.sin(angle), corner * (1 - np.cos(angle)), strict=True),
+        (RADIUS, REACH),
+        (0.0, REACH),
+    ]
     if corner <= 0.0:
         profile = [(0.0, 0.0), (RADIUS, 0.0), (RADIUS, REACH), (0.0, REACH)]
     if corner >= RADIUS:
