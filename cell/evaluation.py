@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from robomill.cell import part
 from robomill.cell.reaction import reaction_time
 from robomill.cell.scenario import Workpiece
 from robomill.fmus.components import component
@@ -84,7 +85,7 @@ def evaluate(name: str, title: str, run: Run, workpiece: Workpiece, real_time_fa
     try:
         if not cuts:
             raise NothingCutError("nothing is cut: the tool never met the block")
-        surface = measure(nominal, actual, workpiece.size)
+        surface = part.scan(run, workpiece) if part.is_tridexel(run) else measure(nominal, actual, workpiece.size)
     except NothingCutError as why:
         figures = Figures(note=str(why))
     if surface is not None:

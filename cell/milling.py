@@ -132,12 +132,17 @@ def lay_out(
         system = system.with_parameters(
             "milling", {"p_BP_B": list(workpiece.position), "quat_BP": quaternion.tolist(), "block_size": list(workpiece.size)}
         )
+        if workpiece.stock is not None:
+            system = system.with_parameters(
+                "milling", {"stock": _table(folder, "stock", workpiece.stock.reshape(len(workpiece.stock), -1))}
+            )
         if scenario.tools:
             if not _names_tool(system):
                 raise ScenarioError(f"{scenario.file}: has [tools], but {system.file} does not connect path.tool to milling.tool")
-            tools = (folder / "plan" / "tools.npy").resolve()
-            np.save(tools, tool_table.rows(scenario.tools))
-            system = system.with_parameters("milling", {"tools": str(tools)})
+            system = system.with_parameters("milling", {"tools": _table(folder, "tools", tool_table.rows(scenario.tools))})
+            if scenario.tool_corners:
+                corners = np.array(sorted(scenario.tool_corners.items()), dtype=np.float64)
+                system = system.with_parameters("milling", {"corners": _table(folder, "corners", corners)})
     system = with_parameters(system, scenario.parameters)
     if fmus is not None:
         system = with_fmus(system, fmus)
@@ -145,6 +150,13 @@ def lay_out(
         system = replace(system, recording=replace(system.recording, checkpoint_every=checkpoint_every))
     notes = (*notes_of(program), *planned.notes)
     return Job(scenario, workpiece, planned, system, folder, fmus, resume, overwrite, notes, findings.texts)
+
+
+def _table(folder: Path, name: str, rows: FloatArray) -> str:
+    """Write a table into the plan of a scenario; its file, also found from elsewhere."""
+    file = (folder / "plan" / f"{name}.npy").resolve()
+    np.save(file, rows)
+    return str(file)
 
 
 def with_pilot(job: Job, progress: Progress | None = None) -> Job:

@@ -13,7 +13,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
+from robomill.cell import part_picture
 from robomill.cell.evaluation import Cut, Result, cutting
+from robomill.cell.part import is_tridexel
 from robomill.cell.scenario import Scenario, Workpiece
 from robomill.models.metrology.height_map import cut_height_map
 from robomill.models.metrology.surface import SurfaceDeviation
@@ -23,6 +25,8 @@ from robomill.orchestration.runs.run import Run
 MAP = "RdBu_r"
 RELIEF = 4e-4
 """Cell size [m] of the height maps in the pictures."""
+LEAST_HEIGHT = 5.2
+"""Height [inches] of the maps, at least: what is beside the colour bar needs it."""
 DOT = 1.1e-3
 """Size [m] at which a scanned point is drawn."""
 EDGE = "gold"
@@ -46,6 +50,9 @@ def draw_all(scenario: Scenario, results: Sequence[Result], folder: Path) -> lis
         files.append(_save(surfaces([result], scenario.workpiece), folder / result.name / "surface.png"))
         files.append(_save(forces(result), folder / result.name / "force.png"))
         files.append(_save(projection(result), folder / result.name / "projection.png"))
+        if is_tridexel(result.run):
+            title = f"{result.title}: {_headline(result)}"
+            files.append(_save(part_picture.draw(result.run, scenario.workpiece, result.surface, title), folder / result.name / "part.png"))
     return files
 
 
@@ -65,7 +72,9 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
     rows = -(-len(results) // columns)
     size = np.array(workpiece.size[:2]) * 1e3
     width = 8.0 if alone else 6.4
-    figure = Figure(figsize=(width * columns + 1.2, (0.72 * width * size[1] / size[0] + 0.9) * rows), layout="constrained")
+    figure = Figure(
+        figsize=(width * columns + 1.2, max((0.72 * width * size[1] / size[0] + 0.9) * rows, LEAST_HEIGHT)), layout="constrained"
+    )
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     limit = 1e3 * max((r.figures.max_deviation_m or 0.0 for r in results), default=0.0) or 1.0
     norm = TwoSlopeNorm(0.0, -limit, limit)

@@ -21,6 +21,8 @@ A scenario is TOML. Physical values carry their unit (``"0.2 mm"``); only 0 need
     size = ["100 mm", "60 mm", "30 mm"]
     zero = "front-left-top"                       # where G54 lies in the block (default: centre-top); or three lengths from the centre
     work_offsets = { G55 = ["10 mm", 0, 0] }      # if the program needs others than G54: a place as `zero`
+    stock = "casting.stl"               # instead of size: a closed solid, the middle of the top of its box in P; for tri-dexels
+    stock_unit = "1 mm"                 # what its coordinates are in (default: mm)
 
     [robot]                             # instead of what the system names; likewise [tool], [material], [sensor] (cell/equipment.py)
     name = "kr210_2"
@@ -30,6 +32,7 @@ A scenario is TOML. Physical values carry their unit (``"0.2 mm"``); only 0 need
     teeth = 3
     helix = "30 deg"
     cutting_length = "32 mm"
+    corner_radius = "8 mm"              # 0 (default) flat, half of the diameter ball nose; for tri-dexels
     title = "roughing"                  # beside the dimensions in run.toml
 
     [parameters]                        # for every variant: component, parameter, value
@@ -55,7 +58,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from robomill.cell.binding import convert
+from robomill.models.metrology.stl import StlError, read_stl
+from robomill.models.model.declaration import FloatArray
 from robomill.models.planning.gcode import DIALECTS, Setup, Vector
 from robomill.models.planning.point_path import INTERPOLATIONS, Interpolation
 from robomill.models.process.cutting import MAX_TEETH, EndMill
@@ -85,6 +92,8 @@ _FACES: Mapping[str, tuple[tuple[int, float], ...]] = {
 }
 """Words of a place in the block: axis and share of the size from the centre of the top."""
 _SECTIONS = {"scenario", "parameters", "workpiece", "variants", "paper", "tools", "scan", *EQUIPMENT}
+ROUNDING = 1e-9
+"""Part of a length by which the conversion of units may be off."""
 _FOLDERS = ("plan", "offline")
 """Folders beside those of the variants."""
 _PAPER_UNITS = {"_m": "m", "_n": "N", "_s": "s", "_percent": "%", "_hz": "Hz", "_m_s": "m/s"}
@@ -106,6 +115,8 @@ class Workpiece:
     """Orientation of P in B: A, B, C [rad]."""
     work_offsets: Mapping[float, Vector] = field(default_factory=lambda: dict(PLAIN_OFFSETS))
     """Origins of G54 (54) .. G59.3 (59.3) in P [m]; G54 is the origin of P unless it is named."""
+    stock: FloatArray | None = field(default=None, compare=False)
+    """Triangles (n, 3, 3) [m] in P of a stock that is no block; `size` is then that of its box."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +163,8 @@ class Scenario:
     """The tools by T number; empty: the milling component's own does all."""
     tool_titles: Mapping[int, str] = field(default_factory=dict)
     """What those that have a title are called."""
+    tool_corners: Mapping[int, float] = field(default_factory=dict)
+    """Corner radii [m] of those that are not flat, by T number."""
     equipment: Mapping[str, Entry] = field(default_factory=dict)
     """Robot, tool, material and sensor, where they are others than those of the system."""
     scan: Scan | None = None
@@ -194,6 +207,7 @@ def load_scenario(path: str | Path) -> Scenario:
         orientation=head["orientation"].choice(INTERPOLATIONS) if "orientation" in head else None,
         tools=tools,
         tool_titles={int(name): entry["title"].text() for name, entry in top.get("tools", {}).items() if "title" in entry},
+        tool_corners=_corners(top.get("tools", {})),
         equipment=equipment(top),
         scan=_scan(top["scan"], workpiece) if "scan" in top else None,
     )
@@ -205,11 +219,43 @@ def equipment(top: Entry) -> dict[str, Entry]:
 
 
 def _workpiece(entry: Entry) -> Workpiece:
-    entry.keys({"position", "size"}, {"abc", "work_offsets", "zero"})
-    size = entry["size"].vector("m")
-    if min(size) <= 0.0:
-        raise entry["size"].fail(f"{entry['size'].value!r}; expected three positive lengths")
-    return Workpiece(entry["position"].vector("m"), size, entry.get("abc", [0, 0, 0]).vector("rad"), _work_offsets(entry, size))
+    entry.keys({"position"}, {"abc", "work_offsets", "zero", "size", "stock", "stock_unit"})
+    if ("size" in entry) == ("stock" in entry):
+        raise entry.fail("give either size, of a block, or stock, an STL file")
+    stock = _stock(entry) if "stock" in entry else None
+    if stock is None:
+        size = entry["size"].vector("m")
+        if min(size) <= 0.0:
+            raise entry["size"].fail(f"{entry['size'].value!r}; expected three positive lengths")
+    else:
+        x, y, z = np.ptp(stock.reshape(-1, 3), axis=0).tolist()
+        size = (x, y, z)
+    return Workpiece(entry["position"].vector("m"), size, entry.get("abc", [0, 0, 0]).vector("rad"), _work_offsets(entry, size), stock)
+
+
+def _stock(entry: Entry) -> FloatArray:
+    """Triangles (n, 3, 3) [m] of `stock`, moved so that the middle of the top of their box is the origin of P."""
+    unit = entry.get("stock_unit", "1 mm").si("m")
+    if not unit > 0.0:
+        raise entry["stock_unit"].fail(f"{entry['stock_unit'].value!r}; expected a positive length")
+    try:
+        triangles = read_stl(entry["stock"].file(), unit)
+    except StlError as error:
+        raise entry["stock"].fail(str(error)) from None
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    return np.asarray(triangles - [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), high[2]], dtype=np.float64)
+
+
+def _corners(tools: Entry) -> dict[int, float]:
+    """Corner radii [m] by T number, of the tools that have one."""
+    found = {}
+    for name, entry in tools.items():
+        corner = entry.get("corner_radius", 0).si("m")
+        if not 0.0 <= corner <= 0.5 * entry["diameter"].si("m") * (1.0 + ROUNDING):
+            raise entry["corner_radius"].fail(f"{entry['corner_radius'].value!r}; expected 0 (flat) to half of the diameter (ball nose)")
+        if corner > 0.0:
+            found[int(name)] = corner
+    return found
 
 
 def _scan(entry: Entry, workpiece: Workpiece | None) -> Scan:
@@ -281,7 +327,7 @@ def _tool(name: str, entry: Entry) -> tuple[int, EndMill]:
     """`[tools.1]`: T number and end mill."""
     if not name.isdecimal() or int(name) < 1:
         raise entry.fail("a tool is called by its T number, 1 or more, such as [tools.1]")
-    entry.keys({"diameter", "teeth", "helix", "cutting_length"}, {"title"})
+    entry.keys({"diameter", "teeth", "helix", "cutting_length"}, {"title", "corner_radius"})
     for key in ("diameter", "cutting_length"):
         if entry[key].si("m") <= 0.0:
             raise entry[key].fail(f"{entry[key].value!r}; expected a positive length")

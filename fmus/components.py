@@ -39,6 +39,7 @@ NAMES = (
     "rate_controller",
     "deformation_compensation",
     "face_milling_force",
+    "tridexel_milling_force",
     "spindle_current",
     "surface_contact",
     "path_learning",

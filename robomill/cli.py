@@ -90,6 +90,7 @@ def parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--adopt", type=Path, metavar="FILE.ssv", help="with the effects that `robomill diagnose` found")
     run.add_argument("--no-pictures", action="store_true", help="skip the pictures")
+    run.add_argument("--stl", action="store_true", help="write the machined part as part.stl beside each recording (cells with tri-dexels)")
 
     build = _command(commands, "build", "write every FMU", "robomill build --out dist")
     build.add_argument("--out", type=Path, default=Path("dist"), help="folder for the FMUs (default: dist)")

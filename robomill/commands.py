@@ -19,7 +19,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 
 from robomill import conformance
-from robomill.cell import experiments, milling, path_learning, removal_rate, scan, static_loads
+from robomill.cell import experiments, milling, part, path_learning, removal_rate, scan, static_loads
 from robomill.cell import package as ssp
 from robomill.cell.binding import convert, resolve, with_fmus
 from robomill.cell.equipment import load_system
@@ -32,6 +32,7 @@ from robomill.fmus.components import COMPONENTS, component
 from robomill.fmus.documentation import reference_files
 from robomill.fmus.python.builder import build as build_python
 from robomill.models.components.recording import replay_model
+from robomill.models.metrology.stl import write_stl
 from robomill.models.model.declaration import Model
 from robomill.orchestration.assembly import assemble
 from robomill.orchestration.assembly import run as run_once
@@ -108,7 +109,9 @@ def _only_systems_take(options: Namespace, *names: str) -> None:
 def _only_cells_take(options: Namespace, kind: str) -> None:
     """Refuse options that a scenario of another kind would silently ignore."""
     given = [
-        f"--{n.replace('_', '-')}" for n in ("loop", "adopt", "resume", "checkpoint_every") if getattr(options, n) not in (None, False)
+        f"--{n.replace('_', '-')}"
+        for n in ("loop", "adopt", "resume", "checkpoint_every", "stl")
+        if getattr(options, n) not in (None, False)
     ]
     if given:
         raise ValueError(
@@ -208,6 +211,8 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
         with _progress(options.json) as report:
             again = {"resume": options.resume, "overwrite": options.overwrite}
             job = milling.lay_out(wanted, folder, options.fmus, **again, checkpoint_every=options.checkpoint_every)
+            if options.stl:
+                part.require(job.system)
             unusual = milling.check_variants(replace(job, system=_adopted(_looped(job.system, options), options)), chosen)
             job = replace(job, warnings=(*job.warnings, *unusual))
             for text in job.warnings:
@@ -218,6 +223,8 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
                 recorded, factor = milling.mill(job, variant, report, csv=options.csv)
                 result = evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor)
                 results.append(scan.scanned(scenario, result) if scenario.scan else result)
+                if options.stl:
+                    write_stl(folder / variant.name / "part.stl", part.cut_part(recorded, scenario.workpiece).surface())
                 summary = _write_summary(scenario, folder, results, job)
     except (OrchestrationError, KeyboardInterrupt):
         if results and not options.json:

@@ -173,6 +173,24 @@ def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
             },
             {"block_size": [0.1, 0.05, 0.03], "spacing": 1e-3, "opening_diameter": 0.02, "opening_pitch": [0.05, 0.05], "force_error": 0.1},
         ),
+        "tridexel_milling_force": (
+            # a tilted bull nose that meets a corner of the block in the last steps: plain Python takes a second for each
+            {
+                "p_BT_B": np.hstack([-0.035 + 0.06 * T, np.full_like(T, 0.002), np.full_like(T, -0.0012)])
+                + np.array([1.595, -0.018, 1.099]),
+                "quat_BT": np.array([0.66, 0.08, 0.74, 0.05]) / np.linalg.norm([0.66, 0.08, 0.74, 0.05]) * np.ones_like(T),
+                "v_BT_B": np.array([0.06, 0.0, 0.0]) * np.ones_like(T),
+                "spindle_speed": np.full_like(T, GROOVE),
+            },
+            {
+                "block_size": [0.016, 0.012, 0.006],
+                "spacing": 1e-3,
+                "diameter": 0.006,
+                "corner_radius": 0.001,
+                "substeps": 4,
+                "tool_wear": 0.1,
+            },
+        ),
         "spindle_current": (
             {"spindle_torque": 11.0 * _rise(0.05, 0.1), "spindle_speed": 377.0 - 5.0 * _rise(0.2, 0.1)},
             {"current_gain_error": 0.05, "current_offset": 0.1, "friction_error": 0.5},

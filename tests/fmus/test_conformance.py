@@ -16,6 +16,7 @@ from robomill.fmus.native.builder import build
 
 NOT_APPLICABLE = {
     "milling_force": {"dependencies"},
+    "tridexel_milling_force": {"dependencies"},
     "compensation_controller": {"dependencies"},
     "spindle_current": {"arrays"},
 }
