@@ -148,7 +148,7 @@ def lay_out(
 def with_pilot(job: Job, progress: Progress | None = None) -> Job:
     """Estimate the cutting force by a run of path and milling alone, and give its table to the path. Raises what the master raises."""
     pilot = (job.folder / "plan" / "pilot.npy").resolve()
-    np.save(pilot, _pilot(job, progress))
+    np.save(pilot, pilot_table(*offline_force(job, progress)))
     return job if _is_recording(job.system, "path") else replace(job, system=job.system.with_parameters("path", {"pilot": str(pilot)}))
 
 
@@ -337,8 +337,11 @@ class _Stopwatch:
             self.factor = (self._last - t) / (time.perf_counter() - clock)
 
 
-def _pilot(job: Job, progress: Progress | None) -> FloatArray:
-    """The pilot force: the cutting force of a rigid robot along the path, reduced to few points (sec. 2.3 of the paper)."""
+def offline_force(job: Job, progress: Progress | None = None) -> tuple[FloatArray, FloatArray]:
+    """Path times [s] (n,) and the cutting force [N] (n, 3) in B of a rigid robot along the path, without ripple (sec. 2.3 of paper 000).
+
+    Raises what the master raises.
+    """
     ports = ("p_BT_B", "quat_BT", "v_BT_B", "spindle_speed", *(["tool"] * _names_tool(job.system)))
     rigid = tuple(Connection(f"path.{port}", f"milling.{port}") for port in ports)
     components = tuple(c for c in job.system.components if c.name in ("path", "milling"))
@@ -356,7 +359,7 @@ def _pilot(job: Job, progress: Progress | None) -> FloatArray:
     # the force is a mean over the step that ends at t: it belongs to the middle of that step
     tau = result["path.path_time"][1:] - 0.5 * offline.step
     smooth = uniform_filter1d(result["milling.f_T_B"][1:], PILOT_WINDOW, axis=0, mode="nearest")
-    return pilot_table(tau, smooth)
+    return tau, smooth
 
 
 def _require(system: System) -> None:

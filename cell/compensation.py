@@ -1,0 +1,505 @@
+"""Offline compensation: mill a program on the nominal twin, mirror how far the tool tip leaves the path, mill again, write the program.
+
+Englert 2011 (the thesis), section 2.1, steps 4 to 6. With x = u + g(x) for the tool tip x of a path u that a machine bends by g, the path is
+corrected by what is left: u <- u - factor (x - p), p the planned path, all at equal ways along p. Where the force pushes
+the tool away, rho = -dg/dx > 0 and an iteration leaves rho/(1 + rho) of what there was; where it pulls the tool in, rho < 0, the factor
+is DAMPING from DAMPED on, and from DIVERGES on (1 + rho) / |rho| < 1 and nothing converges (FACTS10 10.5).
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter1d
+
+from robomill.cell.binding import convert, resolve
+from robomill.cell.equipment import robot_of, tool_of
+from robomill.cell.evaluation import Result, cutting, evaluate
+from robomill.cell.milling import Job, Progress, lay_out, mill, of_variant, offline_force, read_program
+from robomill.cell.scenario import Scenario, ScenarioError, Variant
+from robomill.models.model.declaration import FloatArray
+from robomill.models.planning import gcode
+from robomill.models.planning.gcode import Program
+from robomill.models.planning.path_correction import (
+    CorrectedProgram,
+    PlannedPath,
+    at_nodes,
+    corrected,
+    gcode_text,
+    planned_path,
+    way_along,
+)
+from robomill.models.planning.reachability import check_reachable
+from robomill.models.planning.segment_table import LINE
+from robomill.models.planning.trajectory import Plan, PlanError, pilot_table, plan
+from robomill.orchestration.assembly import assemble
+from robomill.orchestration.runs.run import Run, check_vacant
+from robomill.orchestration.system.definition import System
+
+DAMPED, DAMPING = -0.3, 0.7
+"""rho of a line of the program below which the correction is damped, and by which factor (FACTS10 10.5)."""
+DIVERGES = -0.5
+"""rho below which a plain iteration grows (FACTS10 10.5)."""
+SMOOTHING = 3.0
+"""Standard deviation, in nodes (12 ms), of the Gaussian that smooths the deviation before it is mirrored: without the beat of teeth and
+cycle, and a step of 1 mm then asks for 1.7 m/s2 across the path, which the planner does not have to slow down for."""
+_SPEAKS = 0.25
+"""Deviation of a line, rms, over that of the whole program, from which on its contraction says something."""
+_LEAST_NODES = 10
+"""Nodes in the cut that a line needs for that."""
+_STALLED = 0.9
+"""Ratio of two residuals above which an iteration has reached what noise leaves."""
+_SMALL = 0.1
+"""Share of the uncompensated deviation below which a residual that grows is noise, and no divergence."""
+PERTURBED = ((-0.15, 0.2), (-0.15, 0.0), (-0.15, -0.2))
+"""Relative errors of stiffness and of cutting coefficients that a compensated program is tried with (FACTS10 10.5)."""
+_CUTS = 0.5
+"""Share of the samples at a node that cut from which on it counts as cut."""
+_COEFFICIENTS = ("Ktc", "Krc", "Kac", "Kte", "Kre", "Kae")
+
+
+class CompensationError(ValueError):
+    """A program that cannot be compensated: what is wrong, where, what to do. What was computed stays in the folder."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a program is compensated."""
+
+    tolerance: float = 1e-5
+    """m, of the corrected path against its nodes."""
+    converged: float = 0.005
+    """Residual (rms, smoothed) over the uncompensated deviation at which the iteration ends."""
+    iterations: int = 8
+    """Corrections at most."""
+    limit: float = 5e-3
+    """Largest correction, m."""
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        for name, least in (("tolerance", 0.0), ("converged", 0.0), ("limit", 0.0), ("iterations", 0)):
+            if not getattr(self, name) > least:
+                raise CompensationError(f"{name} is {getattr(self, name):g}; expected more than {least:g}")
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """What an iteration came to."""
+
+    number: int
+    """0: the program as it is."""
+    rms_m: float
+    """Deviation of the tool tip from the planned path in the cut, rms."""
+    max_m: float
+    left_m: float
+    """Its smoothed part, rms: what the next correction is made of."""
+    contraction: float | None
+    """Part of the last deviation that this one still has: <e, e_before>/<e_before, e_before>; FACTS10: rho/(1 + rho)."""
+    rho: float | None
+    """What follows from it with the factor of the correction."""
+    factor: float
+    """Of the correction that led here; 0 for none."""
+    points: int
+    duration_s: float
+    largest_correction_m: float
+
+
+@dataclass(frozen=True)
+class Pass:
+    """A program milled on a machine: its run and the deviation at the nodes of the planned path."""
+
+    plan: Plan
+    run: Run
+    deviation: FloatArray
+    """(n, 3) tool tip minus planned path, m in P."""
+    cut: npt.NDArray[np.bool_]
+    """(n,) whether material was cut there."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What a compensated program leaves on another machine than the one that it was made for."""
+
+    stiffness_error: float
+    force_error: float
+    uncompensated_rms_m: float
+    compensated_rms_m: float
+    left: float
+    """Part of the deviation that is left, with its sign: <after, before>/<before, before>; negative: corrected too far."""
+    uncompensated_surface_rms_m: float | None
+    compensated_surface_rms_m: float | None
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """A compensated program, and how it came about."""
+
+    scenario: Scenario
+    variant: Variant
+    settings: Settings
+    path: PlannedPath
+    offset: FloatArray
+    """(n, 3) what is added to the planned path at its nodes, m in P."""
+    program: CorrectedProgram
+    before: Pass
+    after: Pass
+    iterations: tuple[Iteration, ...]
+    converged: bool
+    results: tuple[Result, Result]
+    """Surfaces of the uncompensated and the compensated part."""
+    trials: tuple[Trial, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def lines(self) -> list[dict[str, float | int | str]]:
+        """Deviation before and after, line by line of the program, where it cuts."""
+        rows: list[dict[str, float | int | str]] = []
+        of = self.path.lines
+        for number in np.unique(of).tolist():
+            here = (of == number) & self.before.cut
+            if np.any(here):
+                rows.append(
+                    {
+                        "line": number,
+                        "uncompensated_rms_m": _rms(self.before.deviation[here]),
+                        "compensated_rms_m": _rms(self.after.deviation[here]),
+                        "largest_correction_m": float(np.linalg.norm(self.offset[here], axis=1).max()),
+                    }
+                )
+        return rows
+
+
+Along = Callable[[FloatArray], FloatArray]
+"""Ways [m] (k,) along the planned path to path times [s] (k,) of a program."""
+
+
+class Machine:
+    """Mills versions of one program on a cell, each into a folder of its own."""
+
+    def __init__(self, job: Job, variant: Variant, path: PlannedPath, progress: Progress | None = None) -> None:
+        """`job`: the program as it is, laid out; `variant`: of its scenario; `path`: the nodes of its plan."""
+        self.job, self.path, self.system = job, path, of_variant(job, variant)
+        self._title, self._progress = variant.title, progress
+        self._robot, self._tool = robot_of(self.system), tool_of(self.system)
+        self._needs_pilot = any(c.source == "path.f_pilot_B" for c in self.system.connections)
+        self._force: FloatArray | None = None
+
+    def mill(self, name: str, planned: Plan, along: Along, system: System | None = None) -> Pass:
+        """Mill a plan into the folder `name`; `along` gives the ways along the planned path. `system`: another machine than the nominal one."""
+        system = system or self.system
+        system = system.with_parameters("path", {"segments": self._saved(name, planned.table)})
+        if self._needs_pilot:
+            system = system.with_parameters("path", {"pilot": self._saved(f"{name}_pilot", self._pilot(planned, along))})
+        job = replace(self.job, plan=planned, system=system)
+        run, _ = mill(job, Variant(name, f"{self._title}: {name.replace('_', ' ')}", {}), self._progress)
+        position = to_workpiece(planned, run["compliance.p_BT_B"])
+        reached = at_nodes(self.path, along(run["path.path_time"]), np.column_stack([position, cutting(run)]))
+        return Pass(planned, run, reached[:, :3] - self.path.position, reached[:, 3] > _CUTS)
+
+    def check(self, planned: Plan) -> None:
+        """PlanError where a pose is out of reach, an axis out of its limits or too fast."""
+        check_reachable(planned, self._robot, self._tool, self._robot.q_home)
+
+    def _saved(self, name: str, table: FloatArray) -> str:
+        file = (self.job.folder / "plan" / f"{name}.npy").resolve()
+        np.save(file, table)
+        return str(file)
+
+    def _pilot(self, planned: Plan, along: Along) -> FloatArray:
+        """The pilot force of the program as it is, at the times at which this one gets to the same places."""
+        if self._force is None:
+            tau, force = offline_force(replace(self.job, system=self.system), self._progress)
+            self._force = np.column_stack([np.interp(self.path.time, tau, f) for f in force.T])
+        times = np.arange(0.0, planned.duration, self.system.step)
+        way = along(times)
+        return pilot_table(times, np.column_stack([np.interp(way, self.path.along, f) for f in self._force.T]))
+
+
+def to_workpiece(planned: Plan, position: FloatArray) -> FloatArray:
+    """Positions (k, 3) [m] of B in P."""
+    result: FloatArray = (position - np.asarray(planned.placement.p_BP_B)) @ planned.placement.R_BP
+    return result
+
+
+def compensate(
+    scenario: Scenario,
+    variant: str | None,
+    folder: Path,
+    settings: Settings | None = None,
+    progress: Progress | None = None,
+    *,
+    perturbed: Sequence[tuple[float, float]] = PERTURBED,
+    overwrite: bool = False,
+) -> Compensation:
+    """Compensate the program of a milling scenario on its cell, in one of its variants (default: the first).
+
+    `folder` gets the runs (`iteration_0` ...), `iterations.json`, `correction.csv` and, when all is done, `compensated.ngc`. `perturbed`:
+    relative errors of stiffness and cutting coefficients of machines that the result is tried on. CompensationError where it diverges or the
+    correction is too large or out of reach; else what `lay_out` raises. What was computed until then stays.
+    """
+    settings = settings or Settings()
+    chosen = _variant(scenario, variant)
+    assert scenario.workpiece is not None and scenario.program is not None
+    folder = Path(folder)
+    if not overwrite:
+        check_vacant(folder / f"iteration_{k}" for k in range(settings.iterations + 1))
+    program = read_program(scenario.program, scenario.reading)
+    if not isinstance(program, Program):
+        raise CompensationError(
+            f"{scenario.program.name}: a path of points with orientations; only programs in G-code can be compensated, whose tool stays upright"
+        )
+    job = lay_out(replace(scenario, variants=(chosen,)), folder, overwrite=overwrite)
+    path = planned_path(job.plan, program)
+    machine = Machine(job, chosen, path, progress)
+    machine.check(job.plan)
+    loop = _Loop(machine, scenario, settings, program, folder)
+    converged = loop.run()
+    trials = [_try(loop, s, f, folder) for s, f in perturbed]
+    results = tuple(
+        evaluate(name, title, p.run, scenario.workpiece, math.nan, planned=loop.first.run)
+        for name, title, p in (("uncompensated", "uncompensated", loop.first), ("compensated", "compensated offline", loop.last))
+    )
+    return Compensation(
+        scenario,
+        chosen,
+        settings,
+        path,
+        loop.offset,
+        loop.program,
+        loop.first,
+        loop.last,
+        tuple(loop.iterations),
+        converged,
+        (results[0], results[1]),
+        tuple(trials),
+        program.notes,
+    )
+
+
+def _variant(scenario: Scenario, name: str | None) -> Variant:
+    if scenario.kind != "milling":
+        raise CompensationError(f"{scenario.file}: a scenario of kind {scenario.kind!r}; only milling scenarios have a program to compensate")
+    for variant in scenario.variants:
+        if name in (None, variant.name):
+            return variant
+    raise ScenarioError(f"{scenario.file}: no variant {name}; variants: {', '.join(v.name for v in scenario.variants)}")
+
+
+class _Loop:
+    """The iteration: what it has so far."""
+
+    def __init__(self, machine: Machine, scenario: Scenario, settings: Settings, program: Program, folder: Path) -> None:
+        self.machine, self.settings, self.folder = machine, settings, folder
+        self._scenario, self._source = scenario, program.source
+        self.path = machine.path
+        self.offset = np.zeros_like(self.path.position)
+        self.iterations: list[Iteration] = []
+        self.first = machine.mill("iteration_0", machine.job.plan, self.as_planned)
+        self.last = self.first
+        self.plan = machine.job.plan
+        self.program = CorrectedProgram((), np.zeros((0, 2)), self.path.final_spindle_speed)
+        self.along: Along = self.as_planned
+
+    def as_planned(self, tau: FloatArray) -> FloatArray:
+        """Ways along the planned path of its own times."""
+        return np.interp(tau, self.path.time, self.path.along)
+
+    def run(self) -> bool:
+        """Correct until it has converged; whether it has."""
+        factor = 1.0
+        left = _smooth(self.first.deviation)
+        start = _rms(left[self.first.cut]) if np.any(self.first.cut) else 0.0
+        if start == 0.0:
+            raise CompensationError(f"{self.path.name}: the tool never meets the block; nothing to compensate")
+        self._note(self.first, None, 0.0, left)
+        for number in range(1, self.settings.iterations + 1):
+            before = left
+            self.offset = self.offset - factor * before
+            self._correct(number)
+            left = _smooth(self.last.deviation)
+            self._note(self.last, before, factor, left)
+            now, was = self.iterations[-1].left_m, self.iterations[-2].left_m
+            if number == 1:
+                factor = self._stable(before, left, factor)
+            if now > was and now > _SMALL * start:
+                self._diverged(before, left, factor)
+            if now <= self.settings.converged * start:
+                return True
+            if now > _STALLED * was and now < _SMALL * start:
+                return True
+        return False
+
+    def _correct(self, number: int) -> None:
+        """Write the program with the present offsets, check it, mill it."""
+        size = np.linalg.norm(self.offset, axis=1)
+        if size.max() > self.settings.limit:
+            worst = int(size.argmax())
+            raise CompensationError(
+                f"iteration {number}: the correction at {self._where(worst)} is {1e3 * size[worst]:.2f} mm, more than the limit of "
+                f"{1e3 * self.settings.limit:g} mm; cut less deep, or raise the limit{self._kept}"
+            )
+        self.program = corrected(self.path, self.offset, self.settings.tolerance)
+        file = self.folder / f"iteration_{number}.ngc"
+        line_of = write_gcode(file, self.program, self._scenario, [f"iteration {number} of the compensation of {self.path.name}"])
+        read = gcode.read(file, self._scenario.reading)
+        self.plan = plan(read, self.machine.job.plan.placement)
+
+        planned, program = self.plan, self.program
+
+        def along(tau: FloatArray) -> FloatArray:
+            line = planned.rows(tau)[0][:, LINE]
+            return way_along(program, line_of, line, to_workpiece(planned, planned.position(tau)))
+
+        self.along = along
+        try:
+            self.machine.check(self.plan)
+        except PlanError as error:
+            raise CompensationError(
+                f"iteration {number}: the corrected path leaves the limits of the robot: {error}; that line belongs to "
+                f"{self._of_line(error, line_of)}; move the workpiece (robomill place), or cut less deep there{self._kept}"
+            ) from None
+        self.last = self.machine.mill(f"iteration_{number}", self.plan, along)
+
+    def _of_line(self, error: PlanError, line_of: dict[int, int]) -> str:
+        """The line of the user's program behind a planning error."""
+        words = str(error).partition(" line ")[2].split()
+        known = [n for n in sorted(line_of) if words and words[0].isdecimal() and n <= int(words[0])]
+        if not known:
+            return self.path.name
+        return self._where(int(np.searchsorted(self.path.along, self.program.along[line_of[known[-1]], 0], side="right")) - 1)
+
+    def _where(self, node: int) -> str:
+        move = self.path.move[node]
+        return f"{self.path.name} line {move.line} ({self._source[move.line - 1].strip()})"
+
+    @property
+    def _kept(self) -> str:
+        return f"; what was computed is in {self.folder}"
+
+    def _note(self, done: Pass, before: FloatArray | None, factor: float, left: FloatArray) -> None:
+        cut = self.first.cut
+        contraction = None if before is None else _share(left[cut], before[cut])
+        gain = None if contraction is None else (1.0 - contraction) / factor
+        self.iterations.append(
+            Iteration(
+                len(self.iterations),
+                _rms(done.deviation[cut]),
+                float(np.linalg.norm(done.deviation[cut], axis=1).max()),
+                _rms(left[cut]),
+                contraction,
+                None if gain is None or gain <= 0.0 else 1.0 / gain - 1.0,
+                factor,
+                self.program.points if before is not None else 0,
+                done.plan.duration,
+                float(np.linalg.norm(self.offset, axis=1).max()),
+            )
+        )
+        write_json(self.folder / "iterations.json", [asdict(i) for i in self.iterations])
+        self._table()
+
+    def _table(self) -> None:
+        """correction.csv: the correction and what is left at each node."""
+        with (self.folder / "correction.csv").open("w", newline="", encoding="utf-8") as file:
+            out = csv.writer(file)
+            out.writerow(["line", "along_mm", *(f"{w}_{a}_mm" for w in ("planned", "correction", "before", "after") for a in "xyz"), "cut"])
+            values = np.hstack([self.path.along[:, None], self.path.position, self.offset, self.first.deviation, self.last.deviation])
+            for line, row, cut in zip(self.path.lines.tolist(), (1e3 * values).tolist(), self.first.cut.tolist(), strict=True):
+                out.writerow([line, *(f"{v:.5f}" for v in row), int(cut)])
+
+    def _rhos(self, before: FloatArray, left: FloatArray, factor: float) -> list[tuple[float, int]]:
+        """rho of each line of the program that speaks, with a node of it, the least first; -inf where the deviation grew with its sign."""
+        lines, cut = self.path.lines, self.first.cut
+        whole = _rms(before[cut])
+        found: list[tuple[float, int]] = []
+        for line in np.unique(lines[cut]).tolist():
+            here = np.flatnonzero((lines == line) & cut)
+            if len(here) < _LEAST_NODES or _rms(before[here]) < _SPEAKS * whole:
+                continue
+            gain = (1.0 - _share(left[here], before[here])) / factor
+            found.append((1.0 / gain - 1.0 if gain > 0.0 else -math.inf, int(here[0])))
+        return sorted(found)
+
+    def _stable(self, before: FloatArray, left: FloatArray, factor: float) -> float:
+        """The factor to go on with."""
+        rhos = self._rhos(before, left, factor)
+        if rhos and rhos[0][0] < DIVERGES:
+            self._diverged(before, left, factor)
+        return DAMPING if rhos and rhos[0][0] < DAMPED else factor
+
+    def _diverged(self, before: FloatArray, left: FloatArray, factor: float) -> None:
+        rho, node = (self._rhos(before, left, factor) or [(math.nan, int(np.linalg.norm(left, axis=1).argmax()))])[0]
+        raise CompensationError(
+            f"the correction diverges at {self._where(node)}: rho = {rho:.2f}, the limit is {DIVERGES:g} (iteration {len(self.iterations) - 1} "
+            f"leaves {1e3 * self.iterations[-1].left_m:.3f} mm rms of {1e3 * self.iterations[-2].left_m:.3f} mm): the force there pulls the tool "
+            f"further in the further it comes; cut less deep, feed in another direction, or choose a stiffer pose (robomill place){self._kept}"
+        )
+
+
+def _try(loop: _Loop, stiffness: float, force: float, folder: Path) -> Trial:
+    """Mill the program as it is and the compensated one on a machine with other springs and cutting coefficients."""
+    job, scenario = loop.machine.job, loop.machine.job.scenario
+    assert scenario.workpiece is not None
+    system = perturbed_system(loop.machine.system, stiffness, force)
+    name = f"stiffness_{100 * stiffness:+.0f}_force_{100 * force:+.0f}"
+    before = loop.machine.mill(f"{name}_uncompensated", job.plan, loop.as_planned, system)
+    after = loop.machine.mill(f"{name}_compensated", loop.plan, loop.along, system)
+    cut = loop.first.cut
+    surfaces = [
+        evaluate(name, name, p.run, scenario.workpiece, math.nan, planned=loop.first.run).figures.rms_deviation_m for p in (before, after)
+    ]
+    old, new = before.deviation[cut], after.deviation[cut]
+    return Trial(stiffness, force, _rms(old), _rms(new), _share(_smooth(after.deviation)[cut], _smooth(before.deviation)[cut]), *surfaces)
+
+
+def perturbed_system(system: System, stiffness: float, force: float) -> System:
+    """The system with every spring of `compliance` and every cutting coefficient of `milling` changed by a relative error.
+
+    CompensationError if a component has no such parameters.
+    """
+    with assemble(system, resolve, convert) as assembly:
+        for component, factor, names in (("compliance", 1.0 + stiffness, ("stiffness",)), ("milling", 1.0 + force, _COEFFICIENTS)):
+            starts = {p.name: p.start for p in assembly.slaves[component].ports if p.causality == "parameter"}
+            values = {**starts, **assembly.parameters.get(component, {})}
+            found = {n: v for n, v in values.items() if n.partition("[")[0] in names and isinstance(v, float)}
+            if not found:
+                raise CompensationError(
+                    f"component {component!r} ({system.component(component).source}) has none of the parameters {', '.join(names)}; "
+                    "compensate without perturbed machines (--no-perturbed)"
+                )
+            system = system.with_parameters(component, {n: factor * float(v) for n, v in found.items()})
+    return system
+
+
+def write_gcode(file: Path, program: CorrectedProgram, scenario: Scenario, header: Sequence[str]) -> dict[int, int]:
+    """Write a corrected program about the zero of the scenario; which action each line is."""
+    reading = scenario.reading
+    text, line_of = gcode_text(program, header, reading.work_offsets[54], reading.dialect)
+    file.write_text(text, encoding="utf-8")
+    return line_of
+
+
+def write_json(file: Path, value: Any) -> None:
+    """Write JSON that a person can read."""
+    file.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+
+
+def _smooth(values: FloatArray) -> FloatArray:
+    smooth: FloatArray = gaussian_filter1d(values, SMOOTHING, axis=0, mode="nearest")
+    return smooth
+
+
+def _rms(vectors: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1))))
+
+
+def _share(after: FloatArray, before: FloatArray) -> float:
+    """Part of `before` (n, 3) that is in `after`, by least squares."""
+    return float(np.sum(after * before) / np.sum(before * before))
