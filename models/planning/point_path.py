@@ -20,6 +20,16 @@ class PathPoint:
     blend: float
     feed: float
     spindle_speed: float
+    quat: tuple[float, float, float, float] | None = None
+    """Orientation of T in P (w, x, y, z) where the program says it; then `abc` has no meaning."""
+    line: int = 0
+    """Line of the file; 0 = the number of the point."""
+    tool: int = 0
+    """T number of the tool in the spindle on the way to the point; 0 = none named."""
+    dwell: float = 0.0
+    """Standstill at the point [s]."""
+    rapid: bool = False
+    """Whether the way to the point is one through air."""
 
 
 @dataclass(frozen=True)

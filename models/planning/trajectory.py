@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -25,7 +26,7 @@ from robomill.models.planning.blend import blend, hermite
 from robomill.models.planning.double_s import path_at, phases, time_at
 from robomill.models.planning.gcode import Arc, Dwell, Move, Program, Vector
 from robomill.models.planning.path_geometry import SAMPLES, Polynomial, Shape, helix, line, point, polynomial_at, shift
-from robomill.models.planning.point_path import PointPath
+from robomill.models.planning.point_path import PathPoint, PointPath
 from robomill.models.planning.segment_table import (
     ACCELERATION,
     AXIS_1,
@@ -57,7 +58,7 @@ _KINK = math.radians(0.1)
 """Angle up to which a corner is run over without a stop where blending is off (rounding of CAM output)."""
 _REVERSAL = math.radians(175.0)
 """Corners sharper than this are reversals: the path stops there."""
-_LONGEST_BLEND = 10.0
+LONGEST_BLEND = 10.0
 """A blend reaches at most this many tolerances from its corner, so that flat corners of long moves stay local."""
 
 
@@ -372,27 +373,44 @@ def _shape(move: Move, placement: Placement) -> Shape:
 
 def _points(path: PointPath, placement: Placement) -> list[_Stretch | Dwell]:
     """The moves of a point list in B: lines with the chosen interpolation of the orientation, and turns between equal positions."""
-    upright = Rotation.from_matrix(placement.R_BT)
     points = path.points
-    rotations = [upright * Rotation.from_euler("ZYX", p.abc) for p in points]
+    rotations = _orientations(points, placement)
     items: list[_Stretch | Dwell] = []
-    reached = rotations[0]
+    reached, turn = rotations[0], _Turn(rotations[0])
     for i in range(1, len(points)):
         p = points[i]
         start, end = placement.to_base(points[i - 1].position), placement.to_base(p.position)
-        said = (p.feed, i + 1, i + 1, p.spindle_speed)
+        number = p.line or i + 1
+        said = (p.feed, number, number, p.spindle_speed)
         if np.any(end != start):
             shape = line(start, end)
             over = path.interpolation == "path"
-            turn = _over(rotations[i - 1], rotations[i], shape.length) if over else _Turn(rotations[i - 1])
-            items.append(_Stretch(shape, turn, *said, distance=p.blend))
+            if over and rotations[i] is not rotations[i - 1]:
+                turn = _over(rotations[i - 1], rotations[i], shape.length)
+            elif turn.R is not rotations[i - 1] or not turn.steady:
+                turn = _Turn(rotations[i - 1])
+            items.append(_Stretch(shape, turn, *said, distance=p.blend, tool=p.tool, rapid=p.rapid))
             reached = rotations[i] if over else rotations[i - 1]
         if i + 1 == len(points) or np.all(end == start):
             angle = float((reached.inv() * rotations[i]).magnitude())
             if angle > _SAME_ORIENTATION:
-                items.append(_Stretch(point(end, angle), _over(reached, rotations[i], angle), *said, in_place=True))
+                items.append(_Stretch(point(end, angle), _over(reached, rotations[i], angle), *said, tool=p.tool, in_place=True))
             reached = rotations[i]
+        if p.dwell > 0.0:
+            items.append(Dwell(number, number, p.dwell, p.spindle_speed, p.tool))
     return items
+
+
+def _orientations(points: Sequence[PathPoint], placement: Placement) -> list[Rotation]:
+    """R_BT at each point; one object where it stays what it was."""
+    upright, R_BP = Rotation.from_matrix(placement.R_BT), Rotation.from_matrix(placement.R_BP)
+    found: list[Rotation] = []
+    for i, p in enumerate(points):
+        if i > 0 and p.quat == points[i - 1].quat and p.abc == points[i - 1].abc:
+            found.append(found[-1])
+        else:
+            found.append(upright * Rotation.from_euler("ZYX", p.abc) if p.quat is None else R_BP * Rotation.from_quat(np.roll(p.quat, -1)))
+    return found
 
 
 def _over(start: Rotation, end: Rotation, length: float) -> _Turn:
@@ -451,7 +469,7 @@ def _joint(before: _Stretch, after: _Stretch, corner: int) -> tuple[float, list[
     if before.distance > 0.0 or by_tolerance:
         if angle > _REVERSAL:
             return None
-        limit = min(0.5 * shorter, before.distance if before.distance > 0.0 else _LONGEST_BLEND * before.tolerance)
+        limit = min(0.5 * shorter, before.distance if before.distance > 0.0 else LONGEST_BLEND * before.tolerance)
         found = blend(before.shape, after.shape, limit, None if before.distance > 0.0 else before.tolerance)
         if found is None:
             return None
