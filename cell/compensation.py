@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -23,17 +23,16 @@ from scipy.ndimage import gaussian_filter1d
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import robot_of, tool_of
 from robomill.cell.evaluation import Result, cutting, evaluate
-from robomill.cell.milling import Job, Progress, lay_out, mill, of_variant, offline_force, read_program
+from robomill.cell.milling import Job, Progress, lay_out, mill, notes_of, of_variant, offline_force, read_program
 from robomill.cell.scenario import Scenario, ScenarioError, Variant
 from robomill.models.model.declaration import FloatArray
-from robomill.models.planning import gcode
-from robomill.models.planning.gcode import Program
+from robomill.models.planning.languages.convert import path_of
+from robomill.models.planning.languages.poses import Frames
 from robomill.models.planning.path_correction import (
     CorrectedProgram,
     PlannedPath,
     at_nodes,
     corrected,
-    gcode_text,
     planned_path,
     way_along,
 )
@@ -42,6 +41,7 @@ from robomill.models.planning.segment_table import LINE
 from robomill.models.planning.trajectory import Plan, PlanError, pilot_table, plan
 from robomill.orchestration.assembly import assemble
 from robomill.orchestration.runs.run import Run, check_vacant
+from robomill.orchestration.slaves.protocol import arrays
 from robomill.orchestration.system.definition import System
 
 DAMPED, DAMPING = -0.3, 0.7
@@ -55,15 +55,17 @@ _SPEAKS = 0.25
 """Deviation of a line, rms, over that of the whole program, from which on its contraction says something."""
 _LEAST_NODES = 10
 """Nodes in the cut that a line needs for that."""
-_STALLED = 0.9
-"""Ratio of two residuals above which an iteration has reached what noise leaves."""
-_SMALL = 0.1
-"""Share of the uncompensated deviation below which a residual that grows is noise, and no divergence."""
+SETTLED = 0.9
+"""Ratio of a residual to the least before it above which more iterations are of no use."""
 PERTURBED = ((-0.15, 0.2), (-0.15, 0.0), (-0.15, -0.2))
 """Relative errors of stiffness and of cutting coefficients that a compensated program is tried with (FACTS10 10.5)."""
 _CUTS = 0.5
 """Share of the samples at a node that cut from which on it counts as cut."""
 _COEFFICIENTS = ("Ktc", "Krc", "Kac", "Kte", "Kre", "Kae")
+
+
+Ending = Literal["converged", "settled", "iterations"]
+"""How an iteration ends: below the residual that was asked for, no longer falling by a tenth, or after all its corrections."""
 
 
 class CompensationError(ValueError):
@@ -152,7 +154,7 @@ class Compensation:
     before: Pass
     after: Pass
     iterations: tuple[Iteration, ...]
-    converged: bool
+    ending: Ending
     results: tuple[Result, Result]
     """Surfaces of the uncompensated and the compensated part."""
     trials: tuple[Trial, ...]
@@ -190,7 +192,12 @@ class Machine:
         self._title, self._progress = variant.title, progress
         self._robot, self._tool = robot_of(self.system), tool_of(self.system)
         self._needs_pilot = any(c.source == "path.f_pilot_B" for c in self.system.connections)
+        self.frames = Frames.at(job.plan.placement, self._tool, self._robot.q_home)
         self._force: FloatArray | None = None
+
+    def plan(self, program: CorrectedProgram) -> Plan:
+        """The plan of a corrected program; its lines are its poses, from 1."""
+        return plan(path_of(replace(program.poses, lines=np.arange(1, len(program.poses.p) + 1))), self.job.plan.placement)
 
     def mill(self, name: str, planned: Plan, along: Along, system: System | None = None) -> Pass:
         """Mill a plan into the folder `name`; `along` gives the ways along the planned path. `system`: another machine than the nominal one."""
@@ -252,16 +259,12 @@ def compensate(
     if not overwrite:
         check_vacant(folder / f"iteration_{k}" for k in range(settings.iterations + 1))
     program = read_program(scenario.program, scenario.reading)
-    if not isinstance(program, Program):
-        raise CompensationError(
-            f"{scenario.program.name}: a path of points with orientations; only programs in G-code can be compensated, whose tool stays upright"
-        )
     job = lay_out(replace(scenario, variants=(chosen,)), folder, overwrite=overwrite)
     path = planned_path(job.plan, program)
     machine = Machine(job, chosen, path, progress)
     machine.check(job.plan)
-    loop = _Loop(machine, scenario, settings, program, folder)
-    converged = loop.run()
+    loop = _Loop(machine, settings, program.source, folder)
+    ending = loop.run()
     trials = [_try(loop, s, f, folder) for s, f in perturbed]
     results = tuple(
         evaluate(name, title, p.run, scenario.workpiece, math.nan, planned=loop.first.run)
@@ -277,10 +280,10 @@ def compensate(
         loop.first,
         loop.last,
         tuple(loop.iterations),
-        converged,
+        ending,
         (results[0], results[1]),
         tuple(trials),
-        program.notes,
+        notes_of(program),
     )
 
 
@@ -296,46 +299,47 @@ def _variant(scenario: Scenario, name: str | None) -> Variant:
 class _Loop:
     """The iteration: what it has so far."""
 
-    def __init__(self, machine: Machine, scenario: Scenario, settings: Settings, program: Program, folder: Path) -> None:
-        self.machine, self.settings, self.folder = machine, settings, folder
-        self._scenario, self._source = scenario, program.source
+    def __init__(self, machine: Machine, settings: Settings, source: Sequence[str], folder: Path) -> None:
+        self.machine, self.settings, self.folder, self._source = machine, settings, folder, source
         self.path = machine.path
         self.offset = np.zeros_like(self.path.position)
         self.iterations: list[Iteration] = []
         self.first = machine.mill("iteration_0", machine.job.plan, self.as_planned)
         self.last = self.first
         self.plan = machine.job.plan
-        self.program = CorrectedProgram((), np.zeros((0, 2)), self.path.final_spindle_speed)
+        self.program = corrected(self.path, self.offset, settings.tolerance, machine.frames)
         self.along: Along = self.as_planned
 
     def as_planned(self, tau: FloatArray) -> FloatArray:
         """Ways along the planned path of its own times."""
         return np.interp(tau, self.path.time, self.path.along)
 
-    def run(self) -> bool:
-        """Correct until it has converged; whether it has."""
+    def run(self) -> Ending:
+        """Correct until the residual is small, no longer falls, or the iterations are used up; the best one is kept."""
         factor = 1.0
         left = _smooth(self.first.deviation)
         start = _rms(left[self.first.cut]) if np.any(self.first.cut) else 0.0
         if start == 0.0:
             raise CompensationError(f"{self.path.name}: the tool never meets the block; nothing to compensate")
         self._note(self.first, None, 0.0, left)
+        least, best = start, (self.offset, self.program, self.plan, self.along, self.last)
         for number in range(1, self.settings.iterations + 1):
             before = left
             self.offset = self.offset - factor * before
             self._correct(number)
             left = _smooth(self.last.deviation)
             self._note(self.last, before, factor, left)
-            now, was = self.iterations[-1].left_m, self.iterations[-2].left_m
+            now, was = self.iterations[-1].left_m, least
             if number == 1:
                 factor = self._stable(before, left, factor)
-            if now > was and now > _SMALL * start:
-                self._diverged(before, left, factor)
+            if now < least:
+                least, best = now, (self.offset, self.program, self.plan, self.along, self.last)
             if now <= self.settings.converged * start:
-                return True
-            if now > _STALLED * was and now < _SMALL * start:
-                return True
-        return False
+                return "converged"
+            if now > SETTLED * was:
+                self.offset, self.program, self.plan, self.along, self.last = best
+                return "settled"
+        return "iterations"
 
     def _correct(self, number: int) -> None:
         """Write the program with the present offsets, check it, mill it."""
@@ -346,17 +350,13 @@ class _Loop:
                 f"iteration {number}: the correction at {self._where(worst)} is {1e3 * size[worst]:.2f} mm, more than the limit of "
                 f"{1e3 * self.settings.limit:g} mm; cut less deep, or raise the limit{self._kept}"
             )
-        self.program = corrected(self.path, self.offset, self.settings.tolerance)
-        file = self.folder / f"iteration_{number}.ngc"
-        line_of = write_gcode(file, self.program, self._scenario, [f"iteration {number} of the compensation of {self.path.name}"])
-        read = gcode.read(file, self._scenario.reading)
-        self.plan = plan(read, self.machine.job.plan.placement)
-
+        self.program = corrected(self.path, self.offset, self.settings.tolerance, self.machine.frames)
+        self.plan = self.machine.plan(self.program)
         planned, program = self.plan, self.program
 
         def along(tau: FloatArray) -> FloatArray:
-            line = planned.rows(tau)[0][:, LINE]
-            return way_along(program, line_of, line, to_workpiece(planned, planned.position(tau)))
+            pose = planned.rows(tau)[0][:, LINE].astype(np.int64) - 1
+            return way_along(program, pose, to_workpiece(planned, planned.position(tau)))
 
         self.along = along
         try:
@@ -364,21 +364,19 @@ class _Loop:
         except PlanError as error:
             raise CompensationError(
                 f"iteration {number}: the corrected path leaves the limits of the robot: {error}; that line belongs to "
-                f"{self._of_line(error, line_of)}; move the workpiece (robomill place), or cut less deep there{self._kept}"
+                f"{self._of_point(error)}; move the workpiece (robomill place), or cut less deep there{self._kept}"
             ) from None
         self.last = self.machine.mill(f"iteration_{number}", self.plan, along)
 
-    def _of_line(self, error: PlanError, line_of: dict[int, int]) -> str:
-        """The line of the user's program behind a planning error."""
+    def _of_point(self, error: PlanError) -> str:
+        """The line of the user's program behind a planning error, which names a pose as a line, from 1."""
         words = str(error).partition(" line ")[2].split()
-        known = [n for n in sorted(line_of) if words and words[0].isdecimal() and n <= int(words[0])]
-        if not known:
-            return self.path.name
-        return self._where(int(np.searchsorted(self.path.along, self.program.along[line_of[known[-1]], 0], side="right")) - 1)
+        pose = int(words[0]) - 1 if words and words[0].isdecimal() else 0
+        return self._where(int(np.searchsorted(self.path.along, self.program.along[pose], side="right")) - 1)
 
     def _where(self, node: int) -> str:
-        move = self.path.move[node]
-        return f"{self.path.name} line {move.line} ({self._source[move.line - 1].strip()})"
+        line = self.path.said[node].line
+        return f"{self.path.name} line {line} ({self._source[line - 1].strip()})"
 
     @property
     def _kept(self) -> str:
@@ -397,7 +395,7 @@ class _Loop:
                 contraction,
                 None if gain is None or gain <= 0.0 else 1.0 / gain - 1.0,
                 factor,
-                self.program.points if before is not None else 0,
+                len(self.program.poses.p) if before is not None else 0,
                 done.plan.duration,
                 float(np.linalg.norm(self.offset, axis=1).max()),
             )
@@ -428,19 +426,17 @@ class _Loop:
         return sorted(found)
 
     def _stable(self, before: FloatArray, left: FloatArray, factor: float) -> float:
-        """The factor to go on with."""
+        """The factor to go on with after the first correction. CompensationError where none helps."""
         rhos = self._rhos(before, left, factor)
         if rhos and rhos[0][0] < DIVERGES:
-            self._diverged(before, left, factor)
+            rho, node = rhos[0]
+            here = (self.path.lines == self.path.lines[node]) & self.first.cut
+            raise CompensationError(
+                f"the correction diverges at {self._where(node)}: rho = {rho:.2f}, less than {DIVERGES:g}: corrected once, "
+                f"{1e3 * _rms(left[here]):.3f} mm rms are left of {1e3 * _rms(before[here]):.3f} mm: the force there pulls the tool the further "
+                f"in the further it comes; cut less deep, feed in another direction, or take a stiffer pose (robomill place){self._kept}"
+            )
         return DAMPING if rhos and rhos[0][0] < DAMPED else factor
-
-    def _diverged(self, before: FloatArray, left: FloatArray, factor: float) -> None:
-        rho, node = (self._rhos(before, left, factor) or [(math.nan, int(np.linalg.norm(left, axis=1).argmax()))])[0]
-        raise CompensationError(
-            f"the correction diverges at {self._where(node)}: rho = {rho:.2f}, the limit is {DIVERGES:g} (iteration {len(self.iterations) - 1} "
-            f"leaves {1e3 * self.iterations[-1].left_m:.3f} mm rms of {1e3 * self.iterations[-2].left_m:.3f} mm): the force there pulls the tool "
-            f"further in the further it comes; cut less deep, feed in another direction, or choose a stiffer pose (robomill place){self._kept}"
-        )
 
 
 def _try(loop: _Loop, stiffness: float, force: float, folder: Path) -> Trial:
@@ -466,24 +462,20 @@ def perturbed_system(system: System, stiffness: float, force: float) -> System:
     """
     with assemble(system, resolve, convert) as assembly:
         for component, factor, names in (("compliance", 1.0 + stiffness, ("stiffness",)), ("milling", 1.0 + force, _COEFFICIENTS)):
-            starts = {p.name: p.start for p in assembly.slaves[component].ports if p.causality == "parameter"}
-            values = {**starts, **assembly.parameters.get(component, {})}
-            found = {n: v for n, v in values.items() if n.partition("[")[0] in names and isinstance(v, float)}
-            if not found:
+            ports = [p for p in assembly.slaves[component].ports if p.causality == "parameter"]
+            given = assembly.parameters.get(component, {})
+            values = {
+                name: [factor * float(given.get(p.name, p.start)) for p in members]
+                for name, members in arrays(ports).items()
+                if name in names
+            }
+            if not values:
                 raise CompensationError(
                     f"component {component!r} ({system.component(component).source}) has none of the parameters {', '.join(names)}; "
                     "compensate without perturbed machines (--no-perturbed)"
                 )
-            system = system.with_parameters(component, {n: factor * float(v) for n, v in found.items()})
+            system = system.with_parameters(component, {n: v if len(v) > 1 else v[0] for n, v in values.items()})
     return system
-
-
-def write_gcode(file: Path, program: CorrectedProgram, scenario: Scenario, header: Sequence[str]) -> dict[int, int]:
-    """Write a corrected program about the zero of the scenario; which action each line is."""
-    reading = scenario.reading
-    text, line_of = gcode_text(program, header, reading.work_offsets[54], reading.dialect)
-    file.write_text(text, encoding="utf-8")
-    return line_of
 
 
 def write_json(file: Path, value: Any) -> None:
