@@ -11,7 +11,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -38,7 +38,7 @@ from robomill.models.planning.path_correction import (
 )
 from robomill.models.planning.reachability import check_reachable
 from robomill.models.planning.segment_table import LINE
-from robomill.models.planning.trajectory import Plan, PlanError, pilot_table, plan
+from robomill.models.planning.trajectory import Placement, Plan, PlanError, pilot_table, plan
 from robomill.orchestration.assembly import assemble
 from robomill.orchestration.runs.run import Run, check_vacant
 from robomill.orchestration.slaves.protocol import arrays
@@ -59,6 +59,8 @@ SETTLED = 0.9
 """Ratio of a residual to the least before it above which more iterations are of no use."""
 PERTURBED = ((-0.15, 0.2), (-0.15, 0.0), (-0.15, -0.2))
 """Relative errors of stiffness and of cutting coefficients that a compensated program is tried with (FACTS10 10.5)."""
+_LEVEL = 0.01
+"""Level part of a way from which on it has a side: straight down it has none."""
 _CUTS = 0.5
 """Share of the samples at a node that cut from which on it counts as cut."""
 _COEFFICIENTS = ("Ktc", "Krc", "Kac", "Kte", "Kre", "Kae")
@@ -115,6 +117,20 @@ class Iteration:
 
 
 @dataclass(frozen=True)
+class PathFigures:
+    """How far the tool tip is off the planned path in the cut."""
+
+    rms_m: float
+    p95_m: float
+    max_m: float
+    across_rms_m: float
+    """Of it level and normal to the path."""
+    along_rms_m: float
+    axial_rms_m: float
+    """Along z of the workpiece."""
+
+
+@dataclass(frozen=True)
 class Pass:
     """A program milled on a machine: its run and the deviation at the nodes of the planned path."""
 
@@ -124,6 +140,8 @@ class Pass:
     """(n, 3) tool tip minus planned path, m in P."""
     cut: npt.NDArray[np.bool_]
     """(n,) whether material was cut there."""
+    figures: PathFigures
+    """Where the uncompensated program cuts."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +151,7 @@ class Trial:
     stiffness_error: float
     force_error: float
     uncompensated_rms_m: float
+    """Of the path, in the cut."""
     compensated_rms_m: float
     left: float
     """Part of the deviation that is left, with its sign: <after, before>/<before, before>; negative: corrected too far."""
@@ -159,6 +178,14 @@ class Compensation:
     """Surfaces of the uncompensated and the compensated part."""
     trials: tuple[Trial, ...]
     notes: tuple[str, ...]
+    """What the reader of the program skipped or decided."""
+    labels: Mapping[str, str]
+    """What robot, tool and so on are called."""
+
+    @property
+    def placement(self) -> Placement:
+        """Where the workpiece stands."""
+        return self.before.plan.placement
 
     @property
     def lines(self) -> list[dict[str, float | int | str]]:
@@ -194,6 +221,7 @@ class Machine:
         self._needs_pilot = any(c.source == "path.f_pilot_B" for c in self.system.connections)
         self.frames = Frames.at(job.plan.placement, self._tool, self._robot.q_home)
         self._force: FloatArray | None = None
+        self._cut: npt.NDArray[np.bool_] | None = None
 
     def plan(self, program: CorrectedProgram) -> Plan:
         """The plan of a corrected program; its lines are its poses, from 1."""
@@ -209,7 +237,10 @@ class Machine:
         run, _ = mill(job, Variant(name, f"{self._title}: {name.replace('_', ' ')}", {}), self._progress)
         position = to_workpiece(planned, run["compliance.p_BT_B"])
         reached = at_nodes(self.path, along(run["path.path_time"]), np.column_stack([position, cutting(run)]))
-        return Pass(planned, run, reached[:, :3] - self.path.position, reached[:, 3] > _CUTS)
+        deviation, cut = reached[:, :3] - self.path.position, reached[:, 3] > _CUTS
+        if self._cut is None:
+            self._cut = cut
+        return Pass(planned, run, deviation, cut, path_figures(self.path, deviation, self._cut))
 
     def check(self, planned: Plan) -> None:
         """PlanError where a pose is out of reach, an axis out of its limits or too fast."""
@@ -228,6 +259,21 @@ class Machine:
         times = np.arange(0.0, planned.duration, self.system.step)
         way = along(times)
         return pilot_table(times, np.column_stack([np.interp(way, self.path.along, f) for f in self._force.T]))
+
+
+def path_figures(path: PlannedPath, deviation: FloatArray, cut: npt.NDArray[np.bool_]) -> PathFigures:
+    """Figures of a deviation (n, 3) [m] at the nodes that cut; zeros if none does."""
+    if not np.any(cut):
+        return PathFigures(*[0.0] * 6)
+    way = np.gradient(path.position, axis=0)
+    level = way * [1.0, 1.0, 0.0]
+    length = np.linalg.norm(level, axis=1)
+    ahead = level / np.where(length > _LEVEL * np.linalg.norm(way, axis=1), length, np.inf)[:, None]
+    left = np.column_stack([-ahead[:, 1], ahead[:, 0], np.zeros(len(path))])
+    size = np.linalg.norm(deviation[cut], axis=1)
+    parts = (deviation * left, deviation * ahead, deviation * [0.0, 0.0, 1.0])
+    across, along, axial = (_rms(np.sum(p, axis=1, keepdims=True)[cut]) for p in parts)
+    return PathFigures(_rms(deviation[cut]), float(np.percentile(size, 95.0)), float(size.max()), across, along, axial)
 
 
 def to_workpiece(planned: Plan, position: FloatArray) -> FloatArray:
@@ -284,12 +330,15 @@ def compensate(
         (results[0], results[1]),
         tuple(trials),
         notes_of(program),
+        machine.system.labels,
     )
 
 
 def _variant(scenario: Scenario, name: str | None) -> Variant:
     if scenario.kind != "milling":
-        raise CompensationError(f"{scenario.file}: a scenario of kind {scenario.kind!r}; only milling scenarios have a program to compensate")
+        raise CompensationError(
+            f"{scenario.file}: a scenario of kind {scenario.kind!r}; only milling scenarios have a program to compensate"
+        )
     for variant in scenario.variants:
         if name in (None, variant.name):
             return variant
@@ -383,14 +432,14 @@ class _Loop:
         return f"; what was computed is in {self.folder}"
 
     def _note(self, done: Pass, before: FloatArray | None, factor: float, left: FloatArray) -> None:
-        cut = self.first.cut
+        cut, size = self.first.cut, done.figures
         contraction = None if before is None else _share(left[cut], before[cut])
         gain = None if contraction is None else (1.0 - contraction) / factor
         self.iterations.append(
             Iteration(
                 len(self.iterations),
-                _rms(done.deviation[cut]),
-                float(np.linalg.norm(done.deviation[cut], axis=1).max()),
+                size.rms_m,
+                size.max_m,
                 _rms(left[cut]),
                 contraction,
                 None if gain is None or gain <= 0.0 else 1.0 / gain - 1.0,
@@ -451,8 +500,14 @@ def _try(loop: _Loop, stiffness: float, force: float, folder: Path) -> Trial:
     surfaces = [
         evaluate(name, name, p.run, scenario.workpiece, math.nan, planned=loop.first.run).figures.rms_deviation_m for p in (before, after)
     ]
-    old, new = before.deviation[cut], after.deviation[cut]
-    return Trial(stiffness, force, _rms(old), _rms(new), _share(_smooth(after.deviation)[cut], _smooth(before.deviation)[cut]), *surfaces)
+    return Trial(
+        stiffness,
+        force,
+        before.figures.rms_m,
+        after.figures.rms_m,
+        _share(_smooth(after.deviation)[cut], _smooth(before.deviation)[cut]),
+        *surfaces,
+    )
 
 
 def perturbed_system(system: System, stiffness: float, force: float) -> System:

@@ -27,7 +27,7 @@ from robomill.models.model.declaration import FloatArray
 from robomill.models.planning import gcode
 from robomill.models.planning.point_path import PointPath
 from robomill.models.planning.segment_table import TOOL
-from robomill.models.planning.trajectory import Placement, Plan, pilot_table, plan
+from robomill.models.planning.trajectory import Plan, pilot_table, plan
 from robomill.models.process import tool_table
 from robomill.models.process.cutting import EndMill
 from robomill.orchestration.assembly import Assembly, assemble, run
@@ -110,7 +110,7 @@ def lay_out(
     assert scenario.program is not None
     assert scenario.workpiece is not None  # load_scenario checks both for this kind
     workpiece = scenario.workpiece
-    placement = Placement(workpiece.position, workpiece.abc)
+    placement = workpiece.placement
     program = read_program(scenario.program, scenario.reading)
     system = load_system(scenario.system, scenario.equipment)
     _require(system)
@@ -288,7 +288,7 @@ def check_variants(job: Job, variants: Sequence[Variant]) -> list[str]:
 
 def _check_place(job: Job, assembly: Assembly) -> None:
     """ScenarioError where the block does not lie where the path was planned."""
-    quaternion = np.roll(Rotation.from_matrix(Placement(job.workpiece.position, job.workpiece.abc).R_BP).as_quat(canonical=True), 1)
+    quaternion = np.roll(Rotation.from_matrix(job.workpiece.placement.R_BP).as_quat(canonical=True), 1)
     given = assembly.parameters["milling"]
     for name, key, planned in (
         ("p_BP_B", "position", job.workpiece.position),

@@ -19,6 +19,7 @@ A scenario is TOML. Physical values carry their unit (``"0.2 mm"``); only 0 need
     [workpiece]
     position = ["1595 mm", "-18 mm", "1099 mm"]   # centre of its top surface, in the robot base
     size = ["100 mm", "60 mm", "30 mm"]
+    tool_angle = "0 deg"                          # of the spindle about the tool axis; 0: away from the robot (`robomill place`)
     zero = "front-left-top"                       # where G54 lies in the block (default: centre-top); or three lengths from the centre
     work_offsets = { G55 = ["10 mm", 0, 0] }      # if the program needs others than G54: a place as `zero`
 
@@ -57,6 +58,7 @@ from typing import Any
 
 from robomill.cell.binding import convert
 from robomill.models.planning.gcode import DIALECTS, Setup, Vector
+from robomill.models.planning.trajectory import Placement
 from robomill.models.process.cutting import MAX_TEETH, EndMill
 from robomill.orchestration.system.definition import EQUIPMENT
 from robomill.orchestration.system.entries import Entry
@@ -105,6 +107,13 @@ class Workpiece:
     """Orientation of P in B: A, B, C [rad]."""
     work_offsets: Mapping[float, Vector] = field(default_factory=lambda: dict(PLAIN_OFFSETS))
     """Origins of G54 (54) .. G59.3 (59.3) in P [m]; G54 is the origin of P unless it is named."""
+    tool_angle: float = 0.0
+    """Angle [rad] of the spindle about the tool axis, from where the z axis of T points away from the robot."""
+
+    @property
+    def placement(self) -> Placement:
+        """Where the block and the upright tool stand in the robot base."""
+        return Placement(self.position, self.abc, self.tool_angle)
 
 
 @dataclass(frozen=True)
@@ -201,11 +210,12 @@ def equipment(top: Entry) -> dict[str, Entry]:
 
 
 def _workpiece(entry: Entry) -> Workpiece:
-    entry.keys({"position", "size"}, {"abc", "work_offsets", "zero"})
+    entry.keys({"position", "size"}, {"abc", "tool_angle", "work_offsets", "zero"})
     size = entry["size"].vector("m")
     if min(size) <= 0.0:
         raise entry["size"].fail(f"{entry['size'].value!r}; expected three positive lengths")
-    return Workpiece(entry["position"].vector("m"), size, entry.get("abc", [0, 0, 0]).vector("rad"), _work_offsets(entry, size))
+    angle = entry.get("tool_angle", 0).si("rad")
+    return Workpiece(entry["position"].vector("m"), size, entry.get("abc", [0, 0, 0]).vector("rad"), _work_offsets(entry, size), angle)
 
 
 def _scan(entry: Entry, workpiece: Workpiece | None) -> Scan:

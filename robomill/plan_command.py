@@ -69,7 +69,7 @@ def _from_scenario(options: Namespace) -> _Task:
         raise ValueError(f"{options.program}: a scenario of kind {scenario.kind!r} has no program to plan")
     program = read_program(scenario.program, scenario.reading)
     system = load_system(scenario.system, scenario.equipment)
-    placement = Placement(scenario.workpiece.position, scenario.workpiece.abc)
+    placement = scenario.workpiece.placement
     return _Task(program, placement, check(scenario, program, system), robot_of(system), tool_of(system))
 
 
