@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, label
 
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import robot_of, tool_of
@@ -59,13 +59,17 @@ SETTLED = 0.9
 """Ratio of a residual to the least before it above which more iterations are of no use."""
 PERTURBED = ((-0.15, 0.2), (-0.15, 0.0), (-0.15, -0.2))
 """Relative errors of stiffness and of cutting coefficients that a compensated program is tried with (FACTS10 10.5)."""
-_LEVEL = 0.01
+_HAS_SIDE = 0.01
 """Level part of a way from which on it has a side: straight down it has none."""
 _CUTS = 0.5
 """Share of the samples at a node that cut from which on it counts as cut."""
 _COEFFICIENTS = ("Ktc", "Krc", "Kac", "Kte", "Kre", "Kae")
 
 
+PLUNGE, LEVEL = 0.5, 0.03
+"""Descent over way: a stretch that descends by more than LEVEL all along and by more than PLUNGE somewhere is a plunge. Its thrust ends with
+it, faster than any path can follow: mirrored, it would drive the tool into the floor. So a plunge gets no correction of its own, but goes
+evenly to that of the cut after it, and counts in no figure of the path: the cut after it goes over what it left."""
 Ending = Literal["converged", "settled", "iterations"]
 """How an iteration ends: below the residual that was asked for, no longer falling by a tenth, or after all its corrections."""
 
@@ -139,7 +143,7 @@ class Pass:
     deviation: FloatArray
     """(n, 3) tool tip minus planned path, m in P."""
     cut: npt.NDArray[np.bool_]
-    """(n,) whether material was cut there."""
+    """(n,) whether material was cut there, without plunges."""
     figures: PathFigures
     """Where the uncompensated program cuts."""
 
@@ -237,7 +241,7 @@ class Machine:
         run, _ = mill(job, Variant(name, f"{self._title}: {name.replace('_', ' ')}", {}), self._progress)
         position = to_workpiece(planned, run["compliance.p_BT_B"])
         reached = at_nodes(self.path, along(run["path.path_time"]), np.column_stack([position, cutting(run)]))
-        deviation, cut = reached[:, :3] - self.path.position, reached[:, 3] > _CUTS
+        deviation, cut = reached[:, :3] - self.path.position, (reached[:, 3] > _CUTS) & ~plunges(self.path)
         if self._cut is None:
             self._cut = cut
         return Pass(planned, run, deviation, cut, path_figures(self.path, deviation, self._cut))
@@ -261,6 +265,17 @@ class Machine:
         return pilot_table(times, np.column_stack([np.interp(way, self.path.along, f) for f in self._force.T]))
 
 
+def plunges(path: PlannedPath) -> npt.NDArray[np.bool_]:
+    """Which nodes (n,) belong to a plunge."""
+    descent = -np.gradient(path.position[:, 2], path.along)
+    stretch, count = label(descent > LEVEL)
+    steep = np.zeros(count + 1, dtype=np.bool_)
+    steep[np.unique(stretch[descent > PLUNGE])] = True
+    steep[0] = False
+    result: npt.NDArray[np.bool_] = steep[stretch]
+    return result
+
+
 def path_figures(path: PlannedPath, deviation: FloatArray, cut: npt.NDArray[np.bool_]) -> PathFigures:
     """Figures of a deviation (n, 3) [m] at the nodes that cut; zeros if none does."""
     if not np.any(cut):
@@ -268,7 +283,7 @@ def path_figures(path: PlannedPath, deviation: FloatArray, cut: npt.NDArray[np.b
     way = np.gradient(path.position, axis=0)
     level = way * [1.0, 1.0, 0.0]
     length = np.linalg.norm(level, axis=1)
-    ahead = level / np.where(length > _LEVEL * np.linalg.norm(way, axis=1), length, np.inf)[:, None]
+    ahead = level / np.where(length > _HAS_SIDE * np.linalg.norm(way, axis=1), length, np.inf)[:, None]
     left = np.column_stack([-ahead[:, 1], ahead[:, 0], np.zeros(len(path))])
     size = np.linalg.norm(deviation[cut], axis=1)
     parts = (deviation * left, deviation * ahead, deviation * [0.0, 0.0, 1.0])
@@ -366,7 +381,7 @@ class _Loop:
     def run(self) -> Ending:
         """Correct until the residual is small, no longer falls, or the iterations are used up; the best one is kept."""
         factor = 1.0
-        left = _smooth(self.first.deviation)
+        left = self._mirrored(self.first)
         start = _rms(left[self.first.cut]) if np.any(self.first.cut) else 0.0
         if start == 0.0:
             raise CompensationError(f"{self.path.name}: the tool never meets the block; nothing to compensate")
@@ -376,7 +391,7 @@ class _Loop:
             before = left
             self.offset = self.offset - factor * before
             self._correct(number)
-            left = _smooth(self.last.deviation)
+            left = self._mirrored(self.last)
             self._note(self.last, before, factor, left)
             now, was = self.iterations[-1].left_m, least
             if number == 1:
@@ -389,6 +404,12 @@ class _Loop:
                 self.offset, self.program, self.plan, self.along, self.last = best
                 return "settled"
         return "iterations"
+
+    def _mirrored(self, done: Pass) -> FloatArray:
+        """The part (n, 3) of a deviation that a correction mirrors: not that of plunges, and smooth."""
+        path, keep = self.path, ~plunges(self.path)
+        bridged = np.column_stack([np.interp(path.along, path.along[keep], d[keep]) for d in done.deviation.T])
+        return _smooth(bridged)
 
     def _correct(self, number: int) -> None:
         """Write the program with the present offsets, check it, mill it."""

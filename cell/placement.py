@@ -36,14 +36,16 @@ from robomill.orchestration.system.definition import System
 
 VARIABLES = ("x", "y", "z", "turn", "spindle")
 """What may be free: position [m], turn of the workpiece about z of B and of the spindle about the tool axis [rad]."""
-SAMPLES = 150
+SAMPLES = 80
 """Points of the program that the criterion is worked out at: with twice as many it changes by less than 1 %."""
 WRIST = 0.1
 """Least |sin A5|: nearer to the wrist singularity the axes 4 and 6 have to turn ten times as fast as the tool."""
+AXIS_MARGIN = math.radians(3.0)
+"""Least distance of an axis from its limits at the points that are looked at: between them the path goes a little further."""
 OUT_OF_REACH = 1.0
 """m; what the search takes for a placement that is out of limits."""
 _SEED = 1
-_POPULATION, _GENERATIONS, _TOLERANCE = 12, 60, 1e-3
+_POPULATION, _GENERATIONS, _TOLERANCE = 8, 40, 1e-3
 
 
 class PlacementError(ValueError):
@@ -127,6 +129,8 @@ def task(
             data[variable.name] = variable.start_values
     for name, value in springs.items():
         data[name] = np.reshape(np.asarray(value, dtype=np.float64), data[name].shape[1:])
+    data["q_min"] += AXIS_MARGIN
+    data["q_max"] -= AXIS_MARGIN
     return Task(robot, position, rotation, force, data)
 
 
