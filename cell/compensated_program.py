@@ -1,4 +1,4 @@
-"""Write what a compensation came to: the program in the languages of controllers, with a header that says from what and how, and its figures."""
+"""Write what a compensation came to: the program in the languages of controllers, with a header that says from what and how."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def summary(result: Compensation) -> dict[str, Any]:
         "uncompensated": {"path": asdict(result.before.figures), "surface": asdict(result.results[0].figures)},
         "compensated": {"path": asdict(result.after.figures), "surface": asdict(result.results[1].figures)},
         "time_s": {"uncompensated": result.before.plan.duration, "compensated": result.after.plan.duration},
-        "perturbed": [asdict(t) for t in result.trials],
+        "perturbed": [t.figures for t in result.trials],
         "lines": result.lines,
         "notes": [*result.notes, *result.after.plan.notes],
     }

@@ -1,7 +1,7 @@
 """Offline compensation: mill a program on the nominal twin, mirror how far the tool tip leaves the path, mill again, write the program.
 
-Englert 2011 (the thesis), section 2.1, steps 4 to 6. With x = u + g(x) for the tool tip x of a path u that a machine bends by g, the path is
-corrected by what is left: u <- u - factor (x - p), p the planned path, all at equal ways along p. Where the force pushes
+Englert 2011 (the thesis), section 2.1, steps 4 to 6. With x = u + g(x) for the tool tip x of a path u that a machine bends by g, the path
+is corrected by what is left: u <- u - factor (x - p), p the planned path, all at equal ways along p. Where the force pushes
 the tool away, rho = -dg/dx > 0 and an iteration leaves rho/(1 + rho) of what there was; where it pulls the tool in, rho < 0, the factor
 is DAMPING from DAMPED on, and from DIVERGES on (1 + rho) / |rho| < 1 and nothing converges (FACTS10 10.5).
 """
@@ -57,8 +57,6 @@ _LEAST_NODES = 10
 """Nodes in the cut that a line needs for that."""
 SETTLED = 0.9
 """Ratio of a residual to the least before it above which more iterations are of no use."""
-PERTURBED = ((-0.15, 0.2), (-0.15, 0.0), (-0.15, -0.2))
-"""Relative errors of stiffness and of cutting coefficients that a compensated program is tried with (FACTS10 10.5)."""
 _HAS_SIDE = 0.01
 """Level part of a way from which on it has a side: straight down it has none."""
 _CUTS = 0.5
@@ -67,11 +65,27 @@ _COEFFICIENTS = ("Ktc", "Krc", "Kac", "Kte", "Kre", "Kae")
 
 
 PLUNGE, LEVEL = 0.5, 0.03
-"""Descent over way: a stretch that descends by more than LEVEL all along and by more than PLUNGE somewhere is a plunge. Its thrust ends with
-it, faster than any path can follow: mirrored, it would drive the tool into the floor. So a plunge gets no correction of its own, but goes
+"""Descent over way: a stretch that descends by more than LEVEL all along and by more than PLUNGE somewhere is a plunge. Its thrust ends
+with it, faster than any path can follow: mirrored, it would drive the tool into the floor. So a plunge gets no correction of its own, but goes
 evenly to that of the cut after it, and counts in no figure of the path: the cut after it goes over what it left."""
 Ending = Literal["converged", "settled", "iterations"]
 """How an iteration ends: below the residual that was asked for, no longer falling by a tenth, or after all its corrections."""
+
+
+@dataclass(frozen=True)
+class Perturbation:
+    """Another machine than the nominal twin: what a user has."""
+
+    stiffness: float
+    """Relative error of all springs of the robot."""
+    force: float
+    """Relative error of the cutting coefficients."""
+    informed: bool = False
+    """Whether the online controller has the springs of that machine, as one that was identified on it."""
+
+
+PERTURBED = tuple(Perturbation(-0.15, force) for force in (0.2, 0.0, -0.2))
+"""Machines that a compensated program is tried on (FACTS10 10.5)."""
 
 
 class CompensationError(ValueError):
@@ -152,15 +166,28 @@ class Pass:
 class Trial:
     """What a compensated program leaves on another machine than the one that it was made for."""
 
-    stiffness_error: float
-    force_error: float
-    uncompensated_rms_m: float
-    """Of the path, in the cut."""
-    compensated_rms_m: float
+    machine: Perturbation
+    before: Pass
+    """The program as it is."""
+    after: Pass
+    """The compensated one."""
     left: float
     """Part of the deviation that is left, with its sign: <after, before>/<before, before>; negative: corrected too far."""
     uncompensated_surface_rms_m: float | None
     compensated_surface_rms_m: float | None
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        """What compensation.json has of it; lengths in m, of the path in the cut and of the surface."""
+        return {
+            "stiffness_error": self.machine.stiffness,
+            "force_error": self.machine.force,
+            "uncompensated_rms_m": self.before.figures.rms_m,
+            "compensated_rms_m": self.after.figures.rms_m,
+            "left": self.left,
+            "uncompensated_surface_rms_m": self.uncompensated_surface_rms_m,
+            "compensated_surface_rms_m": self.compensated_surface_rms_m,
+        }
 
 
 @dataclass(frozen=True)
@@ -232,7 +259,7 @@ class Machine:
         return plan(path_of(replace(program.poses, lines=np.arange(1, len(program.poses.p) + 1))), self.job.plan.placement)
 
     def mill(self, name: str, planned: Plan, along: Along, system: System | None = None) -> Pass:
-        """Mill a plan into the folder `name`; `along` gives the ways along the planned path. `system`: another machine than the nominal one."""
+        """Mill a plan into the folder `name`; `along` gives the ways along the planned path. `system`: of another machine."""
         system = system or self.system
         system = system.with_parameters("path", {"segments": self._saved(name, planned.table)})
         if self._needs_pilot:
@@ -304,18 +331,19 @@ def compensate(
     settings: Settings | None = None,
     progress: Progress | None = None,
     *,
-    perturbed: Sequence[tuple[float, float]] = PERTURBED,
+    perturbed: Sequence[Perturbation] = PERTURBED,
     overwrite: bool = False,
 ) -> Compensation:
     """Compensate the program of a milling scenario on its cell, in one of its variants (default: the first).
 
-    `folder` gets the runs (`iteration_0` ...), `iterations.json`, `correction.csv` and, when all is done, `compensated.ngc`. `perturbed`:
-    relative errors of stiffness and cutting coefficients of machines that the result is tried on. CompensationError where it diverges or the
-    correction is too large or out of reach; else what `lay_out` raises. What was computed until then stays.
+    `folder` gets the runs (`iteration_0` ...), `iterations.json` and `correction.csv`. `perturbed`: machines that the
+    result is tried on. CompensationError where it diverges or the correction is too large or out of reach; else what `lay_out` raises.
+    What was computed until then stays.
     """
     settings = settings or Settings()
     chosen = _variant(scenario, variant)
-    assert scenario.workpiece is not None and scenario.program is not None
+    assert scenario.workpiece is not None  # load_scenario checks both for this kind
+    assert scenario.program is not None
     folder = Path(folder)
     if not overwrite:
         check_vacant(folder / f"iteration_{k}" for k in range(settings.iterations + 1))
@@ -326,7 +354,7 @@ def compensate(
     machine.check(job.plan)
     loop = _Loop(machine, settings, program.source, folder)
     ending = loop.run()
-    trials = [_try(loop, s, f, folder) for s, f in perturbed]
+    trials = [_try(loop, p) for p in perturbed]
     results = tuple(
         evaluate(name, title, p.run, scenario.workpiece, math.nan, planned=loop.first.run)
         for name, title, p in (("uncompensated", "uncompensated", loop.first), ("compensated", "compensated offline", loop.last))
@@ -454,7 +482,7 @@ class _Loop:
 
     def _note(self, done: Pass, before: FloatArray | None, factor: float, left: FloatArray) -> None:
         cut, size = self.first.cut, done.figures
-        contraction = None if before is None else _share(left[cut], before[cut])
+        contraction = None if before is None else share(left[cut], before[cut])
         gain = None if contraction is None else (1.0 - contraction) / factor
         self.iterations.append(
             Iteration(
@@ -483,7 +511,7 @@ class _Loop:
                 out.writerow([line, *(f"{v:.5f}" for v in row), int(cut)])
 
     def _rhos(self, before: FloatArray, left: FloatArray, factor: float) -> list[tuple[float, int]]:
-        """rho of each line of the program that speaks, with a node of it, the least first; -inf where the deviation grew with its sign."""
+        """Value of rho of each line of the program that speaks, with a node of it, the least first; -inf where the deviation grew with its sign."""
         lines, cut = self.path.lines, self.first.cut
         whole = _rms(before[cut])
         found: list[tuple[float, int]] = []
@@ -491,7 +519,7 @@ class _Loop:
             here = np.flatnonzero((lines == line) & cut)
             if len(here) < _LEAST_NODES or _rms(before[here]) < _SPEAKS * whole:
                 continue
-            gain = (1.0 - _share(left[here], before[here])) / factor
+            gain = (1.0 - share(left[here], before[here])) / factor
             found.append((1.0 / gain - 1.0 if gain > 0.0 else -math.inf, int(here[0])))
         return sorted(found)
 
@@ -503,18 +531,18 @@ class _Loop:
             here = (self.path.lines == self.path.lines[node]) & self.first.cut
             raise CompensationError(
                 f"the correction diverges at {self._where(node)}: rho = {rho:.2f}, less than {DIVERGES:g}: corrected once, "
-                f"{1e3 * _rms(left[here]):.3f} mm rms are left of {1e3 * _rms(before[here]):.3f} mm: the force there pulls the tool the further "
-                f"in the further it comes; cut less deep, feed in another direction, or take a stiffer pose (robomill place){self._kept}"
+                f"{1e3 * _rms(left[here]):.3f} mm rms are left of {1e3 * _rms(before[here]):.3f} mm: the force there pulls the tool the "
+                f"further in the further it comes; cut less deep, feed in another direction, or take a stiffer pose (robomill place){self._kept}"
             )
         return DAMPING if rhos and rhos[0][0] < DAMPED else factor
 
 
-def _try(loop: _Loop, stiffness: float, force: float, folder: Path) -> Trial:
+def _try(loop: _Loop, machine: Perturbation) -> Trial:
     """Mill the program as it is and the compensated one on a machine with other springs and cutting coefficients."""
     job, scenario = loop.machine.job, loop.machine.job.scenario
     assert scenario.workpiece is not None
-    system = perturbed_system(loop.machine.system, stiffness, force)
-    name = f"stiffness_{100 * stiffness:+.0f}_force_{100 * force:+.0f}"
+    system = perturbed_system(loop.machine.system, machine)
+    name = f"stiffness_{100 * machine.stiffness:+.0f}_force_{100 * machine.force:+.0f}"
     before = loop.machine.mill(f"{name}_uncompensated", job.plan, loop.as_planned, system)
     after = loop.machine.mill(f"{name}_compensated", loop.plan, loop.along, system)
     cut = loop.first.cut
@@ -522,24 +550,25 @@ def _try(loop: _Loop, stiffness: float, force: float, folder: Path) -> Trial:
         evaluate(name, name, p.run, scenario.workpiece, math.nan, planned=loop.first.run).figures.rms_deviation_m for p in (before, after)
     ]
     return Trial(
-        stiffness,
-        force,
-        before.figures.rms_m,
-        after.figures.rms_m,
-        _share(_smooth(after.deviation)[cut], _smooth(before.deviation)[cut]),
+        machine,
+        before,
+        after,
+        share(_smooth(after.deviation)[cut], _smooth(before.deviation)[cut]),
         *surfaces,
     )
 
 
-def perturbed_system(system: System, stiffness: float, force: float) -> System:
-    """The system with every spring of `compliance` and every cutting coefficient of `milling` changed by a relative error.
+def perturbed_system(system: System, machine: Perturbation) -> System:
+    """The system with every spring of `compliance` and every cutting coefficient of `milling` changed to those of another machine.
 
     CompensationError if a component has no such parameters.
     """
     with assemble(system, resolve, convert) as assembly:
-        for component, factor, names in (("compliance", 1.0 + stiffness, ("stiffness",)), ("milling", 1.0 + force, _COEFFICIENTS)):
+        springs, coefficients = (1.0 + machine.stiffness, ("stiffness",)), (1.0 + machine.force, _COEFFICIENTS)
+        changes = {"compliance": springs, "milling": coefficients, **({"controller": springs} if machine.informed else {})}
+        for component, (factor, names) in changes.items():
             ports = [p for p in assembly.slaves[component].ports if p.causality == "parameter"]
-            given = assembly.parameters.get(component, {})
+            given: Mapping[str, Any] = assembly.parameters.get(component, {})
             values = {
                 name: [factor * float(given.get(p.name, p.start)) for p in members]
                 for name, members in arrays(ports).items()
@@ -568,6 +597,6 @@ def _rms(vectors: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1))))
 
 
-def _share(after: FloatArray, before: FloatArray) -> float:
-    """Part of `before` (n, 3) that is in `after`, by least squares."""
+def share(after: FloatArray, before: FloatArray) -> float:
+    """Part of `before` (n, 3) that is in `after`, by least squares: <after, before>/<before, before>."""
     return float(np.sum(after * before) / np.sum(before * before))

@@ -69,8 +69,8 @@ def _trials(ax: Axes, result: Compensation) -> None:
     nominal = (result.before.figures.rms_m, result.after.figures.rms_m)
     rows = [("nominal", *nominal)]
     for t in result.trials:
-        said = f"springs {100 * t.stiffness_error:+.0f} %\nforce {100 * t.force_error:+.0f} %"
-        rows.append((said, t.uncompensated_rms_m, t.compensated_rms_m))
+        said = f"springs {100 * t.machine.stiffness:+.0f} %\nforce {100 * t.machine.force:+.0f} %"
+        rows.append((said, t.before.figures.rms_m, t.after.figures.rms_m))
     at = np.arange(len(rows))
     for shift, column, colour, label in ((-0.2, 1, _BEFORE, "uncompensated"), (0.2, 2, _AFTER, "compensated")):
         bars = ax.bar(at + shift, [1e3 * float(r[column]) for r in rows], 0.38, color=colour, label=label)

@@ -1,9 +1,9 @@
 """Where the workpiece should stand and how the spindle should be turned about the tool, so that a program bends the robot least.
 
 Criterion: the rms over the cut of |C(q) f|, the displacement of the tool tip to first order: C the compliance of the robot at the axis
-angles of the pose, f the cutting force that the program has on a rigid robot, fixed in the workpiece. Free are the position of the workpiece,
-its turn about z of the base and the angle of the spindle about the tool axis, which milling leaves free; limits are the reach, those of the
-axes and the distance from the wrist singularity. Axis speeds are checked where the search ends.
+angles of the pose, f the cutting force that the program has on a rigid robot, fixed in the workpiece. Free are the position of the
+workpiece, its turn about z of the base and the angle of the spindle about the tool axis, which milling leaves free; limits are the reach,
+those of the axes and the distance from the wrist singularity. Axis speeds are checked where the search ends.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -69,7 +70,8 @@ class Task:
     @property
     def cut(self) -> npt.NDArray[np.bool_]:
         """(n,) whether there is a force."""
-        return np.any(self.force != 0.0, axis=1)
+        pressed: npt.NDArray[np.bool_] = np.any(self.force != 0.0, axis=1)
+        return pressed
 
     def bending(self, placement: Placement) -> tuple[FloatArray, FloatArray]:
         """Displacement [m] (n, 3) in P and axis angles [rad] (n, 6). PlacementError names the first point that is out of limits."""
@@ -188,7 +190,7 @@ def _springs(system: System) -> dict[str, FloatArray]:
     wanted = {v.name for v in compliance_variables(TABLE_1, tool_of(system)) if v.causality == "parameter"}
     with assemble(system, resolve, convert) as assembly:
         ports = [p for p in assembly.slaves["compliance"].ports if p.causality == "parameter"]
-        given = assembly.parameters.get("compliance", {})
+        given: Mapping[str, Any] = assembly.parameters.get("compliance", {})
         found = {n: np.array([float(given.get(p.name, p.start)) for p in m]) for n, m in arrays(ports).items() if n in wanted}
     if "stiffness" not in found:
         raise PlacementError(
@@ -323,7 +325,7 @@ def grid_map(placing: Placing, pair: tuple[str, str], count: int = 25) -> tuple[
     Returns the values of the first (columns), of the second (rows), and the criterion.
     """
     i, j = (VARIABLES.index(v) for v in pair)
-    across, up = (np.linspace(*placing.bounds[k], count) for k in (i, j))
+    across, up = (np.linspace(placing.bounds[k, 0], placing.bounds[k, 1], count) for k in (i, j))
     found = np.full((count, count), np.nan)
     for row, v in enumerate(up):
         for column, u in enumerate(across):

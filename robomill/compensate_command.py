@@ -117,8 +117,9 @@ def _show(result: Compensation, folder: Path, files: list[Path]) -> None:
     console.print(_ENDINGS[result.ending], highlight=False)
     for t in result.trials:
         console.print(
-            f"springs {100 * t.stiffness_error:+.0f} %, force {100 * t.force_error:+.0f} %: {_mm(t.uncompensated_rms_m)} mm rms before, "
-            f"{_mm(t.compensated_rms_m)} mm after; {100 * t.left:+.0f} % of the deviation is left",
+            f"springs {100 * t.machine.stiffness:+.0f} %, force {100 * t.machine.force:+.0f} %: "
+            f"{_mm(t.before.figures.rms_m)} mm rms before, "
+            f"{_mm(t.after.figures.rms_m)} mm after; {100 * t.left:+.0f} % of the deviation is left",
             highlight=False,
         )
     for note in (*result.notes, *result.after.plan.notes):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -83,11 +84,10 @@ def _show(found: Placing, figures: dict[str, Any], folder: Path, lines: str) -> 
     for name in ("present", "best"):
         f = figures[name]
         said = ", ".join(f"{v} {f[f'{v}_m'] * 1e3:.1f} mm" for v in "xyz")
-        said += "".join(f", {v} {f[f'{v}_rad'] * 57.29577951308232:.1f} deg" for v in ("turn", "spindle"))
+        said += "".join(f", {v} {math.degrees(f[f'{v}_rad']):.1f} deg" for v in ("turn", "spindle"))
         criterion = "out of limits" if f["criterion_m"] is None else f"{1e3 * f['criterion_m']:.4f}"
         milled = f", milled {1e3 * f['milled_m']:.4f}" if f.get("milled_m") is not None else ""
         print(f"  {name}: {criterion}{milled}; {said}")
-    print(
-        f"{found.evaluations} placements looked at; smallest distance of an axis from its limit {min(found.margin) * 57.29577951308232:.1f} deg"
-    )
+    least = math.degrees(min(found.margin))
+    print(f"{found.evaluations} placements looked at; smallest distance of an axis from its limit {least:.1f} deg")
     print(f"for the scenario (also in {folder / 'place.toml'}):\n{lines}", end="")

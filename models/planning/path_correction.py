@@ -197,8 +197,8 @@ def corrected(path: PlannedPath, offset: FloatArray, tolerance: float, frames: F
     turning = Slerp(path.along, path.rotation)
     quat = np.roll(turning(table[:, 0]).as_quat(canonical=True), 1, axis=1)
     poses = pose_program(
-        path.name.rsplit(".", 1)[0], frames, table[:, 1:4], quat, table[:, 4], blend, table[:, 5], table[:, 6].astype(np.int64), table[:, 7],
-        table[:, 8] > 0.0, header=header, lines=table[:, 9].astype(np.int64),
+        path.name.rsplit(".", 1)[0], frames, table[:, 1:4], quat, table[:, 4], blend, table[:, 5], table[:, 6].astype(np.int64),
+        table[:, 7], table[:, 8] > 0.0, header=header, lines=table[:, 9].astype(np.int64),
     )  # fmt: skip
     return CorrectedProgram(poses, table[:, 0])
 
@@ -206,8 +206,8 @@ def corrected(path: PlannedPath, offset: FloatArray, tolerance: float, frames: F
 def points_along(along: FloatArray, values: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
     """Ways (k,) and points (k, d) so that straight lines, even in the way, pass n `values` (n, d) at ways `along` (n,) within `tolerance`.
 
-    The lengths follow from the curvature, L = sqrt(8 tolerance / |x''|), x(s) the cubic spline through the values, and change by `_GRADED` of
-    the way at most. So a curve becomes chords of nearly one length, whose blends are hardly tighter than it. Where a value is
+    The lengths follow from the curvature, L = sqrt(8 tolerance / |x''|), x(s) the cubic spline through the values, and change by
+    `_GRADED` of the way at most. So a curve becomes chords of nearly one length, whose blends are hardly tighter than it. Where a value is
     missed, as at a kink, they are made shorter.
     """
     if len(along) < _SPLINE:
@@ -240,7 +240,7 @@ def _graded(grid: FloatArray, length: FloatArray) -> FloatArray:
 
 
 def way_along(program: CorrectedProgram, pose: npt.NDArray[np.int64], position: FloatArray) -> FloatArray:
-    """Way [m] (k,) along the planned path to which positions (k, 3) [m] in P on the corrected program belong, on their way to `pose` (k,)."""
+    """Way [m] (k,) along the planned path to which positions (k, 3) [m] in P belong that are on their way to `pose` (k,)."""
     points = program.poses.p
     pose = np.clip(pose, 1, len(points) - 1)
     share = _share(points, pose, position)
