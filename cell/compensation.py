@@ -66,8 +66,8 @@ _COEFFICIENTS = ("Ktc", "Krc", "Kac", "Kte", "Kre", "Kae")
 
 PLUNGE, LEVEL = 0.5, 0.03
 """Descent over way: a stretch that descends by more than LEVEL all along and by more than PLUNGE somewhere is a plunge. Its thrust ends
-with it, faster than any path can follow: mirrored, it would drive the tool into the floor. So a plunge gets no correction of its own, but goes
-evenly to that of the cut after it, and counts in no figure of the path: the cut after it goes over what it left."""
+with it, faster than any path can follow: mirrored, it would drive the tool into the floor. So a plunge gets no correction of its own,
+but goes evenly to that of the cut after it, and counts in no figure of the path: the cut after it goes over what it left."""
 Ending = Literal["converged", "settled", "iterations"]
 """How an iteration ends: below the residual that was asked for, no longer falling by a tenth, or after all its corrections."""
 
@@ -352,7 +352,7 @@ def compensate(
     path = planned_path(job.plan, program)
     machine = Machine(job, chosen, path, progress)
     machine.check(job.plan)
-    loop = _Loop(machine, settings, program.source, folder)
+    loop = Loop(machine, settings, program.source, folder)
     ending = loop.run()
     trials = [_try(loop, p) for p in perturbed]
     results = tuple(
@@ -388,7 +388,7 @@ def _variant(scenario: Scenario, name: str | None) -> Variant:
     raise ScenarioError(f"{scenario.file}: no variant {name}; variants: {', '.join(v.name for v in scenario.variants)}")
 
 
-class _Loop:
+class Loop:
     """The iteration: what it has so far."""
 
     def __init__(self, machine: Machine, settings: Settings, source: Sequence[str], folder: Path) -> None:
@@ -443,7 +443,7 @@ class _Loop:
         """Write the program with the present offsets, check it, mill it."""
         size = np.linalg.norm(self.offset, axis=1)
         if size.max() > self.settings.limit:
-            worst = int(size.argmax())
+            worst = int(np.argmax(np.where(self.first.cut, size, 0.0)))
             raise CompensationError(
                 f"iteration {number}: the correction at {self._where(worst)} is {1e3 * size[worst]:.2f} mm, more than the limit of "
                 f"{1e3 * self.settings.limit:g} mm; cut less deep, or raise the limit{self._kept}"
@@ -511,7 +511,7 @@ class _Loop:
                 out.writerow([line, *(f"{v:.5f}" for v in row), int(cut)])
 
     def _rhos(self, before: FloatArray, left: FloatArray, factor: float) -> list[tuple[float, int]]:
-        """Value of rho of each line of the program that speaks, with a node of it, the least first; -inf where the deviation grew with its sign."""
+        """Value of rho of each line of the program that speaks, with a node of it, the least first; -inf where the deviation grew."""
         lines, cut = self.path.lines, self.first.cut
         whole = _rms(before[cut])
         found: list[tuple[float, int]] = []
@@ -532,17 +532,18 @@ class _Loop:
             raise CompensationError(
                 f"the correction diverges at {self._where(node)}: rho = {rho:.2f}, less than {DIVERGES:g}: corrected once, "
                 f"{1e3 * _rms(left[here]):.3f} mm rms are left of {1e3 * _rms(before[here]):.3f} mm: the force there pulls the tool the "
-                f"further in the further it comes; cut less deep, feed in another direction, or take a stiffer pose (robomill place){self._kept}"
+                f"further in the further it comes; cut less deep, feed in another direction, or place the part elsewhere (robomill place)"
+                f"{self._kept}"
             )
         return DAMPING if rhos and rhos[0][0] < DAMPED else factor
 
 
-def _try(loop: _Loop, machine: Perturbation) -> Trial:
+def _try(loop: Loop, machine: Perturbation) -> Trial:
     """Mill the program as it is and the compensated one on a machine with other springs and cutting coefficients."""
     job, scenario = loop.machine.job, loop.machine.job.scenario
     assert scenario.workpiece is not None
     system = perturbed_system(loop.machine.system, machine)
-    name = f"stiffness_{100 * machine.stiffness:+.0f}_force_{100 * machine.force:+.0f}"
+    name = f"stiffness_{100 * machine.stiffness:+.0f}_force_{100 * machine.force:+.0f}{'_informed' * machine.informed}"
     before = loop.machine.mill(f"{name}_uncompensated", job.plan, loop.as_planned, system)
     after = loop.machine.mill(f"{name}_compensated", loop.plan, loop.along, system)
     cut = loop.first.cut

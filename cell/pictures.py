@@ -77,10 +77,10 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece, nominal: bool = Fa
     for ax in axes[shown:]:
         ax.remove()
     bar = figure.colorbar(ScalarMappable(norm, MAP), ax=list(axes[:shown]), shrink=0.8)
-    bar.set_label(
-        "deviation along the surface normal in mm\n"
-        "(red: material left, blue: gouged; walls folded outwards;\nyellow: beside an edge, not counted; crosses: at least so much)"
-    )
+    key = ("red: material left, blue: gouged", "walls folded outwards; yellow: beside", "an edge, not counted; crosses: at least so much")
+    if not nominal:
+        key = (f"{key[0]}; walls folded outwards;", "yellow: beside an edge, not counted; crosses: at least so much")
+    bar.set_label("deviation along the surface normal in mm\n(" + "\n".join(key) + ")", fontsize=8 if nominal else None)
     return figure
 
 
@@ -103,7 +103,7 @@ def _heights(ax: Axes, result: Result, workpiece: Workpiece) -> None:
     half = 0.5e3 * np.array(workpiece.size[:2])
     ax.set(aspect="equal", xlim=(-half[0], half[0]), ylim=(-half[1], half[1]), xlabel="x in mm", ylabel="y in mm")
     ax.set_title("nominal part\n(grey: z in mm)", fontsize=10)
-    inset = ax.inset_axes((0.25, 0.94, 0.5, 0.03))
+    inset = ax.inset_axes((0.04, 0.9, 0.25, 0.04))
     ax.figure.colorbar(image, cax=inset, orientation="horizontal").ax.tick_params(labelsize=7)
 
 

@@ -182,7 +182,7 @@ def corrected(path: PlannedPath, offset: FloatArray, tolerance: float, frames: F
         way, points = points_along(path.along[first : last + 1], target[first : last + 1], tolerance)
         s = path.said[first]
         if not rows:
-            rows.append((way[0], *points[0], s.feed, s.spindle_speed, s.tool, path.rests.get(0, 0.0), s.rapid, s.line, True))
+            rows.append((way[0], *points[0], LIMITS.rapid_speed, s.spindle_speed, s.tool, path.rests.get(0, 0.0), True, s.line, True))
         for i, (end, point) in enumerate(zip(way[1:].tolist(), points[1:], strict=True), start=1):
             if math.dist(rows[-1][1:4], point) < _LEAST_MOVE:
                 continue
