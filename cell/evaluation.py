@@ -72,13 +72,16 @@ class Result:
     figures: Figures
 
 
-def evaluate(name: str, title: str, run: Run, workpiece: Workpiece, real_time_factor: float) -> Result:
-    """Scan the machined surface of a milling run and work out its figures; where nothing was cut they are None, and `note` says why."""
-    radius = tool_radius(run)
+def evaluate(name: str, title: str, run: Run, workpiece: Workpiece, real_time_factor: float, planned: Run | None = None) -> Result:
+    """Scan the machined surface of a milling run and work out its figures; where nothing was cut they are None, and `note` says why.
+
+    `planned`: the run whose path is the nominal one, where that of `run` was corrected.
+    """
+    planned = planned or run
     quaternion = np.roll(Rotation.from_euler("ZYX", workpiece.abc).as_quat(canonical=True), 1)
     nominal, actual = (
-        ToolPath.from_poses(run.t, run[f"{part}.p_BT_B"], run[f"{part}.quat_BT"], workpiece.position, quaternion, radius)
-        for part in ("path", "compliance")
+        ToolPath.from_poses(r.t, r[f"{part}.p_BT_B"], r[f"{part}.quat_BT"], workpiece.position, quaternion, tool_radius(r))
+        for r, part in ((planned, "path"), (run, "compliance"))
     )
     cuts = engagements(run)
     surface, figures = None, Figures()
@@ -90,7 +93,7 @@ def evaluate(name: str, title: str, run: Run, workpiece: Workpiece, real_time_fa
         figures = Figures(note=str(why))
     if surface is not None:
         figures = replace(
-            _deviations(surface, cuts, run, nominal),
+            _deviations(surface, engagements(planned), planned, nominal),
             peak_force_n=float(np.max(np.linalg.norm(run["sensor.f_T_T"], axis=1))),
             peak_cutting_force_n=float(np.max(np.linalg.norm(run["milling.f_T_B"], axis=1))),
             peak_substep_force_n=float(np.max(run["milling.f_peak"])),

@@ -29,7 +29,7 @@ from robomill.models.planning import gcode
 from robomill.models.planning.languages.convert import path_of
 from robomill.models.planning.point_path import Interpolation, PointPath
 from robomill.models.planning.segment_table import TOOL
-from robomill.models.planning.trajectory import Placement, Plan, pilot_table, plan
+from robomill.models.planning.trajectory import Plan, pilot_table, plan
 from robomill.models.process import tool_table
 from robomill.models.process.cutting import EndMill
 from robomill.orchestration.assembly import Assembly, assemble, run
@@ -112,7 +112,7 @@ def lay_out(
     assert scenario.program is not None
     assert scenario.workpiece is not None  # load_scenario checks both for this kind
     workpiece = scenario.workpiece
-    placement = Placement(workpiece.position, workpiece.abc)
+    placement = workpiece.placement
     program = read_program(scenario.program, scenario.reading, scenario.orientation)
     system = load_system(scenario.system, scenario.equipment)
     _require(system)
@@ -162,7 +162,7 @@ def _table(folder: Path, name: str, rows: FloatArray) -> str:
 def with_pilot(job: Job, progress: Progress | None = None) -> Job:
     """Estimate the cutting force by a run of path and milling alone, and give its table to the path. Raises what the master raises."""
     pilot = (job.folder / "plan" / "pilot.npy").resolve()
-    np.save(pilot, _pilot(job, progress))
+    np.save(pilot, pilot_table(*offline_force(job, progress)))
     return job if _is_recording(job.system, "path") else replace(job, system=job.system.with_parameters("path", {"pilot": str(pilot)}))
 
 
@@ -319,7 +319,7 @@ def check_variants(job: Job, variants: Sequence[Variant]) -> list[str]:
 
 def _check_place(job: Job, assembly: Assembly) -> None:
     """ScenarioError where the block does not lie where the path was planned."""
-    quaternion = np.roll(Rotation.from_matrix(Placement(job.workpiece.position, job.workpiece.abc).R_BP).as_quat(canonical=True), 1)
+    quaternion = np.roll(Rotation.from_matrix(job.workpiece.placement.R_BP).as_quat(canonical=True), 1)
     given = assembly.parameters["milling"]
     for name, key, planned in (
         ("p_BP_B", "position", job.workpiece.position),
@@ -368,8 +368,11 @@ class _Stopwatch:
             self.factor = (self._last - t) / (time.perf_counter() - clock)
 
 
-def _pilot(job: Job, progress: Progress | None) -> FloatArray:
-    """The pilot force: the cutting force of a rigid robot along the path, reduced to few points (sec. 2.3 of the paper)."""
+def offline_force(job: Job, progress: Progress | None = None) -> tuple[FloatArray, FloatArray]:
+    """Path times [s] (n,) and the cutting force [N] (n, 3) in B of a rigid robot along the path, without ripple (sec. 2.3 of paper 000).
+
+    Raises what the master raises.
+    """
     ports = ("p_BT_B", "quat_BT", "v_BT_B", "spindle_speed", *(["tool"] * _names_tool(job.system)))
     rigid = tuple(Connection(f"path.{port}", f"milling.{port}") for port in ports)
     components = tuple(c for c in job.system.components if c.name in ("path", "milling"))
@@ -387,7 +390,7 @@ def _pilot(job: Job, progress: Progress | None) -> FloatArray:
     # the force is a mean over the step that ends at t: it belongs to the middle of that step
     tau = result["path.path_time"][1:] - 0.5 * offline.step
     smooth = uniform_filter1d(result["milling.f_T_B"][1:], PILOT_WINDOW, axis=0, mode="nearest")
-    return pilot_table(tau, smooth)
+    return tau, smooth
 
 
 def _require(system: System) -> None:

@@ -62,14 +62,15 @@ def _save(figure: Figure, file: Path) -> Path:
     return file
 
 
-def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
-    """Colour maps nominal minus actual workpiece (Figs. 10-13), from above.
+def surfaces(results: Sequence[Result], workpiece: Workpiece, nominal: bool = False) -> Figure:
+    """Colour maps nominal minus actual workpiece (Figs. 10-13), from above; `nominal`: before them the heights of the nominal part.
 
     Walls are folded outwards about their top edge: a wall 10 mm high is a band 10 mm wide beside the groove.
     """
-    alone = len(results) == 1
-    columns = 1 if alone else 2
-    rows = -(-len(results) // columns)
+    shown = len(results) + nominal
+    alone = shown == 1
+    columns = 1 if alone else 3 if nominal else 2
+    rows = -(-shown // columns)
     size = np.array(workpiece.size[:2]) * 1e3
     width = 8.0 if alone else 6.4
     figure = Figure(
@@ -78,15 +79,17 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece) -> Figure:
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     limit = 1e3 * max((r.figures.max_deviation_m or 0.0 for r in results), default=0.0) or 1.0
     norm = TwoSlopeNorm(0.0, -limit, limit)
-    for ax, result in zip(axes, results, strict=False):
+    if nominal:
+        _heights(axes[0], results[0], workpiece)
+    for ax, result in zip(axes[int(nominal) :], results, strict=False):
         _surface(ax, result, workpiece, norm, DOT * 72.0 * 0.8 * width / workpiece.size[0])
-    for ax in axes[len(results) :]:
+    for ax in axes[shown:]:
         ax.remove()
-    bar = figure.colorbar(ScalarMappable(norm, MAP), ax=list(axes[: len(results)]), shrink=0.8)
-    bar.set_label(
-        "deviation along the surface normal in mm\n"
-        "(red: material left, blue: gouged; walls folded outwards;\nyellow: beside an edge, not counted; crosses: at least so much)"
-    )
+    bar = figure.colorbar(ScalarMappable(norm, MAP), ax=list(axes[:shown]), shrink=0.8)
+    key = ("red: material left, blue: gouged", "walls folded outwards; yellow: beside", "an edge, not counted; crosses: at least so much")
+    if not nominal:
+        key = (f"{key[0]}; walls folded outwards;", "yellow: beside an edge, not counted; crosses: at least so much")
+    bar.set_label("deviation along the surface normal in mm\n(" + "\n".join(key) + ")", fontsize=8 if nominal else None)
     return figure
 
 
@@ -100,6 +103,17 @@ def _surface(ax: Axes, result: Result, workpiece: Workpiece, norm: TwoSlopeNorm,
     half = 0.5e3 * np.array(workpiece.size[:2])
     ax.set(aspect="equal", xlim=(-half[0], half[0]), ylim=(-half[1], half[1]), xlabel="x in mm", ylabel="y in mm")
     ax.set_title(f"{result.title}\n{_headline(result)}", fontsize=10)
+
+
+def _heights(ax: Axes, result: Result, workpiece: Workpiece) -> None:
+    """The nominal part, with its depths."""
+    cut = cut_height_map(result.nominal, workpiece.size, RELIEF)
+    image = ax.pcolormesh(1e3 * cut.x, 1e3 * cut.y, 1e3 * cut.height, cmap="Greys_r", shading="nearest", rasterized=True)
+    half = 0.5e3 * np.array(workpiece.size[:2])
+    ax.set(aspect="equal", xlim=(-half[0], half[0]), ylim=(-half[1], half[1]), xlabel="x in mm", ylabel="y in mm")
+    ax.set_title("nominal part\n(grey: z in mm)", fontsize=10)
+    inset = ax.inset_axes((0.04, 0.9, 0.25, 0.04))
+    ax.figure.colorbar(image, cax=inset, orientation="horizontal").ax.tick_params(labelsize=7)
 
 
 def _headline(result: Result) -> str:

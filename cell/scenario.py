@@ -19,6 +19,7 @@ A scenario is TOML. Physical values carry their unit (``"0.2 mm"``); only 0 need
     [workpiece]
     position = ["1595 mm", "-18 mm", "1099 mm"]   # centre of its top surface, in the robot base
     size = ["100 mm", "60 mm", "30 mm"]
+    tool_angle = "0 deg"                          # of the spindle about the tool axis; 0: away from the robot (`robomill place`)
     zero = "front-left-top"                       # where G54 lies in the block (default: centre-top); or three lengths from the centre
     work_offsets = { G55 = ["10 mm", 0, 0] }      # if the program needs others than G54: a place as `zero`
     stock = "casting.stl"               # instead of size: a closed solid, the middle of the top of its box in P; for tri-dexels
@@ -65,6 +66,7 @@ from robomill.models.metrology.stl import StlError, read_stl
 from robomill.models.model.declaration import FloatArray
 from robomill.models.planning.gcode import DIALECTS, Setup, Vector
 from robomill.models.planning.point_path import INTERPOLATIONS, Interpolation
+from robomill.models.planning.trajectory import Placement
 from robomill.models.process.cutting import MAX_TEETH, EndMill
 from robomill.orchestration.system.definition import EQUIPMENT
 from robomill.orchestration.system.entries import Entry
@@ -117,6 +119,13 @@ class Workpiece:
     """Origins of G54 (54) .. G59.3 (59.3) in P [m]; G54 is the origin of P unless it is named."""
     stock: FloatArray | None = field(default=None, compare=False)
     """Triangles (n, 3, 3) [m] in P of a stock that is no block; `size` is then that of its box."""
+    tool_angle: float = 0.0
+    """Angle [rad] of the spindle about the tool axis, from where the z axis of T points away from the robot."""
+
+    @property
+    def placement(self) -> Placement:
+        """Where the block and the upright tool stand in the robot base."""
+        return Placement(self.position, self.abc, self.tool_angle)
 
 
 @dataclass(frozen=True)
@@ -219,7 +228,7 @@ def equipment(top: Entry) -> dict[str, Entry]:
 
 
 def _workpiece(entry: Entry) -> Workpiece:
-    entry.keys({"position"}, {"abc", "work_offsets", "zero", "size", "stock", "stock_unit"})
+    entry.keys({"position"}, {"abc", "tool_angle", "work_offsets", "zero", "size", "stock", "stock_unit"})
     if ("size" in entry) == ("stock" in entry):
         raise entry.fail("give either size, of a block, or stock, an STL file")
     stock = _stock(entry) if "stock" in entry else None
@@ -230,7 +239,8 @@ def _workpiece(entry: Entry) -> Workpiece:
     else:
         x, y, z = np.ptp(stock.reshape(-1, 3), axis=0).tolist()
         size = (x, y, z)
-    return Workpiece(entry["position"].vector("m"), size, entry.get("abc", [0, 0, 0]).vector("rad"), _work_offsets(entry, size), stock)
+    abc, angle = entry.get("abc", [0, 0, 0]).vector("rad"), entry.get("tool_angle", 0).si("rad")
+    return Workpiece(entry["position"].vector("m"), size, abc, _work_offsets(entry, size), stock, angle)
 
 
 def _stock(entry: Entry) -> FloatArray:

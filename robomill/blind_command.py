@@ -90,9 +90,10 @@ def lacking(catalogue: Catalogue, parameter: str | None) -> Catalogue:
 
 def blind(options: Namespace) -> int:
     """`robomill blind`: exit status 1 if a case could not be diagnosed."""
-    from robomill.commands import _console, _progress
+    from robomill.commands import _console
+    from robomill.progress import progress_bar
 
-    with _progress(options.json) as report:
+    with progress_bar(options.json) as report:
         if options.step == "make":
             from robomill.blind.generate import make
 

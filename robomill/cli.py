@@ -27,6 +27,8 @@ ACTIONS = {
     "build": ("commands", "build"),
     "check": ("commands", "check"),
     "plan": ("plan_command", "plan"),
+    "compensate": ("compensate_command", "run"),
+    "place": ("place_command", "run"),
     "import": ("import_command", "run"),
     "diagnose": ("diagnose_command", "run"),
     "blind": ("blind_command", "blind"),
@@ -47,7 +49,7 @@ class _Parser(argparse.ArgumentParser):
 
 def parser() -> argparse.ArgumentParser:
     """All commands and their options."""
-    from robomill import blind_command, identify_command
+    from robomill import blind_command, compensate_command, identify_command, place_command
 
     main_parser = _Parser(
         "robomill", description=DESCRIPTION, epilog="Start with: robomill example groove, then robomill run scenarios/groove.toml"
@@ -132,6 +134,19 @@ def parser() -> argparse.ArgumentParser:
         "robomill stability scenarios/robots/kr210_2.toml --map",
     )
     _stability_arguments(stability)
+
+    offline = _command(
+        commands,
+        "compensate",
+        "correct a program for the bending of the robot, from the simulation, and write it as G-code, KRL and RAPID",
+        "robomill compensate scenarios/kr210/offline.toml",
+    )
+    compensate_command.add_arguments(offline)
+
+    place = _command(
+        commands, "place", "find where workpiece and spindle bend the robot least", "robomill place scenarios/kr210/offline.toml"
+    )
+    place_command.add_arguments(place)
 
     bring = _command(
         commands,

@@ -6,8 +6,7 @@ import json
 import sys
 import tomllib
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from typing import Any
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from robomill import conformance
@@ -42,6 +40,7 @@ from robomill.orchestration.runs.run import Run, check_vacant
 from robomill.orchestration.ssp.importing import open_ssp
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.toml_text import parse
+from robomill.progress import progress_bar
 
 DEFAULT_FMI = 2
 """Version of FMI that is built where none is asked for; Python FMUs know no other."""
@@ -135,7 +134,7 @@ def _run_experiment(options: Namespace) -> int:
     notes, warnings = experiments.remarks(experiment, options.variant)
     for text in warnings:
         print(f"warning: {text}", file=sys.stderr)
-    with _progress(options.json) as report:
+    with progress_bar(options.json) as report:
         folder.mkdir(parents=True, exist_ok=True)
         with FolderLock(folder):
             again = options.overwrite
@@ -163,7 +162,7 @@ def _run_learning(options: Namespace) -> int:
     scenario = path_learning.load_learning(options.file)
     folder = options.out or RESULTS / scenario.name
     folder.mkdir(parents=True, exist_ok=True)
-    with _progress(options.json) as report, FolderLock(folder):
+    with progress_bar(options.json) as report, FolderLock(folder):
         summary, results = path_learning.run_learning(scenario, folder, options.variant, options.fmus, report, options.overwrite)
     _write(folder / "summary.json", summary)
     if not options.no_pictures:
@@ -208,7 +207,7 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
         check_vacant(folder / v.name for v in chosen)
     results: list[Result] = []
     try:
-        with _progress(options.json) as report:
+        with progress_bar(options.json) as report:
             again = {"resume": options.resume, "overwrite": options.overwrite}
             job = milling.lay_out(wanted, folder, options.fmus, **again, checkpoint_every=options.checkpoint_every)
             if options.stl:
@@ -338,7 +337,7 @@ def _run_removal_rate(options: Namespace) -> int:
         scenario = replace(scenario, variants=tuple(v for v in scenario.variants if v.name in options.variant))
     folder = options.out or RESULTS / scenario.name
     folder.mkdir(parents=True, exist_ok=True)
-    with _progress(options.json) as report, FolderLock(folder):
+    with progress_bar(options.json) as report, FolderLock(folder):
         results = removal_rate.run_removal_rate(scenario, folder, options.fmus, options.csv, report, options.overwrite)
     summary = removal_rate.summary(scenario, results)
     _write(folder / "summary.json", summary)
@@ -406,7 +405,7 @@ def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
     with assemble(system, resolve, convert) as assembly:
         for text in (*assembly.wiring.warnings, *unusual_values(assembly)):
             print(f"warning: {text}", file=sys.stderr)
-    with _progress(options.json) as report:
+    with progress_bar(options.json) as report:
         result = run_once(
             system,
             folder,
@@ -438,7 +437,7 @@ def build(options: Namespace) -> int:
             raise ValueError("--replay needs exactly one --component: the one that the recording stands in for")
         models = [_replay_model(Run.load(options.replay), names[0], options.recorded_as or names[0])]
     options.out.mkdir(parents=True, exist_ok=True)
-    with _progress(options.json) as report:
+    with progress_bar(options.json) as report:
         files = _build(models, options, report)
         written = ssp.write(packages, options.out, options.out, report)
     if options.json:
@@ -491,7 +490,7 @@ def _replay_model(recorded: Run, component_name: str, recorded_as: str) -> Model
 def check(options: Namespace) -> int:
     """`robomill check`: the conformance battery on each FMU; status 1 if a check failed."""
     reports: dict[str, list[conformance.Result]] = {}
-    with _progress(options.json) as report:
+    with progress_bar(options.json) as report:
         for i, fmu in enumerate(options.fmus):
             report(f"check {fmu.name}", i, len(options.fmus))
             reports[str(fmu)] = conformance.check_fmu(fmu)
@@ -519,19 +518,3 @@ def _console() -> Console:
 
 def _write(file: Path, content: Any) -> None:
     file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-
-
-@contextmanager
-def _progress(quiet: bool) -> Iterator[milling.Progress]:
-    """A progress bar on stderr; nothing with --json or where stderr is no terminal."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description:40}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
-        tasks: dict[str, TaskID] = {}
-
-        def report(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bar.add_task(what, total=total or None)
-            bar.update(tasks[what], completed=done)
-
-        yield report

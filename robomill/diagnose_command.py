@@ -48,7 +48,7 @@ def menu(system: System, folder: Path) -> Menu:
 
 def run(options: Namespace) -> int:
     """Exit status 0: answered; 1: the log is not usable."""
-    from robomill.commands import _progress
+    from robomill.progress import progress_bar
 
     system = load_system(options.system)
     catalogue = catalogue_of(system, catalogue_file(options))
@@ -59,7 +59,7 @@ def run(options: Namespace) -> int:
             f"{len(store)} simulations of an interrupted diagnosis are in {store.folder}/; those that still hold are taken over",
             file=sys.stderr,
         )
-    with _progress(options.json) as progress, TemporaryDirectory() as folder:
+    with progress_bar(options.json) as progress, TemporaryDirectory() as folder:
         try:
             found = diagnose(
                 system,

@@ -129,7 +129,7 @@ def _from_scenario(options: Namespace) -> _Task:
         raise ValueError(f"{options.program}: a scenario of kind {scenario.kind!r} has no program to plan")
     program = read_program(scenario.program, scenario.reading, options.orientation or scenario.orientation)
     system = load_system(scenario.system, scenario.equipment)
-    placement = Placement(scenario.workpiece.position, scenario.workpiece.abc)
+    placement = scenario.workpiece.placement
     robot = robot_of(system)
     return _Task(program, placement, check(scenario, program, system), robot, tool_of(system), robot.q_home)
 

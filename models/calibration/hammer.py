@@ -88,7 +88,9 @@ def frequency_response(time: FloatArray, force: FloatArray, acceleration: FloatA
         part = slice(i - lead, i - lead + rows)
         across = np.linalg.norm(np.delete(force[part], axis, axis=1), axis=1).max()
         if struck[part].max() < ALONG * np.hypot(struck[part].max(), across):
-            raise ValueError(f"hammer: the blow at t = {time[i]:.4g} s has no clear direction ({force[i].round(1).tolist()} N); strike along x, y or z")
+            raise ValueError(
+                f"hammer: the blow at t = {time[i]:.4g} s has no clear direction ({force[i].round(1).tolist()} N); strike along x, y or z"
+            )
         f = force[part, axis] - force[i - lead : max(i - 2, i - lead + 1), axis].mean()
         forces[n] = f * _pulse(np.abs(f))
         answers[n] = acceleration[part] - acceleration[i - lead : max(i - 2, i - lead + 1)].mean(axis=0)
