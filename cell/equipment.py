@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -236,8 +236,7 @@ def _robot(system: System) -> _Piece:
             f'robot {robot.name!r} has no virtual joints; there are those of {there}; or give [robot] compliance = "my_springs.toml"'
         )
     else:
-        names = ("stiffness", "sensor_stiffness_scale", "link_arm_position", "arm_position", "sensor_position", "holder_position")
-        values |= {name: getattr(compliance, name) for name in names}
+        values |= {f.name: getattr(compliance, f.name) for f in fields(Compliance)}
     dynamics = _beside(RobotDynamics, system.equipment["robot"], "dynamics")
     values |= _bodies(dynamics, robot)
     warning = (
