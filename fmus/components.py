@@ -42,6 +42,7 @@ NAMES = (
     "surface_contact",
     "path_learning",
     "lead_through",
+    "spindle_holder",
 )
 """In the order of the signal flow, then what stands beside it; each is `MODEL` in `models/components/<name>.py`."""
 
