@@ -13,6 +13,7 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
+from robomill import identify_sensor
 from robomill.measured_set import MeasuredSet, Quantity, read_measured
 
 _Q = Quantity("q", "rad", 6, ("q_link", "q", "q_motor"))
@@ -69,6 +70,7 @@ def add_arguments(parser: Any) -> None:
     )
     payload.add_argument("--component", default="sensor", metavar="NAME", help="the sensor_chain that the result is for (default: sensor)")
     payload.add_argument("--out", type=Path, metavar="FILE.ssv", help="write its parameters for `robomill run --adopt FILE.ssv`")
+    identify_sensor.add_arguments(kinds)
     for kind in (stiffness, payload):
         kind.add_argument(
             "measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/identify.md)"
@@ -80,7 +82,7 @@ def add_arguments(parser: Any) -> None:
 
 def run(options: Namespace) -> int:
     """Identify and say what was found; status 1 where something is not determined or negative."""
-    return {"stiffness": _stiffness, "payload": _payload}[options.kind](options)
+    return {"stiffness": _stiffness, "payload": _payload, "sensor": identify_sensor.run}[options.kind](options)
 
 
 def _stiffness(options: Namespace) -> int:

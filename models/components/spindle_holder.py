@@ -359,7 +359,7 @@ VARIABLES = (
         "1/N",
         (BRIDGES, 3),
         HOLDER.strain_force,
-        display_unit="um/m/N",
+        display_unit="um/(N.m)",
     ),
     Variable("lever", "parameter", "Measuring section to the calibrated attack point", "m", (), HOLDER.lever, display_unit="mm"),
     Variable("gauge_factor", "parameter", "Relative change of resistance per strain", "1", (), HOLDER.gauge_factor, 0.0),
@@ -403,7 +403,7 @@ VARIABLES = (
         "N",
         (3, BRIDGES),
         HOLDER.measurement_matrix,
-        display_unit="N/(mV/V)",
+        display_unit="N.V/mV",
     ),
     Variable(
         "bridge_zero", "parameter", "Tared reading, subtracted before the matrix", "1", (BRIDGES,), HOLDER.bridge_zero, display_unit="mV/V"

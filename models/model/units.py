@@ -120,8 +120,8 @@ UNITS: dict[str, Unit] = {
     "mV/V": Unit(1e-3),
     "uV/V": Unit(1e-6),
     "um/m": Unit(1e-6),
-    "N/(mV/V)": Unit(1e3, _N),
-    "um/m/N": Unit(1e-6, {"kg": -1, "m": -1, "s": 2}),
+    "N.V/mV": Unit(1e3, _N),
+    "um/(N.m)": Unit(1e-6, {"kg": -1, "m": -1, "s": 2}),
     "1/N": Unit(1.0, {"kg": -1, "m": -1, "s": 2}),
     "1/K": Unit(1.0, {"K": -1}),
 }
