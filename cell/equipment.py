@@ -329,7 +329,7 @@ def _holder(holder: SpindleHolder, entry: Entry) -> _Piece:
     """Parameters of spindle_holder: what is identified is taken for true, as long as nothing else is said."""
     weight = np.array([0.0, 0.0, -holder.spindle_mass * GRAVITY])
     values: dict[str, float | FloatArray] = {f.name: getattr(holder, f.name) for f in fields(SpindleHolder) if f.name != "name"}
-    values |= {"zero": holder.bridge_zero, "model_weight_B": weight, "model_cog": holder.spindle_cog}
+    values |= {"zero": holder.bridge_zero, "spindle_weight_B": weight, "spindle_weight_cog": holder.spindle_cog}
     return _Piece(holder.name, entry, values, {})
 
 

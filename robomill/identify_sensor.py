@@ -64,16 +64,16 @@ def run(options: Namespace) -> int:
 
     holder = load(SpindleHolder, options.holder if options.holder.endswith(".toml") else f"sensors/{options.holder}")
     measured = read_measured(options.measured, QUANTITIES, options.robot, options.tool)
-    forces = in_holder(measured)
+    forces, weight = in_holder(measured, holder)
     try:
-        fit = identify_matrix(measured.values["bridge"], forces, options.way)
+        fit = identify_matrix(measured.values["bridge"], forces + weight, options.way)
     except CalibrationError as error:
         raise MeasuredSetError(f"{', '.join(map(str, options.measured))}: {error}") from None
     result = _result(measured, fit)
     if options.out is not None:
         options.out.write_text(sensor_file(holder, fit, [f.name for f in options.measured]), encoding="utf-8")
     if options.plot is not None:
-        _plot(options.plot, measured.values["bridge"], forces, fit)
+        _plot(options.plot, forces, (measured.values["bridge"] - fit.zero) @ fit.matrix.T - weight)
     if options.json:
         print(json.dumps(result))
         return 0
@@ -85,18 +85,24 @@ def run(options: Namespace) -> int:
     return 0
 
 
-def in_holder(measured: MeasuredSet) -> FloatArray:
-    """Forces [n, 3] in the axes of the holder (z out of the spindle, y of the tool) from those in B and the axis angles."""
+def in_holder(measured: MeasuredSet, holder: SpindleHolder) -> tuple[FloatArray, FloatArray]:
+    """Forces on the tool [n, 3], and what is felt of the weight of the spindle [n, 3]: N, axes of the holder.
+
+    z of these axes points out of the spindle, y is that of the tool; from forces in B and the axis angles.
+    """
+    from robomill.models.calibration.measurement_matrix import felt
+    from robomill.models.components.sensor_chain import GRAVITY
     from robomill.models.robot.kinematics import tool_pose
     from robomill.models.robot.numeric_inverse import kinematics
 
     s, place, R = kinematics(measured.robot, measured.tool), np.zeros(3), np.zeros((3, 3))
-    found = np.zeros_like(measured.values["force"])
+    forces, weights = np.zeros_like(measured.values["force"]), np.zeros_like(measured.values["force"])
     for k, (q, force) in enumerate(zip(measured.values["q"], measured.values["force"], strict=True)):
         tool_pose(s, q, place, R)
-        x, y, z = R.T @ force
-        found[k] = -z, y, x
-    return found
+        R_BH = np.column_stack([-R[:, 2], R[:, 1], R[:, 0]])
+        forces[k] = R_BH.T @ force
+        weights[k] = -holder.spindle_mass * GRAVITY * R_BH[2]
+    return forces, felt(weights, holder.spindle_cog, holder.lever)
 
 
 def _result(measured: MeasuredSet, fit: MatrixFit) -> dict[str, Any]:
@@ -121,9 +127,8 @@ def _result(measured: MeasuredSet, fit: MatrixFit) -> dict[str, Any]:
 
 
 def _show(measured: MeasuredSet, fit: MatrixFit, result: dict[str, Any]) -> None:
-    print(
-        f"{measured.robot.name}, {measured.tool.name}: {fit.rows} rows, condition number {fit.condition:.3g}, least squares of the {fit.way}"
-    )
+    machine = f"{measured.robot.name}, {measured.tool.name}"
+    print(f"{machine}: {fit.rows} rows, condition number {fit.condition:.3g}, least squares of the {fit.way}")
     table = Table(box=SIMPLE)
     for title in ("force", *(f"bridge {b + 1}" for b in range(6)), "left N", f"+- at {SHOWN:.0f} N, one sample", "mean of many", "scale"):
         table.add_column(title, justify="left" if title == "force" else "right")
@@ -133,9 +138,8 @@ def _show(measured: MeasuredSet, fit: MatrixFit, result: dict[str, Any]) -> None
         table.add_row(name, *row, f"{fit.residual[i]:.2g}", f"{one:.2g}", f"{many:.2g}", f"{fit.scale[i]:.4f}")
     Console(highlight=False, width=160).print(table)
     print("matrix in N per mV/V, axes of the holder: z out of the spindle, y of the tool; +-: one standard deviation")
-    print(
-        f"zero {', '.join(f'{v / MV:.5f}' for v in fit.zero)} mV/V; left of the readings {', '.join(f'{1e6 * v:.2g}' for v in fit.noise)} uV/V"
-    )
+    zero, noise = ", ".join(f"{v / MV:.5f}" for v in fit.zero), ", ".join(f"{1e6 * v:.2g}" for v in fit.noise)
+    print(f"zero {zero} mV/V; left of the readings {noise} uV/V")
 
 
 def sensor_file(holder: SpindleHolder, fit: MatrixFit, runs: list[str]) -> str:
@@ -171,11 +175,10 @@ def sensor_file(holder: SpindleHolder, fit: MatrixFit, runs: list[str]) -> str:
     return text
 
 
-def _plot(file: Path, bridges: FloatArray, forces: FloatArray, fit: MatrixFit) -> None:
-    """Measured against applied force, and what is left, for x, y, z."""
+def _plot(file: Path, forces: FloatArray, shown: FloatArray) -> None:
+    """Measured against applied force, and the difference, for x, y, z."""
     from matplotlib.figure import Figure
 
-    shown = (bridges - fit.zero) @ fit.matrix.T
     figure = Figure(figsize=(9, 5), layout="constrained")
     above, below = figure.subplots(2, 3, sharex="col")
     for i, name in enumerate(("x", "y", "z (axial)")):

@@ -1,7 +1,7 @@
 """Measurement matrix of a sensing spindle holder from a calibration against a dynamometer: paper 001, sec. 4, Eqs. (8) and (9).
 
-f = M (s - s_0), f [N] the force on the tool in the axes of the holder, s [V/V] the readings of its six bridges. Two ways of least
-squares lead to M:
+f = M (s - s_0), f [N] the force in the axes of the holder, s [V/V] the readings of its six bridges. The weight of the spindle is part
+of f (`felt`). Two ways of least squares lead to M:
 
 - "strains": S and s_0 of s = S f + s_0 by least squares, then the M that weighs the bridges by their noise,
   M = (S^T V^-1 S)^-1 S^T V^-1, V the covariance of what is left of the readings. M S = 1: no force is read too small.
@@ -118,6 +118,15 @@ def identify_matrix(bridges: FloatArray, forces: FloatArray, way: str = "strains
         np.sqrt(np.diag(M @ V @ M.T)),
         inverse,
     )
+
+
+def felt(force: FloatArray, point: FloatArray, lever: float) -> FloatArray:
+    """Force [N], (n, 3), at the calibrated attack point that bends the holder like `force` (n, 3) at `point` [m], (3,), all in its axes.
+
+    (M_y / L, -M_x / L, f_z) with M = p x f and the lever L [m], as `models.components.spindle_holder`.
+    """
+    bending = np.cross(point, force)
+    return np.column_stack([bending[:, 1] / lever, -bending[:, 0] / lever, force[:, 2]])
 
 
 def _check(bridges: FloatArray, forces: FloatArray) -> None:

@@ -247,8 +247,8 @@ def _measure(s: Record) -> None:
     s.parity = math.sqrt(square)
     for i in range(3):
         s.work[i] = 0.0
-    mat_t_vec(s.R_BH, s.model_weight_B, s.point)
-    _felt(s, s.model_cog, s.point, s.work, s.weight)
+    mat_t_vec(s.R_BH, s.spindle_weight_B, s.point)
+    _felt(s, s.spindle_weight_cog, s.point, s.work, s.weight)
     for i in range(3):
         # the range is that of the force on the tool: the weight of the spindle is always there
         if abs(s.force[i] - s.weight[i]) > s.force_range[i]:
@@ -410,10 +410,10 @@ VARIABLES = (
     ),
     Variable("force_range", "parameter", "Largest force on the tool shown, x y z of H", "N", (3,), HOLDER.force_range, 0.0),
     Variable(
-        "model_weight_B", "parameter", "Identified weight of the spindle, in B", "N", (3,), [0.0, 0.0, -HOLDER.spindle_mass * FREE_FALL]
+        "spindle_weight_B", "parameter", "Identified weight of the spindle, in B", "N", (3,), [0.0, 0.0, -HOLDER.spindle_mass * FREE_FALL]
     ),
     Variable(
-        "model_cog",
+        "spindle_weight_cog",
         "parameter",
         "Identified centre of gravity from the measuring section, in H",
         "m",

@@ -93,7 +93,7 @@ class TestNominal:
 
     def test_bridge_of_300_n(self) -> None:
         """FACTS10 10.6: 0.100 mV/V lateral, 0.024 mV/V axial at the best gauge; by hand 2.05/4 (2 + 0.6) 0.25e-6 300 = 1.0e-4."""
-        weightless = {**QUIET, "spindle_mass": 0.0, "model_weight_B": 0.0}
+        weightless = {**QUIET, "spindle_mass": 0.0, "spindle_weight_B": 0.0}
         best = []
         for along in ([0.0, 0.0, -300.0], [300.0, 0.0, 0.0]):
             holder = Holder(**weightless)
@@ -109,7 +109,7 @@ class TestNominal:
 
     def test_axes_of_the_holder(self) -> None:
         """z_H = x_T out of the spindle, y_H = y_T, x_H = -z_T."""
-        holder = Holder(**QUIET, spindle_mass=0.0, model_weight_B=0.0)
+        holder = Holder(**QUIET, spindle_mass=0.0, spindle_weight_B=0.0)
         holder.put_in_tool([1.0, 2.0, 3.0])
         assert np.abs(holder.run(1)[0, 3:6] - [-3.0, 2.0, 1.0]).max() < DIGITS
 
@@ -194,7 +194,7 @@ class TestDeadChannel:
         assert abs(holder.s.f_T_T[2]) > 100.0
 
     def test_stops_with_one_clear_error(self) -> None:
-        holder = Holder(dead_channel=[0, 0, 0, 0, 1.0, 0], fault_response=2, **QUIET, spindle_mass=0.0, model_weight_B=0.0)
+        holder = Holder(dead_channel=[0, 0, 0, 0, 1.0, 0], fault_response=2, **QUIET, spindle_mass=0.0, spindle_weight_B=0.0)
         holder.put_in_tool([0.0, 0.0, 300.0])
         holder.run(9)
         status = holder.step(holder.s, 9 * H, H)
@@ -279,7 +279,7 @@ class TestEffects:
     def test_the_weight_follows_the_pose_with_another_centre_of_gravity(self) -> None:
         """Truth and model apart: 2 kg that nobody knows of show as their weight, axially."""
         down = np.deg2rad([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
-        holder = Holder(q=down, **QUIET, spindle_mass=32.0, spindle_cog=0.0, model_cog=0.0)
+        holder = Holder(q=down, **QUIET, spindle_mass=32.0, spindle_cog=0.0, spindle_weight_cog=0.0)
         assert abs(holder.R_BT[2, 0] + 1.0) < ROUNDOFF  # tool axis down
         assert np.abs(holder.s.f_T_T - [2.0 * 9.81, 0.0, 0.0]).max() < DIGITS
 
