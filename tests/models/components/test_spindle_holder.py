@@ -200,7 +200,7 @@ class TestDeadChannel:
         status = holder.step(holder.s, 9 * H, H)
         assert (
             holder.message(status)
-            == "spindle_holder: bridge 5 contradicts the others at t = 0.018 s: parity 6.16271e-05 V/V, limit 2e-05 V/V; check its wiring "
+            == "spindle_holder: bridge 5 contradicts the others at t = 0.018 s: parity 6.16269e-05 V/V, limit 2e-05 V/V; check its wiring "
             "and gauges, or set fault_response = 1 to go on without force measurement"
         )
 
