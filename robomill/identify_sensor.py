@@ -168,7 +168,7 @@ def sensor_file(holder: SpindleHolder, fit: MatrixFit, runs: list[str]) -> str:
     text += 'source = "this file"\nvalidity = "tool length and orientation of its calibration"\n'
     for name, (factor, unit) in units.items():
         new = name in ("measurement_matrix", "bridge_zero")
-        value = (factor * np.asarray(getattr(identified, name))).tolist()
+        value = _rounded((factor * np.asarray(getattr(identified, name))).tolist())
         source = said if new else f"as {holder.name} before the calibration"
         validity = "tool length and orientation of the calibration" if new else "not identified"
         text += f'\n[{name}]\nvalue = {value}\nunit = "{unit}"\nsource = "{source}"\nvalidity = "{validity}"\n'
@@ -190,3 +190,8 @@ def _plot(file: Path, forces: FloatArray, shown: FloatArray) -> None:
     above[0].set_ylabel("spindle holder [N]")
     below[0].set_ylabel("difference [N]")
     figure.savefig(file, dpi=110)
+
+
+def _rounded(value: Any) -> Any:
+    """Numbers to twelve digits, lists of them as well."""
+    return [_rounded(v) for v in value] if isinstance(value, list) else float(f"{value:.12g}")

@@ -187,6 +187,7 @@ def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
                 "cross_talk": 0.01,
                 "dead_channel": [0.0, 0.0, 0.45, 0.0, 0.0, 0.0],
                 "attack_point": [0.008, 0.001, 0.0],
+                "force_range": [1000.0, 300.0, 1000.0],
             },
         ),
     }[name]
