@@ -11,7 +11,7 @@ A system, scenario or experiment file says::
     [material]
     name = "aw2017"                 # models/data/materials: cutting coefficients
     [sensor]
-    name = "ati_omega160_si2500"    # models/data/sensors: range, resolution, noise
+    name = "ati_omega160_si2500"    # models/data/sensors: range, resolution, noise; or a spindle holder with strain gauges
 
 A component gets from each part the parameters that it has, by name, in SI units, whether it runs in process or is an FMU. What its own
 `parameters` say comes on top. Only the geometry of the machine may not differ there: one machine has one.
@@ -20,8 +20,9 @@ A component gets from each part the parameters that it has, by name, in SI units
 from __future__ import annotations
 
 import tempfile
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ import numpy as np
 from robomill.cell.binding import convert, resolve
 from robomill.fmus.components import beside, is_component
 from robomill.models.components.sensor_chain import GRAVITY, MOUNTING, ForceSensor
+from robomill.models.components.spindle_holder import SpindleHolder
 from robomill.models.model.declaration import FloatArray
 from robomill.models.model.parameters import DATA, load
 from robomill.models.process.cutting import CuttingCoefficients
@@ -212,14 +214,19 @@ def _named(system: System, role: str) -> Entry:
     return table["name" if "name" in table else "file"]
 
 
-def _load(cls: type[Any], entry: Entry, folder: str) -> Any:
-    """The data that an entry names, below models/data or in a file relative to its own; its error with the names that there are."""
+def _file(entry: Entry, folder: str) -> Path:
+    """The file that an entry names, below models/data or relative to its own."""
     in_data = entry.key[-1] != "file" and not entry.value.endswith(".toml")
+    return DATA / folder / f"{entry.value}.toml" if in_data else entry.content.folder / entry.value
+
+
+def _load(cls: type[Any], entry: Entry, folder: str, also: type[Any] | None = None) -> Any:
+    """The data that an entry names; its error with the names that there are, those of the class `also` with them."""
     try:
         with entry.blamed_for(ValueError):
-            return load(cls, f"{folder}/{entry.value}" if in_data else entry.content.folder / entry.value)
+            return load(cls, _file(entry, folder))
     except FileNotFoundError:
-        names = sorted(f.stem for f in (DATA / folder).glob("*.toml") if _is(cls, f))
+        names = sorted(f.stem for f in (DATA / folder).glob("*.toml") if _is(cls, f) or (also is not None and _is(also, f)))
         raise entry.fail(unknown(str(entry.key[0]), entry.value, names)) from None
 
 
@@ -248,8 +255,7 @@ def _robot(system: System) -> _Piece:
             f'robot {robot.name!r} has no virtual joints; there are those of {there}; or give [robot] compliance = "my_springs.toml"'
         )
     else:
-        names = ("stiffness", "sensor_stiffness_scale", "link_arm_position", "arm_position", "sensor_position", "holder_position")
-        values |= {name: getattr(compliance, name) for name in names}
+        values |= {f.name: getattr(compliance, f.name) for f in fields(Compliance)}
         values["damping_time"] = np.broadcast_to(compliance.damping_time, np.shape(compliance.stiffness))
     dynamics = _beside(RobotDynamics, system.equipment["robot"], "dynamics")
     values |= _bodies(dynamics, robot)
@@ -316,9 +322,28 @@ def _material(system: System) -> _Piece:
 
 def _sensor(system: System) -> _Piece:
     entry = _named(system, "sensor")
-    sensor: ForceSensor = _load(ForceSensor, entry, "sensors")
+    if _is_holder(entry):
+        return _holder(_load(SpindleHolder, entry, "sensors"), entry)
+    sensor: ForceSensor = _load(ForceSensor, entry, "sensors", also=SpindleHolder)
     names = ("range_f", "range_m", "resolution_f", "resolution_m", "noise_f", "noise_m", "walk_f", "walk_m")
     return _Piece(sensor.name, entry, {n: getattr(sensor, n) for n in names}, {})
+
+
+def _is_holder(entry: Entry) -> bool:
+    """Whether the file that the entry names is of a spindle holder with strain gauges, right or wrong in the rest."""
+    file = _file(entry, "sensors")
+    try:
+        return file.is_file() and "measurement_matrix" in tomllib.loads(file.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError:
+        return False
+
+
+def _holder(holder: SpindleHolder, entry: Entry) -> _Piece:
+    """Parameters of spindle_holder: what is identified is taken for true, as long as nothing else is said."""
+    weight = np.array([0.0, 0.0, -holder.spindle_mass * GRAVITY])
+    values: dict[str, float | FloatArray] = {f.name: getattr(holder, f.name) for f in fields(SpindleHolder) if f.name != "name"}
+    values |= {"zero": holder.bridge_zero, "spindle_weight_B": weight, "spindle_weight_cog": holder.spindle_cog}
+    return _Piece(holder.name, entry, values, {})
 
 
 _PIECES: Mapping[str, Callable[[System], _Piece]] = {"robot": _robot, "tool": _tool, "material": _material, "sensor": _sensor}

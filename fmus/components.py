@@ -45,6 +45,7 @@ NAMES = (
     "path_learning",
     "lead_through",
     "regenerative_milling",
+    "spindle_holder",
 )
 """In the order of the signal flow, then what stands beside it; each is `MODEL` in `models/components/<name>.py`."""
 

@@ -234,8 +234,9 @@ ERRORS = (
     "the stiffness matrix K_q - K_g of the axes is indefinite at t = {t} s: with axis {fault_frame} a pivot is {fault_value} N.m/rad, "
     "expected a positive one; the load on the tool f_T_B = {f_T_B} N, m_T_B = {m_T_B} N.m folds the robot: check its size and the "
     "stiffness, or set geometric_stiffness = 0",
+    "translation_compliance in row {fault_frame} is {fault_value} m/N, expected zero or a positive number; 0 = rigid",
 )
-_INPUT, _STIFFNESS, _EFFECTS, _QUATERNION, _MODE, _POSITIVE, _COUNTERBALANCE, STEP_STATUS, _ANGLE, _INDEFINITE = range(1, 11)
+_INPUT, _STIFFNESS, _EFFECTS, _QUATERNION, _MODE, _POSITIVE, _COUNTERBALANCE, STEP_STATUS, _ANGLE, _INDEFINITE, _TRANSLATION = range(1, 12)
 
 
 @kernel
@@ -267,6 +268,10 @@ def check_parameters(s: Record) -> int:
                 s.fault_frame = j + 1
                 s.fault_value = joint_stiffness(s, j, c)
                 return _STIFFNESS
+            if not s.translation_compliance[j, c] >= 0.0:
+                s.fault_frame = j + 1
+                s.fault_value = s.translation_compliance[j, c]
+                return _TRANSLATION
     for i in range(6):
         worst = (1.0 + s.stiffness_error[i]) * (1.0 - abs(s.stiffness_asymmetry[i]))
         if not (worst > 0.0 and s.stiffness_hardening[i] >= 0.0 and s.stiffness_error[i] > -1.0):

@@ -149,6 +149,43 @@ def orientation_polynomial(terms: FloatArray, coefficients: FloatArray, force: F
 
 
 @kernel
+def prepare_filters(s: Record, cutoff: float) -> int:
+    """Coefficients of the low-pass of `cutoff` [Hz]; returns a status. The filters of s.clean (`FILTER_STATES`) are three kernels."""
+    s.cutoff_used = cutoff
+    if s.cutoff_used * s.sample_time >= 0.5:
+        return WRONG_CUTOFF
+    if s.filter_window < 1 or s.filter_window > WINDOW_CAPACITY:
+        return WRONG_WINDOW
+    butterworth(s.cutoff_used, s.sample_time, s.filter_b, s.filter_a)
+    return 0
+
+
+@kernel
+def settle_filters(s: Record) -> None:
+    """Low-pass and moving average as if s.clean [CHANNELS] had stood for long."""
+    s.window_position = 0
+    for i in range(CHANNELS):
+        biquad_rest(s.filter_b, s.filter_a, s.filter_z, i, s.clean[i])
+        average_rest(s.window_ring, int(s.filter_window), i, s.clean[i])
+
+
+@kernel
+def filter_sample(s: Record) -> None:
+    """One sample of s.clean [CHANNELS] through low-pass and moving average, in place."""
+    for i in range(CHANNELS):
+        s.clean[i] = average(
+            s.window_ring,
+            int(s.filter_window),
+            int(s.window_position),
+            i,
+            biquad(s.filter_b, s.filter_a, s.filter_z, i, s.clean[i]),
+        )
+    s.window_position += 1
+    if s.window_position >= s.filter_window:
+        s.window_position = 0
+
+
+@kernel
 def _prepare(s: Record) -> int:
     """Everything that follows from parameters alone: filter coefficients, mounting matrices. Returns a status."""
     norm = 0.0
@@ -156,16 +193,14 @@ def _prepare(s: Record) -> int:
         norm += s.quat_FS[i] * s.quat_FS[i]
     if abs(norm - 1.0) > 1e-6:
         return WRONG_QUATERNION
-    s.cutoff_used = s.filter_cutoff
+    cutoff = s.filter_cutoff
     if s.cutoff_error != 0.0:
-        s.cutoff_used = s.filter_cutoff * (1.0 + s.cutoff_error)
-    if s.cutoff_used * s.sample_time >= 0.5:
-        return WRONG_CUTOFF
-    if s.filter_window < 1 or s.filter_window > WINDOW_CAPACITY:
-        return WRONG_WINDOW
+        cutoff = s.filter_cutoff * (1.0 + s.cutoff_error)
+    status: int = prepare_filters(s, cutoff)
+    if status != 0:
+        return status
     if s.extra_lag > (LAG_CAPACITY - 2) * s.sample_time:
         return WRONG_LAG
-    butterworth(s.cutoff_used, s.sample_time, s.filter_b, s.filter_a)
     quat_to_matrix(s.quat_FS, s.R_FS)
     quat_to_matrix(s.quat_FT, s.R_FT)
     for i in range(3):
@@ -335,7 +370,6 @@ def init(s: Record) -> int:
         return status
     s.counter = 0
     s.line_position = 0
-    s.window_position = 0
     s.step_size = s.sample_time
     for i in range(CHANNELS):
         s.bias[i] = 0.0
@@ -348,8 +382,7 @@ def init(s: Record) -> int:
     _compensate(s)
     for i in range(CHANNELS):
         delay_rest(s.line, LAG_CAPACITY, i, s.wrench[i])
-        biquad_rest(s.filter_b, s.filter_a, s.filter_z, i, s.clean[i])
-        average_rest(s.window_ring, int(s.filter_window), i, s.clean[i])
+    settle_filters(s)
     _sense(s, 0.0, False)
     _to_tool(s)
     return 0
@@ -384,20 +417,21 @@ def step(s: Record, t: float, h: float) -> int:
             s.bias[2 * pair + 1] += root * (s.walk_f if 2 * pair + 1 < 3 else s.walk_m) * second
     _sense(s, t + h, False)
     _compensate(s)
-    for i in range(CHANNELS):
-        s.clean[i] = average(
-            s.window_ring,
-            int(s.filter_window),
-            int(s.window_position),
-            i,
-            biquad(s.filter_b, s.filter_a, s.filter_z, i, s.clean[i]),
-        )
-    s.window_position += 1
-    if s.window_position >= s.filter_window:
-        s.window_position = 0
+    filter_sample(s)
     _to_tool(s)
     return 0
 
+
+FILTER_STATES = (
+    Variable("cutoff_used", "state", "Cut-off frequency in use", "Hz"),
+    Variable("clean", "state", "Force (N) and moment (N m) after compensation, then after the filters, in S", "1", (CHANNELS,)),
+    Variable("filter_b", "state", "Numerator of the low-pass", "1", (3,)),
+    Variable("filter_a", "state", "Denominator of the low-pass", "1", (2,)),
+    Variable("filter_z", "state", "State of the low-pass", "1", (CHANNELS, 2)),
+    Variable("window_ring", "state", "Samples in the moving average", "1", (CHANNELS, WINDOW_CAPACITY)),
+    Variable("window_position", "state", "Where the next sample goes", "1", kind="integer"),
+)
+"""What `prepare_filters`, `settle_filters` and `filter_sample` work on; a model that appends them has those filters."""
 
 _COG_S = SPINDLE_ACROSS.p_FG_F - MOUNTING.p_FS_F
 _HOSE_S = HOSE.p_FH_F - MOUNTING.p_FS_F
@@ -559,9 +593,9 @@ VARIABLES = (
     ),
     # states
     *robot_variables(KR300, SPINDLE_ACROSS),
+    *FILTER_STATES,
     Variable("counter", "state", "Samples since the start", "1", kind="integer"),
     Variable("step_size", "state", "Step size of the last call", "s"),
-    Variable("cutoff_used", "state", "Cut-off frequency in use", "Hz"),
     Variable("misaligned", "state", "Whether misalignment is not zero", "1", kind="boolean"),
     Variable("R_FS", "state", "Orientation of S in F", "1", (3, 3)),
     Variable("R_TS", "state", "Orientation of S in T", "1", (3, 3)),
@@ -577,13 +611,7 @@ VARIABLES = (
     Variable("p_before", "state", "The same two samples ago", "m", (3,)),
     Variable("wrench", "state", "Force (N) and moment (N m) that act on the sensor", "1", (CHANNELS,)),
     Variable("reading", "state", "Force (N) and moment (N m) that the sensor shows", "1", (CHANNELS,)),
-    Variable("clean", "state", "Force (N) and moment (N m) after compensation, then after the filters, in S", "1", (CHANNELS,)),
     Variable("bias", "state", "Random walk of the zero, N and N m", "1", (CHANNELS,)),
-    Variable("filter_b", "state", "Numerator of the low-pass", "1", (3,)),
-    Variable("filter_a", "state", "Denominator of the low-pass", "1", (2,)),
-    Variable("filter_z", "state", "State of the low-pass", "1", (CHANNELS, 2)),
-    Variable("window_ring", "state", "Samples in the moving average", "1", (CHANNELS, WINDOW_CAPACITY)),
-    Variable("window_position", "state", "Where the next sample goes", "1", kind="integer"),
     Variable("line", "state", "Delay line of extra_lag", "1", (CHANNELS, LAG_CAPACITY)),
     Variable("line_position", "state", "Where the last sample is", "1", kind="integer"),
     Variable("work", "state", "Scratch", "1", (3,)),

@@ -23,6 +23,7 @@ class Unit:
 _N = {"kg": 1, "m": 1, "s": -2}
 _NM = {"kg": 1, "m": 2, "s": -2}
 _PA = {"kg": 1, "m": -1, "s": -2}
+_V = {"kg": 1, "m": 2, "s": -3, "A": -1}
 _DEG = math.pi / 180.0
 
 UNITS: dict[str, Unit] = {
@@ -114,6 +115,16 @@ UNITS: dict[str, Unit] = {
     "N/K": Unit(1.0, {**_N, "K": -1}),
     "A": Unit(1.0, {"A": 1}),
     "mA": Unit(1e-3, {"A": 1}),
+    "V": Unit(1.0, _V),
+    "mV": Unit(1e-3, _V),
+    "uV": Unit(1e-6, _V),
+    "mV/V": Unit(1e-3),
+    "uV/V": Unit(1e-6),
+    "um/m": Unit(1e-6),
+    "N.V/mV": Unit(1e3, _N),
+    "um/(N.m)": Unit(1e-6, {"kg": -1, "m": -1, "s": 2}),
+    "1/N": Unit(1.0, {"kg": -1, "m": -1, "s": 2}),
+    "1/K": Unit(1.0, {"K": -1}),
 }
 """Names of the table are those of ports and in the metadata of runs; where people write, `canonical` spellings do as well."""
 

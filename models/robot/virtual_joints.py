@@ -10,6 +10,10 @@ Eleven of them (all but 11, 12, 14) carry a virtual joint: a rotation spring abo
 stiffness k_C, k_B, k_A of Table 1. A load at T turns every one of them, and the chain with the extra
 rotations gives the displaced tool tip. The load acts ON the tool.
 
+With `translation_compliance` each of them yields along x, y and z as well: the six degrees of freedom per joint of paper 001,
+Eqs. (3)-(7), variant `joint_6dof`. Joints stand in series, so compliances add up, C = sum J_i K_i^-1 J_i^T; Eqs. (4) and (5) of
+that paper are printed as a sum of stiffnesses. Without translations the bits are those of the paper above.
+
 A model that appends `ROBOT_VARIABLES` and `COMPLIANCE_VARIABLES` can call the kernels with its record:
 `displacement` does everything; `virtual_joints`, `joint_moments`, `joint_angles`, `couple_drives`, `deflect` are its
 five steps, for models that change one of them.
@@ -46,13 +50,17 @@ class Compliance:
     holder_position: float = field(metadata=quantity("m"))
     damping_time: float | FloatArray = field(metadata=quantity("s", 0.0, 1.0))
     """Damping of the virtual joints over their stiffness, D = damping_time K: one value, or a table like that of the stiffness."""
+    translation_compliance: FloatArray = field(default_factory=lambda: np.zeros((JOINTS, 3)), metadata=quantity("m/N", 0.0))
+    """Springs along x, y, z of the frames (variant `joint_6dof`); without them the joints only turn."""
 
     def __post_init__(self) -> None:
         """Refuse a table that does not have a row per virtual joint."""
-        if np.shape(self.stiffness) != (JOINTS, 3):
-            raise ValueError(
-                f"compliance: stiffness has shape {np.shape(self.stiffness)}, expected ({JOINTS}, 3): frames 1..10 and 13, about x, y, z"
-            )
+        for name, sense in (("stiffness", "about"), ("translation_compliance", "along")):
+            if np.shape(getattr(self, name)) != (JOINTS, 3):
+                raise ValueError(
+                    f"compliance: {name} has shape {np.shape(getattr(self, name))}, expected ({JOINTS}, 3): frames 1..10 and 13, "
+                    f"{sense} x, y, z"
+                )
         if np.shape(self.damping_time) not in ((), (JOINTS, 3)):
             raise ValueError(
                 f"compliance: damping_time has shape {np.shape(self.damping_time)}, expected one value or ({JOINTS}, 3) like stiffness"
@@ -82,6 +90,16 @@ def compliance_variables(compliance: Compliance, tool: Tool) -> tuple[Variable, 
             minimum=1.0,
         ),
         Variable(
+            "translation_compliance",
+            "parameter",
+            "Compliance of the virtual joints in frames 1..10 and 13 (rows) along x, y, z of the frame; 0 = rigid",
+            "m/N",
+            (JOINTS, 3),
+            c.translation_compliance,
+            minimum=0.0,
+            display_unit="um/N",
+        ),
+        Variable(
             "sensor_stiffness_scale",
             "parameter",
             "Factor on the sensor row (frame 9): 1 = as printed in Table 1, 0.1 = as in the sensor's data sheet",
@@ -99,6 +117,7 @@ def compliance_variables(compliance: Compliance, tool: Tool) -> tuple[Variable, 
         Variable("frame_p", "state", "Scratch: origin in B of frames 1..14", "m", (14, 3)),
         Variable("joint_moment", "state", "Moment on the virtual joints about x, y, z of their frames", "N.m", (JOINTS, 3)),
         Variable("joint_angle", "state", "Elastic angle of the virtual joints about x, y, z of their frames", "rad", (JOINTS, 3)),
+        Variable("joint_shift", "state", "Elastic shift of the virtual joints, in B", "m", (JOINTS, 3)),
         Variable("deflection_quat", "state", "Elastic rotation of T in B, unit quaternion (w, x, y, z)", "1", (4,)),
     )
 
@@ -161,10 +180,18 @@ def virtual_joints(s: Record, q: FloatArray) -> None:
 def joint_moments(s: Record, f_T_B: FloatArray, m_T_B: FloatArray) -> None:
     """Fill s.joint_moment [N.m] from the load on the tool: force f_T_B [N], moment m_T_B [N.m] at T; Eqs. (5), (6).
 
-    Needs `virtual_joints`. The lever arms are those of the rigid robot (Eq. (2)).
+    Fills s.joint_shift [m] as well, what the joints yield along their axes. Needs `virtual_joints`. The lever arms are those of
+    the rigid robot (Eq. (2)).
     """
     for j in range(JOINTS):
         i = joint_frame(j)
+        for r in range(3):
+            s.joint_shift[j, r] = 0.0
+        for c in range(3):
+            if s.translation_compliance[j, c] != 0.0:
+                along = s.frame_R[i, 0, c] * f_T_B[0] + s.frame_R[i, 1, c] * f_T_B[1] + s.frame_R[i, 2, c] * f_T_B[2]
+                for r in range(3):
+                    s.joint_shift[j, r] += s.frame_R[i, r, c] * s.translation_compliance[j, c] * along
         r0 = s.frame_p[13, 0] - s.frame_p[i, 0]
         r1 = s.frame_p[13, 1] - s.frame_p[i, 1]
         r2 = s.frame_p[13, 2] - s.frame_p[i, 2]
@@ -217,7 +244,7 @@ def couple_drives(s: Record) -> None:
 
 @kernel
 def deflect(s: Record, d: FloatArray, theta: FloatArray) -> None:
-    """Displacement d [m] and rotation vector theta [rad] of T in B for the angles s.joint_angle; Eqs. (3), (4), (8), (9).
+    """Displacement d [m], rotation vector theta [rad] of T in B for s.joint_angle and s.joint_shift; Eqs. (3), (4), (8), (9).
 
     The product of Eq. (8) is taken from the tool to the base: joint by joint, the part of the chain in
     front of it turns about its origin by R* = Rz(gamma) Ry(beta) Rx(alpha). R* is carried as a quaternion
@@ -249,6 +276,10 @@ def deflect(s: Record, d: FloatArray, theta: FloatArray) -> None:
         u0 += 2.0 * (w * c0 + (v1 * c2 - v2 * c1))
         u1 += 2.0 * (w * c1 + (v2 * c0 - v0 * c2))
         u2 += 2.0 * (w * c2 + (v0 * c1 - v1 * c0))
+        if s.joint_shift[j, 0] != 0.0 or s.joint_shift[j, 1] != 0.0 or s.joint_shift[j, 2] != 0.0:
+            u0 += s.joint_shift[j, 0]
+            u1 += s.joint_shift[j, 1]
+            u2 += s.joint_shift[j, 2]
         nw = w * qw - v0 * qx - v1 * qy - v2 * qz
         nx = w * qx + v0 * qw + v1 * qz - v2 * qy
         ny = w * qy - v0 * qz + v1 * qw + v2 * qx
@@ -314,7 +345,7 @@ def compliance_matrix(s: Record, q: FloatArray, C: FloatArray) -> None:
     """Cartesian compliance C (6, 6) at T in B, to first order: [d; theta] = C [f; m], in m, rad, N, N.m.
 
     Sum over the virtual joints of g g^T / k with g = [e x r; e], e the axis of the joint, r its lever to T; the g of a
-    drive has that of the joints coupled to its axis on top.
+    drive has that of the joints coupled to its axis on top. A translation along e adds its compliance times e e^T.
     """
     virtual_joints(s, q)
     for a in range(6):
@@ -341,3 +372,8 @@ def compliance_matrix(s: Record, q: FloatArray, C: FloatArray) -> None:
             for a in range(6):
                 for b in range(6):
                     C[a, b] += g[a] * g[b] * softness
+            if s.translation_compliance[j, c] != 0.0:
+                i = joint_frame(j)
+                for a in range(3):
+                    for b in range(3):
+                        C[a, b] += s.frame_R[i, a, c] * s.frame_R[i, b, c] * s.translation_compliance[j, c]

@@ -97,7 +97,17 @@ def deflection(name: str, q: np.ndarray, f: np.ndarray, m: np.ndarray, sensor_sc
         else:
             whole = g
         total += whole[:3] * float(whole @ load) / k
-    return total
+    return total + shift(name, q, f)
+
+
+def shift(name: str, q: np.ndarray, f: np.ndarray) -> np.ndarray:
+    """What the springs along the axes yield [m]: alike in all directions at the axes, and along those of the tool at its frame."""
+    along = load_compliance(name).translation_compliance
+    drives = along[[0, 1, 3, 5, 6, 7]]
+    assert np.array_equal(drives, np.full_like(drives, drives[0, 0]))
+    place, R = np.zeros(3), np.zeros((3, 3))
+    tool_pose(kinematics(load_robot(name), SPINDLE_ACROSS), q, place, R)
+    return np.asarray(drives[:, 0].sum() * f + R @ (along[10] * (R.T @ f)))
 
 
 @pytest.mark.slow

@@ -228,6 +228,19 @@ def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
                 "regenerative_gain_error": 0.1,
             },
         ),
+        "spindle_holder": (
+            {"f_T_B": _force(), "m_T_B": _moment(), "q": _axes()},
+            # a bridge fails when the force has come up, and is found
+            {
+                "bridge_gain_error": [0.02, 0.0, -0.01, 0.0, 0.015, 0.0],
+                "temperature_zero": [3e-7, 0.0, -2e-7, 0.0, 0.0, 4e-7],
+                "noise_error": 0.5,
+                "cross_talk": 0.01,
+                "dead_channel": [0.0, 0.0, 0.45, 0.0, 0.0, 0.0],
+                "attack_point": [0.008, 0.001, 0.0],
+                "force_range": [1000.0, 300.0, 1000.0],
+            },
+        ),
     }[name]
 
 

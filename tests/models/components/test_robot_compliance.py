@@ -573,4 +573,6 @@ class TestErrors:
         assert f"the step size is {h} s, expected a positive one" in self.text(step(s, 0.0, h), s)
 
     def test_every_message_is_reached(self) -> None:
-        assert len(ERRORS) == 11, "the cases above cover nine, that of the folding robot tests/models/robot/test_geometric_stiffness.py"
+        assert len(ERRORS) == 12, (
+            "nine above, that of the folding robot in test_geometric_stiffness.py, that of translations in test_kr500.py"
+        )

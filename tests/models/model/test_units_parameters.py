@@ -53,6 +53,9 @@ ATOMS: dict[str, tuple[float, dict[str, int]]] = {
     "GPa": (1e9, {"kg": 1, "m": -1, "s": -2}),
     "bar": (1e5, {"kg": 1, "m": -1, "s": -2}),
     "mA": (1e-3, {"A": 1}),
+    "V": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -1}),
+    "mV": (1e-3, {"kg": 1, "m": 2, "s": -3, "A": -1}),
+    "uV": (1e-6, {"kg": 1, "m": 2, "s": -3, "A": -1}),
     "J": (1.0, {"kg": 1, "m": 2, "s": -2}),
 }
 """Definitions of the SI and of the units beside it; everything else is a product of these."""
@@ -159,7 +162,7 @@ class TestUnits:
 
     @pytest.mark.parametrize("convert", [to_si, from_si])
     def test_an_unknown_unit_is_refused_with_the_known_ones(self, convert: object) -> None:
-        with pytest.raises(ValueError, match=r"unknown unit 'furlong'; known units: %, 1, 1/min, 1/s, A, .*um/N"):
+        with pytest.raises(ValueError, match=r"unknown unit 'furlong'; known units: %, 1, 1/K, 1/N, 1/min, 1/s, A, .*um/N"):
             convert(1.0, "furlong")  # type: ignore[operator]  # parametrised over two functions of one signature
 
 
