@@ -53,6 +53,7 @@ def add_robot_arguments(parser: Any) -> None:
     parser.add_argument("--doubled", type=float, default=0.0, metavar="P", help="that it comes twice")
     parser.add_argument("--jitter", type=in_unit("s"), default=0.0, metavar="S", help="packets leave up to so much late, s or with a unit")
     parser.add_argument("--seed", type=int, default=1, help="of losses, delays and jitter (default: 1)")
+    parser.add_argument("--priority", type=int, default=0, metavar="N", help="real-time priority (SCHED_FIFO), 1 to 99 (default: none)")
     parser.add_argument("--in-step", action="store_true", help="not in real time, but as fast as answers come")
 
 
@@ -67,7 +68,7 @@ def address(text: str) -> Address:
 def partner(options: Namespace) -> int:
     """Answer a robot controller and record the session; status 1 after a fault."""
     from robomill.cell.rsi import ethernet
-    from robomill.cell.rsi.link import serve
+    from robomill.cell.rsi.link import real_time, serve
     from robomill.cell.rsi.partner import Partner
     from robomill.cell.rsi.preparation import prepare
     from robomill.cell.rsi.settings import load_link
@@ -97,7 +98,8 @@ def partner(options: Namespace) -> int:
                 print(f"note: {text}", file=sys.stderr)
             print(f"warning: {_WARNING}", file=sys.stderr)
             print(f"listening at {where[0]}:{listening.getsockname()[1]}", file=sys.stderr, flush=True)
-            ended = serve(made, listening, options.duration)
+            with real_time(options.priority):
+                ended = serve(made, listening, options.duration)
             result = {**made.summary(), "ended": ended, **_times(made.session.columns(), link.system.step)}
             if made.session.count:
                 about = {**prepared.about, "labels": {**prepared.about["labels"], **labels}}
@@ -149,7 +151,7 @@ def _show(result: dict[str, Any], folder: Path) -> None:
 def robot(options: Namespace) -> int:
     """Be the robot controller for a partner; status 1 if RSI ended with a timeout."""
     from robomill.cell.rsi.krc import Krc
-    from robomill.cell.rsi.link import drive
+    from robomill.cell.rsi.link import drive, real_time
     from robomill.cell.rsi.network import Faults
     from robomill.cell.rsi.preparation import prepare
     from robomill.cell.rsi.settings import load_link
@@ -173,7 +175,8 @@ def robot(options: Namespace) -> int:
         try:
             for text in made.side.notes:
                 print(f"note: {text}", file=sys.stderr)
-            drive(made, where, faults, options.in_step)
+            with real_time(options.priority):
+                drive(made, where, faults, options.in_step)
             run = made.run()
         finally:
             made.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import socket
 import time
 from collections.abc import Callable, Iterator
@@ -33,55 +34,84 @@ def without_collector() -> Iterator[None]:
         gc.unfreeze()
 
 
+@contextmanager
+def real_time(priority: int) -> Iterator[None]:
+    """Be scheduled before all ordinary processes meanwhile (SCHED_FIFO, Linux); 0: as always. OSError says what is missing."""
+    if not priority:
+        yield
+        return
+    if not hasattr(os, "sched_setscheduler"):
+        raise OSError("a real-time priority needs Linux; leave --priority away")
+    before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except (PermissionError, OSError) as error:
+        least, most = (f(os.SCHED_FIFO) for f in (os.sched_get_priority_min, os.sched_get_priority_max))
+        raise OSError(
+            f"priority {priority} is refused: {error.strerror}; expected {least} to {most} and the right to it (CAP_SYS_NICE, or rtprio in "
+            "limits.conf); without --priority it runs as any process"
+        ) from None
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, before, parameter)
+
+
 def serve(partner: Partner, listening: socket.socket, duration: float | None = None, waited: Callable[[], bool] | None = None) -> str:
     """Answer one robot controller until it falls silent, `duration` [s] after its first packet, or Ctrl-C; returns why it is over.
 
     `listening` is a bound UDP socket. Only the first sender is listened to.
     `waited` is asked now and then while nobody has called; False ends it.
     """
-    w, rob = partner.watchdog, partner.rob
-    clock = time.perf_counter_ns
-    listening.settimeout(_LOOK)
     try:
-        while True:
-            try:
-                length, sender = listening.recvfrom_into(rob.buffer)
-            except TimeoutError:
-                if waited is not None and not waited():
-                    return "no robot controller has called"
-                continue
-            n = partner.answer(length, clock())
-            if w.state == WAITING:
-                continue  # nothing that a robot controller sends
-            listening.connect(sender)
-            listening.settimeout(w.settings.silence)
-            break
-        end = clock() + round(NANO * duration) if duration is not None else None
         with without_collector():
-            return _answer(partner, listening, n, end)
+            ended = _first(partner, listening, waited)
+            end = time.perf_counter_ns() + round(NANO * duration) if duration is not None else None
+            return ended or _answer(partner, listening, end)
     except KeyboardInterrupt:
         return "interrupted"
 
 
-def _answer(partner: Partner, connected: socket.socket, n: int, end: int | None) -> str:
+def _first(partner: Partner, listening: socket.socket, waited: Callable[[], bool] | None) -> str:
+    """Answer the first packet that can be read, and listen to its sender only from then on; why it is over, "" if it is not."""
     w, rob, sen = partner.watchdog, partner.rob, partner.sen
-    clock, buffer, views = time.perf_counter_ns, rob.buffer, sen.view
+    listening.settimeout(_LOOK)
+    while True:
+        try:
+            length, sender = listening.recvfrom_into(rob.buffer)
+        except TimeoutError:
+            if waited is not None and not waited():
+                return "no robot controller has called"
+            continue
+        n = partner.answer(length, time.perf_counter_ns())
+        if w.state == WAITING:
+            continue  # nothing that a robot controller sends
+        listening.connect(sender)
+        listening.settimeout(w.settings.silence)
+        listening.send(sen.view(n))
+        partner.sent(time.perf_counter_ns())
+        return ""
+
+
+def _answer(partner: Partner, connected: socket.socket, end: int | None) -> str:
+    """Answer packet after packet; why it is over. Per cycle there are two calls of the system, and no object stays."""
+    w, buffer, view = partner.watchdog, partner.rob.buffer, partner.sen.view
+    clock = time.perf_counter_ns
     now = clock()
     while end is None or now < end:
         try:
-            if n:
-                connected.send(views(n))
-                partner.sent(clock())
-                n = 0
             length = connected.recv_into(buffer)
-        except (TimeoutError, ConnectionRefusedError):  # the latter: the other end has closed its socket
+            now = clock()
+            n = partner.answer(length, now)
+            if n:
+                connected.send(view(n))
+                partner.sent(clock())
+        except TimeoutError:
             now = clock()
             if w.silent(now):
                 return f"the robot controller stopped sending after IPOC {w.ipoc}"
-            n = 0
-            continue
-        now = clock()
-        n = partner.answer(length, now)
+        except ConnectionRefusedError:
+            continue  # its socket is closed: what it sent before is still to be read, then it is silent
     return "the time that was asked for is over"
 
 

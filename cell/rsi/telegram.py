@@ -87,6 +87,7 @@ class Telegram:
         self._scan, self._write = compiled(kernels.scan), compiled(kernels.write)
         views = memoryview(self.buffer)
         self._views = [views[:n] for n in range(LONGEST + 1)]
+        self.read(self.write())  # compiled or loaded here, not by the first packet
 
     @property
     def ipoc(self) -> int:

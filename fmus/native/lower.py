@@ -34,8 +34,6 @@ FORBIDDEN = ("Py", "_Py", "NRT_", "numba_")
 """Beginnings of names of functions that a native FMU does not have."""
 INEXACT = re.compile(r"\b(?:fast|contract|reassoc|arcp|afn|nnan|ninf|nsz) |llvm\.fmuladd|llvm\.fma\.")
 """Marks of arithmetic that may come out differently on another processor."""
-KEPT = 40
-"""Lowered models that stay in the cache folder."""
 _STATUS_BITS = 64
 """Bits of the integer that `init` and `step` return: the shim takes it for an int64_t."""
 _GARBAGE = 200_000
@@ -180,7 +178,7 @@ def _keep(result: Path, kept: Path) -> None:
         partial = kept.with_name(f".{kept.name}.{os.getpid()}")
         partial.write_bytes(result.read_bytes())
         partial.replace(kept)
-        prune(kept.parent.parent, kept.parent.name, KEPT)
+        prune(kept.parent.parent, kept.parent.name)
 
 
 def _read(file: Path) -> Lowered:

@@ -18,9 +18,6 @@ from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 
-KEPT = 30
-"""Packages of other FMUs that stay in the cache folder."""
-
 
 def install(package: str, bundle: str) -> ModuleType:
     """Import the package that stands in the folder `bundle`, from its copy in the cache folder if that is possible."""
@@ -29,7 +26,7 @@ def install(package: str, bundle: str) -> ModuleType:
     folder, notes = source, []
     try:
         folder = _copy(source, cache.user_folder() / "fmu" / package)
-        cache.prune(folder.parent, package, KEPT)
+        cache.prune(folder.parent, package)
     except OSError as error:
         notes.append(f"the cache folder cannot be used ({error}): the model is compiled anew in every process")
     module = _module(package, folder / "__init__.py", register=True)

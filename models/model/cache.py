@@ -15,14 +15,17 @@ import shutil
 import sys
 import sysconfig
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-KEPT = 20
-"""Folders of former sources that stay: a handful of components, other branches, other processes."""
+KEPT = 100
+"""Folders that stay however long ago they were used: the components of this project, and some former sources of each."""
+IN_USE = 86400.0
+"""Time [s] since its last use in which a folder stays however many there are: a process may still run from it."""
 PACKAGE = Path(__file__).parents[1]
 # builds side by side: CPython 3.11 counts the depth of its trees for all threads together, and then finds it wrong
 _PARSING = threading.Lock()
@@ -69,11 +72,12 @@ def compiled_code(*functions: Callable[..., Any]) -> Iterator[None]:
 
 
 def prune(folder: Path, current: str, kept: int = KEPT) -> None:
-    """Remove the subfolders of `folder` that were used longest ago, all but `kept` and `current`."""
+    """Remove the subfolders of `folder` that were used longest ago, all but `kept`, `current` and those used within `IN_USE`."""
     with suppress(OSError):
-        others = sorted((f for f in folder.iterdir() if f.is_dir() and f.name != current), key=lambda f: f.stat().st_mtime, reverse=True)
-        for old in others[kept:]:
-            shutil.rmtree(old, ignore_errors=True)
+        used = {f: f.stat().st_mtime for f in folder.iterdir() if f.is_dir() and f.name != current}
+        for old in sorted(used, key=used.__getitem__, reverse=True)[kept:]:
+            if time.time() - used[old] > IN_USE:
+                shutil.rmtree(old, ignore_errors=True)
 
 
 def source_files(module: str) -> dict[str, Path]:
