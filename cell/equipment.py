@@ -46,7 +46,7 @@ from robomill.orchestration.system.entries import Entry
 from robomill.orchestration.system.parameters import prepare
 from robomill.orchestration.system.written import merged, place_of
 
-__all__ = ["load_system", "machine_of", "robot_of", "tool_of"]
+__all__ = ["load_system", "machine_of", "ports_of", "robot_of", "tool_of"]
 
 Values = Mapping[str, "float | FloatArray"]
 """Parameter -> value in SI."""
@@ -121,7 +121,7 @@ def _equipped(system: System) -> System:
     parts = {role: _PIECES[role](system) for role in system.equipment}
     used = dict.fromkeys(parts, False)
     for c in system.components:
-        slave_ports = _ports(system, c.name)
+        slave_ports = ports_of(system, c.name)
         ports = [p for p in slave_ports if p.causality == "parameter"]
         own = prepare(c.name, ports, _known(c.parameters, ports), convert, system.folder)
         starts = {p.name: p.start for p in ports}
@@ -150,7 +150,7 @@ def _equipped(system: System) -> System:
     return replace(system, equipped=True, labels=labels, warnings=(*system.warnings, *warnings, *idle))
 
 
-def _ports(system: System, component: str) -> Sequence[Port]:
+def ports_of(system: System, component: str) -> Sequence[Port]:
     """Ports of a component; none of a recording, and of what cannot be opened: the assembly says why."""
     source = system.component(component).source
     if is_component(source):

@@ -34,6 +34,8 @@ ACTIONS = {
     "blind": ("blind_command", "blind"),
     "identify": ("identify_command", "run"),
     "stability": ("stability_command", "run"),
+    "rsi": ("rsi_command", "partner"),
+    "krc": ("rsi_command", "robot"),
 }
 """Module and function of each command; imported when it is called, because some take seconds."""
 
@@ -49,7 +51,7 @@ class _Parser(argparse.ArgumentParser):
 
 def parser() -> argparse.ArgumentParser:
     """All commands and their options."""
-    from robomill import blind_command, compensate_command, identify_command, place_command
+    from robomill import blind_command, compensate_command, identify_command, place_command, rsi_command
 
     main_parser = _Parser(
         "robomill", description=DESCRIPTION, epilog="Start with: robomill example groove, then robomill run scenarios/groove.toml"
@@ -200,6 +202,13 @@ def parser() -> argparse.ArgumentParser:
         "robomill identify stiffness data/fanuc_r2000ic/loads.toml",
     )
     identify_command.add_arguments(identify)
+
+    rsi = _command(commands, "rsi", "answer a KUKA controller in real time over RSI, and record it", "robomill rsi scenarios/rsi/link.toml")
+    rsi_command.add_partner_arguments(rsi)
+    krc = _command(
+        commands, "krc", "be the robot controller of such a link, simulated", "robomill krc scenarios/rsi/link.toml --lost 0.001"
+    )
+    rsi_command.add_robot_arguments(krc)
     return main_parser
 
 
