@@ -19,8 +19,8 @@ from robomill.cell.milling import own_tool, read_program, with_parameters
 from robomill.cell.scenario import Scenario, ScenarioError
 from robomill.models.model.declaration import FloatArray
 from robomill.models.planning.planned_cuts import BOUNDS, PlannedCut, planned_cuts
-from robomill.models.planning.reachability import Reach, check_reachable
-from robomill.models.planning.trajectory import Placement, Plan, plan
+from robomill.models.planning.reachability import axis_angles, check_reachable
+from robomill.models.planning.trajectory import Plan, plan
 from robomill.models.process.cutting import CuttingCoefficients, EndMill, mean_force
 from robomill.models.process.stability.coupling import critical_gain
 from robomill.models.process.stability.modes import Modes, frequency_grid, from_stiffness, load_modes, receptance
@@ -48,8 +48,9 @@ class Cell:
     """What the stability of a scenario depends on."""
 
     planned: Plan
-    reach: Reach
     cuts: tuple[PlannedCut, ...]
+    angles: FloatArray
+    """Axis angles [rad] (n, 6) of the n cuts."""
     mills: Mapping[int, EndMill]
     coefficients: CuttingCoefficients
     spindle: Modes | None
@@ -100,27 +101,28 @@ def prepare(scenario: Scenario, modes: str | Path | None = None, rigid: bool = F
     """
     if scenario.program is None or scenario.workpiece is None:
         raise ScenarioError(f"{scenario.file}: a scenario of kind {scenario.kind!r} has no program whose stability could be judged")
-    program = read_program(scenario.program, scenario.reading)
+    program = read_program(scenario.program, scenario.reading, scenario.orientation)
     system = with_parameters(load_system(scenario.system, scenario.equipment), scenario.parameters)
     own = own_tool(system)
     if own is None and not scenario.tools:
         raise ScenarioError(f"{scenario.file}: neither the component 'milling' nor [tools] says what the tool is; add [tools.1]")
     mills: dict[int, EndMill] = {**({0: own} if own else {}), **scenario.tools}
-    planned = plan(program, Placement(scenario.workpiece.position, scenario.workpiece.abc))
+    planned = plan(program, scenario.workpiece.placement)
     robot = robot_of(system)
-    reach = check_reachable(planned, robot, tool_of(system), robot.q_home)
+    check_reachable(planned, robot, tool_of(system), robot.q_home)
     cuts = tuple(
         c for c in planned_cuts(planned, scenario.workpiece.size, {n: 0.5 * m.diameter for n, m in mills.items()}) if c.spindle_speed > 0.0
     )
     if not cuts:
         raise ScenarioError(f"{scenario.file}: {scenario.program.name} cuts nothing with the spindle on; `robomill plan` says why")
+    angles = axis_angles(planned, np.array([c.time for c in cuts]), robot, tool_of(system), robot.q_home)
     coefficients, spindle, notes = _process(system, modes)
     machine = None if rigid else machine_of(system)
     if machine is None and not rigid:
         notes += (f"robot {robot.name!r} has no springs or no bodies in models/data: it is taken as rigid",)
     if machine is None and spindle is None:
         raise ScenarioError(f"{scenario.file}: neither tool nor robot can vibrate; name modes (--modes {TOOL_MODES})")
-    return Cell(planned, reach, cuts, mills, coefficients, spindle, machine, notes)
+    return Cell(planned, cuts, angles, mills, coefficients, spindle, machine, notes)
 
 
 def _process(system: System, modes: str | Path | None) -> tuple[CuttingCoefficients, Modes | None, tuple[str, ...]]:
@@ -155,8 +157,9 @@ def frame_of(cell: Cell, cut: PlannedCut) -> FloatArray:
 
 
 def angles_at(cell: Cell, cut: PlannedCut) -> FloatArray:
-    """Axis angles [rad] (6,) of a planned cut, between the nearest sampled ones (at most 10 mm apart)."""
-    return np.array([np.interp(cut.time, cell.reach.tau, cell.reach.q[:, i]) for i in range(6)])
+    """Axis angles [rad] (6,) of a planned cut."""
+    angles: FloatArray = cell.angles[next(i for i, c in enumerate(cell.cuts) if c is cut)]
+    return angles
 
 
 def robot_modes(cell: Cell, q: FloatArray, R: FloatArray) -> Modes | None:

@@ -72,10 +72,11 @@ def partner(options: Namespace) -> int:
     from robomill.cell.rsi.partner import Partner
     from robomill.cell.rsi.preparation import prepare
     from robomill.cell.rsi.settings import load_link
-    from robomill.commands import RESULTS, _progress
+    from robomill.commands import RESULTS
     from robomill.import_command import labels as read_labels
     from robomill.orchestration.runs.lock import FolderLock
     from robomill.orchestration.runs.run import check_vacant
+    from robomill.progress import progress_bar
 
     link = load_link(options.link)
     if options.config is not None:
@@ -89,7 +90,7 @@ def partner(options: Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     where: Address = options.listen or (link.config.address, link.config.port)
     with FolderLock(folder), _bound(where) as listening:
-        with _progress(options.json) as report:
+        with progress_bar(options.json) as report:
             prepared = prepare(link, folder, partner=True, fmus=options.fmus, progress=report)
         rows = round((options.duration or ROOM) / link.system.step) + 2 + link.watch.gap
         made = Partner(link, prepared.system, rows)
@@ -155,11 +156,12 @@ def robot(options: Namespace) -> int:
     from robomill.cell.rsi.network import Faults
     from robomill.cell.rsi.preparation import prepare
     from robomill.cell.rsi.settings import load_link
-    from robomill.commands import RESULTS, _progress
+    from robomill.commands import RESULTS
     from robomill.diagnosis.outcome import adopt
     from robomill.orchestration.runs.importing import write_run
     from robomill.orchestration.runs.lock import FolderLock
     from robomill.orchestration.runs.run import check_vacant
+    from robomill.progress import progress_bar
 
     link = load_link(options.link)
     faults = Faults(options.lost, options.late, options.doubled, options.jitter, options.seed)
@@ -168,7 +170,7 @@ def robot(options: Namespace) -> int:
         check_vacant([folder])
     folder.mkdir(parents=True, exist_ok=True)
     where: Address = options.to or (link.config.address, link.config.port)
-    with FolderLock(folder), _progress(options.json) as report:
+    with FolderLock(folder), progress_bar(options.json) as report:
         prepared = prepare(link, folder, partner=False, fmus=options.fmus, progress=report)
         system = prepared.system if options.adopt is None else adopt.adopted(prepared.system, options.adopt)
         made = Krc(link, system)

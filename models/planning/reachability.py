@@ -137,15 +137,7 @@ def survey(
     differences of the axis angles over the clock, which is what the axes are sent. `q_start` [rad] chooses the branch. PlanError
     names the line of the program, the axis, its value and its limits if a pose is out of reach or an axis leaves its limits.
     """
-    data = MODEL.new()
-    for variable in robot_variables(robot, tool):
-        if variable.causality == "parameter":
-            data[variable.name] = variable.start_values
-    data["q_start"] = q_start
-    data["speed_ratio"] = 0.0  # the path time is set, not run
-    MODEL.load_table(data, "segments", plan.table)
-    status = MODEL.compiled_for_data()[0](data)
-    _refuse(plan, data, status)
+    data = _at_rest(plan, robot, tool, q_start)
     limits = axis_limits.of(robot)
     found = _Found(limits, int(np.max(plan.table[:, LINE])))
     ticks = math.ceil(plan.duration / CLOCK) + 3  # two ticks of rest show the last differences
@@ -211,6 +203,29 @@ class _Found:
     def places(self) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
         """Shares, path times and lines of the six axes, for each quantity."""
         return [(self.share[k], self.tau[k], self.line[k]) for k in range(3)]
+
+
+def axis_angles(plan: Plan, times: FloatArray, robot: Robot, tool: Tool, q_start: Sequence[float] | FloatArray) -> FloatArray:
+    """Axis angles [rad] (n, 6) at path times [s] (n,); `q_start` [rad] chooses the branch. PlanError as `survey`."""
+    data = _at_rest(plan, robot, tool, q_start)
+    ticks = np.union1d(np.arange(0.0, plan.duration, CLOCK), times)
+    angles = np.zeros((len(ticks), 6))
+    _refuse(plan, data, _follow(data, ticks, angles))
+    found: FloatArray = angles[np.searchsorted(ticks, times)]
+    return found
+
+
+def _at_rest(plan: Plan, robot: Robot, tool: Tool, q_start: Sequence[float] | FloatArray) -> npt.NDArray[np.void]:
+    """Data of a path interpolator at the beginning of the plan."""
+    data = MODEL.new()
+    for variable in robot_variables(robot, tool):
+        if variable.causality == "parameter":
+            data[variable.name] = variable.start_values
+    data["q_start"] = q_start
+    data["speed_ratio"] = 0.0  # the path time is set, not run
+    MODEL.load_table(data, "segments", plan.table)
+    _refuse(plan, data, MODEL.compiled_for_data()[0](data))
+    return data
 
 
 def _refuse(plan: Plan, data: npt.NDArray[np.void], status: int) -> None:
