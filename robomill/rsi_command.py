@@ -114,7 +114,7 @@ def partner(options: Namespace) -> int:
         print(json.dumps(result))
     else:
         _show(result, folder)
-    return BAD if result["fault"] and not made.watchdog.only_silent else DONE
+    return BAD if result["fault"] else DONE
 
 
 def _bound(where: Address) -> socket.socket:

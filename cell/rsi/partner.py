@@ -143,7 +143,8 @@ class Partner:
     def summary(self) -> dict[str, Any]:
         """Counts, state and fault of the session so far."""
         w = self.watchdog
-        return {"state": STATES[w.state], "fault": w.fault, "ipoc": w.ipoc, "cycles": self.session.count, **w.counts}
+        state, fault = ("over", "") if w.only_silent else (STATES[w.state], w.fault)
+        return {"state": state, "fault": fault, "ipoc": w.ipoc, "cycles": self.session.count, **w.counts}
 
     def write(self, folder: Path, info: Mapping[str, Any], ended: str, overwrite: bool = False) -> None:
         """Write the session as a run folder; `ended`: why it is over. The outcome is `failed` after a fault.
