@@ -35,7 +35,6 @@ ROOT = Path(__file__).parent.parent
 LINK = ROOT / "scenarios" / "rsi" / "link.toml"
 DOCS = ROOT / "docs" / "benchmarks" / "rsi.md"
 CYCLE = 0.004
-TIMEOUT = 100
 QUANTILES = (0.5, 0.99, 0.999, 0.9999, 1.0)
 SAMPLE = 1500
 """Packets that an answer is timed over."""

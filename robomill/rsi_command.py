@@ -15,7 +15,6 @@ import numpy as np
 from robomill.option_types import in_unit
 
 DONE, BAD = 0, 1
-MINUTE = 60.0
 ROOM = 600.0
 """Seconds of a session that are kept where nobody says how long it lasts."""
 _WARNING = "simulation software without any safety function: the limits of POSCORR and AXISCORR and the safety controller protect, not this"
@@ -24,6 +23,7 @@ Address = tuple[str, int]
 
 def add_partner_arguments(parser: Any) -> None:
     """Options of `robomill rsi`."""
+    _add_priority(parser)
     parser.add_argument("link", type=Path, metavar="LINK.toml", help="what goes over the wire, limits, watchdog: docs/rsi.md")
     parser.add_argument("--listen", type=address, metavar="IP:PORT", help="where to wait for the robot controller (default: the link's)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the recorded session (default: results/NAME)")
@@ -40,6 +40,10 @@ def add_partner_arguments(parser: Any) -> None:
     )
 
 
+def _add_priority(parser: Any) -> None:
+    parser.add_argument("--priority", type=int, default=0, metavar="N", help="real-time priority (SCHED_FIFO), 1 to 99 (default: none)")
+
+
 def add_robot_arguments(parser: Any) -> None:
     """Options of `robomill krc`."""
     parser.add_argument("link", type=Path, metavar="LINK.toml", help="the link file that the partner has, too")
@@ -53,7 +57,7 @@ def add_robot_arguments(parser: Any) -> None:
     parser.add_argument("--doubled", type=float, default=0.0, metavar="P", help="that it comes twice")
     parser.add_argument("--jitter", type=in_unit("s"), default=0.0, metavar="S", help="packets leave up to so much late, s or with a unit")
     parser.add_argument("--seed", type=int, default=1, help="of losses, delays and jitter (default: 1)")
-    parser.add_argument("--priority", type=int, default=0, metavar="N", help="real-time priority (SCHED_FIFO), 1 to 99 (default: none)")
+    _add_priority(parser)
     parser.add_argument("--in-step", action="store_true", help="not in real time, but as fast as answers come")
 
 
@@ -111,7 +115,7 @@ def partner(options: Namespace) -> int:
         print(json.dumps(result))
     else:
         _show(result, folder)
-    return BAD if result["fault"] and not made.watchdog.only_silent else DONE
+    return BAD if result["fault"] else DONE
 
 
 def _bound(where: Address) -> socket.socket:

@@ -67,7 +67,7 @@ class Ethernet:
     receive: tuple[Element, ...]
     """To it."""
     address: str = "127.0.0.1"
-    """Of the partner."""
+    """Where the partner listens."""
     port: int = PORT
     sentype: str = "ImFree"
     """Type in `<Sen Type="...">`."""

@@ -157,8 +157,8 @@ def _send(s: socket.socket, datagram: bytes) -> None:
 
 
 def _listen(krc: Krc, s: socket.socket, buffer: bytearray, back: Direction, deadline: int, in_step: bool) -> None:
-    """Take answers until the deadline [ns]; in lock step until that of this cycle has come."""
-    while not (in_step and krc.answered):
+    """Take answers until that of this cycle has come, or the deadline [ns] is over: the robot reckons its next cycle ahead of time."""
+    while not krc.answered:
         left = deadline - time.perf_counter_ns()
         if left <= 0:
             return

@@ -15,7 +15,7 @@ from robomill.cell.rsi.settings import Link, Signal
 from robomill.cell.rsi.sides import HORIZON, Arriving, Leaving, master_of, open_side, warm_up
 from robomill.cell.rsi.telegram import Place, Telegram
 from robomill.cell.rsi.telegram_kernels import WHOLE
-from robomill.cell.rsi.watchdog import NANO, STATES, Watchdog
+from robomill.cell.rsi.watchdog import NANO, STATES, WAITING, Watchdog
 from robomill.models.model.compiled import compiled
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.system.definition import System
@@ -86,7 +86,7 @@ class Partner:
         if status:
             w.malformed(self.rob.explain(status), now)
             return 0
-        waiting = w.state == 0
+        waiting = w.state == WAITING
         cycles = w.arrived(self.rob.ipoc, now)
         if not cycles:
             return 0
@@ -143,7 +143,8 @@ class Partner:
     def summary(self) -> dict[str, Any]:
         """Counts, state and fault of the session so far."""
         w = self.watchdog
-        return {"state": STATES[w.state], "fault": w.fault, "ipoc": w.ipoc, "cycles": self.session.count, **w.counts}
+        state, fault = ("over", "") if w.only_silent else (STATES[w.state], w.fault)
+        return {"state": state, "fault": fault, "ipoc": w.ipoc, "cycles": self.session.count, **w.counts}
 
     def write(self, folder: Path, info: Mapping[str, Any], ended: str, overwrite: bool = False) -> None:
         """Write the session as a run folder; `ended`: why it is over. The outcome is `failed` after a fault.

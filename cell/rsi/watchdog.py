@@ -29,7 +29,7 @@ class Watchdog:
         self.only_silent = False
         """Whether the fault is that nothing came, and nothing has come since: the end of a session."""
         self.ipoc = 0
-        """Of the last packet that was in order."""
+        """The counter of the last packet that was in order."""
         self._arrived = 0
         self._failed_at = 0
         self._unusable = 0

@@ -31,6 +31,10 @@ STIFFNESS = 0.3e6
 """Below the stiffness of the robot in any direction, N/m: 2.3 um/N in the softest, with margin."""
 
 
+LEVER = 3.0
+"""Longer than from axis 1 to the tool tip, m."""
+
+
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Link, System]:
     """Drive and controller alone, for 0.2 s."""
@@ -168,12 +172,18 @@ def test_over_a_socket_and_in_step_nothing_depends_on_time(small: tuple[Link, Sy
 
 
 @pytest.fixture(scope="module")
-def groove(tmp_path_factory: pytest.TempPathFactory) -> tuple[Link, System, Run]:
-    """The groove with pilot control, and what it is without any link."""
+def job(tmp_path_factory: pytest.TempPathFactory) -> milling.Job:
+    """The groove, planned."""
     link = load_link(SCENARIOS / "rsi" / "link.toml")
     assert link.scenario is not None
+    return milling.prepare(link.scenario, tmp_path_factory.mktemp("groove"))
+
+
+@pytest.fixture(scope="module")
+def groove(job: milling.Job) -> tuple[Link, System, Run]:
+    """The groove with pilot control, and what it is without any link."""
+    link = load_link(SCENARIOS / "rsi" / "link.toml")
     assert link.variant is not None
-    job = milling.prepare(link.scenario, tmp_path_factory.mktemp("groove"))
     run, _ = milling.mill(job, link.variant)
     return link, milling.of_variant(job, link.variant), run
 
@@ -195,6 +205,34 @@ def test_the_groove_over_the_link_is_that_without_it(groove: tuple[Link, System,
         np.testing.assert_allclose(columns[f"controller.correction_B[{i}]"], run[f"controller.correction_B[{i}]"], atol=bound, rtol=0)
     np.testing.assert_allclose(found["compliance.p_BT_B"], run["compliance.p_BT_B"], atol=bound, rtol=0)
     assert np.ptp(run["controller.correction_B"], axis=0).max() > 1e-4
+
+
+@pytest.mark.slow
+def test_axis_corrections_with_the_sensor_on_the_partners_side(job: milling.Job, tmp_path: Path) -> None:
+    """Another cut of the same system, AK instead of RKorr, and the cutting force in the telegram."""
+    text = (SCENARIOS / "rsi" / "link.toml").read_text().partition("[[send]]")[0]
+    text = text.replace('"../groove.toml"', f'"{SCENARIOS / "groove.toml"}"').replace("cartesian_pilot", "axis")
+    text = text.replace('["controller"]', '["sensor", "controller"]').replace("decimals = 4", "decimals = 9")
+    carried = {"AIPos": ("drive.q_motor", "deg"), "Feed": ("path.v_BT_B", "mm/s"), "Force": ("milling.f_T_B", "N")}
+    carried |= {"Moment": ("milling.m_T_B", "N.m")}
+    for element, (port, unit) in carried.items():
+        text += f'[[send]]\nelement = "{element}"\nport = "{port}"\nunit = "{unit}"\n'
+    text += '[[receive]]\nelement = "AK"\nport = "controller.correction_q"\nunit = "deg"\nlimit = "5 deg"\n'
+    xml = (SCENARIOS / "rsi" / "ethernet.xml").read_text()
+    for i, name in enumerate("XYZABC"):
+        xml = xml.replace(f"RKorr.{name}", f"AK.A{i + 1}")
+    (tmp_path / "ethernet.xml").write_text(xml)
+    (tmp_path / "link.toml").write_text(text)
+    link = load_link(tmp_path / "link.toml")
+    assert link.variant is not None
+    run, _ = milling.mill(job, link.variant)
+    system = milling.of_variant(job, link.variant)
+    krc, partner = Krc(link, system), Partner(link, system, len(run) + 10)
+    lockstep(krc, partner)
+    found = krc.run()
+    bound = 4.0 * np.deg2rad(0.5e-9) * LEVER + 4.0 * 0.5e-9 / STIFFNESS
+    np.testing.assert_allclose(found["compliance.p_BT_B"], run["compliance.p_BT_B"], atol=bound, rtol=0)
+    assert np.ptp(run["controller.correction_q"], axis=0).max() > 1e-4
 
 
 @pytest.mark.slow

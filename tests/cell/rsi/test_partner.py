@@ -17,6 +17,7 @@ from robomill.cell.binding import resolve
 from robomill.cell.rsi.link import real_time, serve
 from robomill.cell.rsi.partner import Partner
 from robomill.cell.rsi.settings import Link
+from robomill.cli import main
 from robomill.orchestration.errors import RunError
 from robomill.orchestration.runs.run import Run
 from tests.cell.rsi.conftest import MS, Bench, Packet, Q
@@ -211,3 +212,14 @@ def test_nobody_calls(link: Link) -> None:
 def test_a_priority_that_there_is_not_is_refused() -> None:
     with pytest.raises(OSError, match=r"priority 1000 is refused: .*; without --priority it runs as any process"), real_time(1000):
         pass
+
+
+@pytest.mark.slow
+def test_the_fmu_of_the_controller_gives_the_same_answers(link: Link, packet: Packet, bench: Bench, tmp_path: Path) -> None:
+    assert main(["build", "--component", "compensation_controller", "--out", str(tmp_path)]) == 0
+    other = Bench(replace(link, system=link.system.with_source("controller", str(tmp_path / "compensation_controller.fmu"))))
+    for k in range(60):
+        text = packet(k, 10.0 * k)
+        assert other.ask(text) == bench.ask(text)
+    assert bench.partner.summary() == other.partner.summary()
+    other.partner.close()

@@ -70,7 +70,7 @@ def test_a_link_is_read(tmp_path: Path) -> None:
         ('"small.toml"', '"small.toml"\nvariant = "x"', "variant: goes with a scenario"),
         ('["controller"]', '["kontroller"]', "unknown component 'kontroller'; did you mean 'controller'?"),
         ('["controller"]', '["controller", "drive"]', "neither all nor none"),
-        ('element = "AIPos"', 'element = "Aipos"', "unknown element 'Aipos'; did you mean 'AIPos'?"),
+        ('element = "AIPos"', 'element = "AIPoss"', "unknown element 'AIPoss'; did you mean 'AIPos' or 'ASPos'?"),
         ('element = "AIPos"', "", "one of element (a whole tag) and elements (a list) is needed, and not both"),
         ('"RKorr.Z"]', '"RKorr.Q"]', "unknown element 'RKorr.Q'"),
         ('"RKorr.Z"]', '"RKorr.Y"]', "RKorr.Y stands for two ports; an element is one value"),
