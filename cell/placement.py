@@ -250,7 +250,9 @@ def place(
     )
     fine = minimize(counted, coarse.x, method="Nelder-Mead", bounds=bounds[index], options={"xatol": 1e-4, "fatol": 1e-9})
     best = full(fine.x if fine.fun < coarse.fun else coarse.x)
-    best[3:] = (best[3:] + math.pi) % (2.0 * math.pi) - math.pi
+    beyond = np.abs(best) > math.pi
+    beyond[:3] = False
+    best[beyond] = (best[beyond] + math.pi) % (2.0 * math.pi) - math.pi
     value = judged.criterion(_placement(scenario, best))
     if value >= OUT_OF_REACH:
         low, high = 1e3 * bounds[:3].T
