@@ -22,10 +22,12 @@ from robomill.cell.equipment import load_system
 from robomill.cell.plan_checks import Findings, check_plan
 from robomill.cell.plausibility import unusual_values
 from robomill.cell.points import read_points
+from robomill.cell.robot_programs import is_robot_program, read_robot_program
 from robomill.cell.scenario import ComponentParameters, Scenario, ScenarioError, Variant, Workpiece
 from robomill.models.model.declaration import FloatArray
 from robomill.models.planning import gcode
-from robomill.models.planning.point_path import PointPath
+from robomill.models.planning.languages.convert import path_of
+from robomill.models.planning.point_path import Interpolation, PointPath
 from robomill.models.planning.segment_table import TOOL
 from robomill.models.planning.trajectory import Plan, pilot_table, plan
 from robomill.models.process import tool_table
@@ -111,7 +113,7 @@ def lay_out(
     assert scenario.workpiece is not None  # load_scenario checks both for this kind
     workpiece = scenario.workpiece
     placement = workpiece.placement
-    program = read_program(scenario.program, scenario.reading)
+    program = read_program(scenario.program, scenario.reading, scenario.orientation)
     system = load_system(scenario.system, scenario.equipment)
     _require(system)
     findings = check(scenario, program, system)
@@ -152,14 +154,31 @@ def with_pilot(job: Job, progress: Progress | None = None) -> Job:
     return job if _is_recording(job.system, "path") else replace(job, system=job.system.with_parameters("path", {"pilot": str(pilot)}))
 
 
-def read_program(file: Path, reading: gcode.Setup) -> gcode.Program | PointPath:
-    """The program of a file: a path of points (TOML), else G-code. Raises what the readers raise."""
-    return read_points(file) if file.suffix == ".toml" else gcode.read(file, reading)
+def read_program(file: Path, reading: gcode.Setup, orientation: Interpolation | None = None) -> gcode.Program | PointPath:
+    """The program of a file: a path of points (TOML), KRL (.src) and RAPID (.mod) as robomill writes it, else G-code.
+
+    `orientation` takes the place of what a path of points says. Raises what the readers raise, and ValueError where an
+    `orientation` is given and the program has none.
+    """
+    if is_robot_program(file):
+        path = path_of(read_robot_program(file))
+        note = f"{file.name}: the frames of the file are not used; workpiece and tool stand as said here"
+        read: gcode.Program | PointPath = replace(path, name=file.name, notes=(note,))
+    else:
+        read = read_points(file) if file.suffix == ".toml" else gcode.read(file, reading)
+    if orientation is None:
+        return read
+    if isinstance(read, gcode.Program):
+        raise ValueError(
+            f"{read.name}: orientation = {orientation!r} is given, and G-code has no orientation; leave it out, or give a path of points "
+            "(TOML)"
+        )
+    return replace(read, interpolation=orientation)
 
 
 def notes_of(program: gcode.Program | PointPath) -> tuple[str, ...]:
     """What the reader skipped or decided."""
-    return program.notes if isinstance(program, gcode.Program) else ()
+    return program.notes
 
 
 def check(scenario: Scenario, program: gcode.Program | PointPath, system: System) -> Findings:

@@ -92,7 +92,7 @@ def _moves(program: Program | PointPath) -> list[Move]:
         return [a for a in program.actions if isinstance(a, Move)]
     points = program.points
     return [
-        Move(i + 1, i + 1, a.position, b.position, b.feed, b.spindle_speed, 0.0)
+        Move(b.line or i + 1, b.line or i + 1, a.position, b.position, None if b.rapid else b.feed, b.spindle_speed, 0.0, tool=b.tool)
         for i, (a, b) in enumerate(itertools.pairwise(points), start=1)
     ]
 

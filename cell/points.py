@@ -20,10 +20,8 @@ from pathlib import Path
 
 from robomill.models.model.units import to_si
 from robomill.models.planning.gcode import Vector
-from robomill.models.planning.point_path import Interpolation, PathPoint, PointPath
+from robomill.models.planning.point_path import INTERPOLATIONS, PathPoint, PointPath
 from robomill.orchestration.system.entries import Entry
-
-_INTERPOLATIONS: tuple[Interpolation, ...] = ("corner", "path")
 
 
 class PathError(ValueError):
@@ -45,7 +43,7 @@ def read_points(path: str | Path) -> PointPath:
 
 def _path(top: Entry) -> PointPath:
     top.keys((), {"orientation", "point"})
-    interpolation = top.get("orientation", "path").choice(_INTERPOLATIONS)
+    interpolation = top.get("orientation", "path").choice(INTERPOLATIONS)
     entries = top.get("point", []).each()
     if not entries[1:]:
         raise top.fail(f"a path needs at least two [[point]] tables; found {len(entries)}")

@@ -58,6 +58,7 @@ from typing import Any
 
 from robomill.cell.binding import convert
 from robomill.models.planning.gcode import DIALECTS, Setup, Vector
+from robomill.models.planning.point_path import INTERPOLATIONS, Interpolation
 from robomill.models.planning.trajectory import Placement
 from robomill.models.process.cutting import MAX_TEETH, EndMill
 from robomill.orchestration.system.definition import EQUIPMENT
@@ -154,6 +155,8 @@ class Scenario:
     """variant -> figure -> published value (SI)."""
     reading: Setup = field(default_factory=Setup)
     """How the program is read."""
+    orientation: Interpolation | None = None
+    """How the orientation runs between points, where it is another than the path of points says."""
     tools: Mapping[int, EndMill] = field(default_factory=dict)
     """The tools by T number; empty: the milling component's own does all."""
     tool_titles: Mapping[int, str] = field(default_factory=dict)
@@ -171,7 +174,7 @@ def load_scenario(path: str | Path) -> Scenario:
         beside = sorted(str(f) for f in file.parent.glob("*.toml")) if file.parent.is_dir() else []
         raise FileNotFoundError(f"no scenario {file}; TOML files in that folder: {', '.join(beside) or 'none'}")
     top = Entry.load(file, ScenarioError, convert).keys({"scenario"}, _SECTIONS - {"scenario"})
-    head = top["scenario"].keys({"name", "kind", "system"}, {"title", "program", *_READING})
+    head = top["scenario"].keys({"name", "kind", "system"}, {"title", "program", "orientation", *_READING})
     kind = head["kind"].choice((*KINDS, "experiment", "removal_rate"))
     if kind not in KINDS:
         raise head["kind"].fail(f"{kind!r} cannot be used here; expected {' or '.join(KINDS)}")
@@ -197,6 +200,7 @@ def load_scenario(path: str | Path) -> Scenario:
         variants=tuple(variant(name, entry) for name, entry in top.get("variants", {}).items()),
         paper={name: published_figures(entry) for name, entry in top.get("paper", {}).items()},
         reading=_reading(head, workpiece.work_offsets if workpiece else PLAIN_OFFSETS),
+        orientation=head["orientation"].choice(INTERPOLATIONS) if "orientation" in head else None,
         tools=tools,
         tool_titles={int(name): entry["title"].text() for name, entry in top.get("tools", {}).items() if "title" in entry},
         equipment=equipment(top),

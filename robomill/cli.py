@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from robomill.models.planning.gcode import DIALECTS
+from robomill.models.planning.point_path import INTERPOLATIONS
+from robomill.models.planning.quantities import QUANTITIES
 from robomill.option_types import in_unit
 from robomill.orchestration.errors import Interrupted, OrchestrationError
 
@@ -197,7 +199,9 @@ def _plan_arguments(plan: argparse.ArgumentParser) -> None:
     def place(option: str, text: str) -> None:
         plan.add_argument(option, nargs=3, type=in_unit("mm"), metavar=("X", "Y", "Z"), help=text)
 
-    plan.add_argument("program", type=Path, help="G-code, a path of points (TOML), or a scenario")
+    plan.add_argument(
+        "program", type=Path, help="G-code, a path of points (TOML), KRL (.src) or RAPID (.mod) as robomill writes it, or a scenario"
+    )
     place("--at", 'centre of the block\'s top in the base: mm, or with a unit, such as "1.3 m" (default: 1300 0 1200)')
     plan.add_argument(
         "--robot",
@@ -233,6 +237,23 @@ def _plan_arguments(plan: argparse.ArgumentParser) -> None:
     plan.add_argument("--wear", action="store_true", help="G41 and G42 correct wear only: the program has the centre path")
     plan.add_argument("--tool", type=in_unit("mm"), metavar="D", help="diameter of the tool, mm (default: that of milling_force)")
     plan.add_argument("--out", type=Path, metavar="FILE.npy", help="write the segment table for the path component")
+    plan.add_argument(
+        "--orientation", choices=INTERPOLATIONS, help="of a path of points: turn over the way between points, or in the corners only"
+    )
+    plan.add_argument(
+        "--within", choices=QUANTITIES, help="lower the feed of lines on which an axis would exceed its speed (acceleration, jerk as well)"
+    )
+    plan.add_argument(
+        "--write",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="write the program for a controller: KUKA KRL (.src), ABB RAPID (.mod) or G-code (.ngc); may be repeated",
+    )
+    plan.add_argument(
+        "--spline", action="store_true", help="with --write FILE.src: SPLINE blocks through the points instead of LIN with C_DIS"
+    )
 
 
 def _command(commands: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:

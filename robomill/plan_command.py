@@ -6,19 +6,26 @@ import json
 import math
 import tomllib
 from argparse import ArgumentTypeError, Namespace
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from robomill.cell.equipment import load_system, robot_of, tool_of
 from robomill.cell.milling import check, notes_of, read_program
 from robomill.cell.plan_checks import Findings, check_plan
+from robomill.cell.robot_programs import is_robot_program, read_robot_program
 from robomill.cell.scenario import OFFSETS, load_scenario, place_in_block
+from robomill.models.model.declaration import FloatArray
 from robomill.models.model.parameters import load
 from robomill.models.planning.gcode import HOME, Program, Setup, Vector
+from robomill.models.planning.languages import PoseProgram, write_gcode, write_krl, write_rapid
+from robomill.models.planning.languages.convert import path_of, placement_of, poses_of
 from robomill.models.planning.point_path import PointPath
-from robomill.models.planning.reachability import check_reachable
+from robomill.models.planning.quantities import QUANTITIES
+from robomill.models.planning.reachability import SINGULAR, Reach, Worst, plan_within, survey
 from robomill.models.planning.trajectory import Placement, Plan
 from robomill.models.planning.trajectory import plan as plan_path
 from robomill.models.process.cutting import EndMill
@@ -27,6 +34,8 @@ from robomill.option_types import in_unit
 
 _PLACES = {"at", "turn", "start", "home", "offset", "zero", "block", "tool", "dialect", "no_block_delete", "wear"}
 """Options that a scenario has its own keys for."""
+_LANGUAGES: dict[str, Callable[[PoseProgram], str]] = {".src": write_krl, ".mod": write_rapid, ".ngc": write_gcode}
+"""Suffix of a file -> what is written there."""
 
 
 @dataclass(frozen=True)
@@ -38,17 +47,68 @@ class _Task:
     findings: Findings
     robot: Robot
     tool: Tool
+    q_start: Sequence[float] | FloatArray
+    """Axis angles [rad] that choose the branch."""
 
 
 def plan(options: Namespace) -> int:
-    """Duration, length, extent, reachability, notes and warnings; status 1 with warnings."""
-    task = _from_scenario(options) if _is_scenario(options.program) else _from_options(options)
-    planned = plan_path(task.program, task.placement)
-    check_reachable(planned, task.robot, task.tool, task.robot.q_home)
+    """Duration, length, extent, what is asked of the axes, notes and warnings; status 1 with warnings."""
+    task = _task(options)
+    if options.within is None:
+        planned = plan_path(task.program, task.placement)
+        reach = survey(planned, task.robot, task.tool, task.q_start)
+    else:
+        planned, reach = plan_within(task.program, task.placement, task.robot, task.tool, task.q_start, options.within)
     if options.out is not None:
         np.save(options.out, planned.table)
-    _show(planned, [*notes_of(task.program), *planned.notes], task.findings.texts, options.json)
-    return 1 if task.findings.texts else 0
+    notes = [*notes_of(task.program), *planned.notes, *_write(task, options), *_asked_of_axes(reach)]
+    warnings = (*task.findings.texts, *reach.too_fast(planned))
+    _show(planned, reach, notes, warnings, options.json)
+    return 1 if warnings else 0
+
+
+def _task(options: Namespace) -> _Task:
+    """What the file of the program is, decides how it is read."""
+    for file in options.write:
+        if file.suffix.lower() not in _LANGUAGES:
+            raise ValueError(f"--write {file}: expected a name that ends in {', '.join(_LANGUAGES)}: KUKA KRL, ABB RAPID, G-code")
+    if options.spline and not any(file.suffix.lower() == ".src" for file in options.write):
+        raise ValueError("--spline goes with --write FILE.src: only KRL has splines through points")
+    if _is_scenario(options.program):
+        return _from_scenario(options)
+    if is_robot_program(options.program) and not options.at:
+        return _from_frames(options)
+    return _from_options(options)
+
+
+def _write(task: _Task, options: Namespace) -> list[str]:
+    """Write the program for controllers; a note for each file."""
+    if not options.write:
+        return []
+    header = [f"from {options.program.name} by robomill plan, not compensated"]
+    poses = poses_of(task.program, task.placement, task.tool, task.q_start, header=header)
+    texts = {}
+    for file in options.write:
+        linear = not (options.spline and file.suffix.lower() == ".src")
+        said = poses if linear else replace(poses, motion="spline", blend=np.zeros(len(poses.p)))
+        texts[file] = _LANGUAGES[file.suffix.lower()](replace(said, name=file.stem))
+    for file, text in texts.items():
+        file.write_text(text, encoding="ascii")
+    return [f"{file}: {len(poses.p)} poses" for file in texts]
+
+
+def _asked_of_axes(reach: Reach) -> list[str]:
+    """What of accelerations and jerks is above the limits that are taken for any robot."""
+    texts = []
+    for k, quantity in enumerate(QUANTITIES[1:], 1):
+        over = [(w.value, f"A{i + 1} most at line {w.line}") for i, w in enumerate(reach.where[k]) if w.value > 1.0]
+        if over:
+            worst = max(over)
+            texts.append(
+                f"axis {quantity} up to {worst[0]:.2g} times the limit taken for any robot (models/data/planning/axis_limits.toml), "
+                f"{worst[1]}; a controller slows down there; --within {quantity} lowers the feed of such lines"
+            )
+    return texts
 
 
 def _is_scenario(file: Path) -> bool:
@@ -67,10 +127,29 @@ def _from_scenario(options: Namespace) -> _Task:
     scenario = load_scenario(options.program)
     if scenario.program is None or scenario.workpiece is None:
         raise ValueError(f"{options.program}: a scenario of kind {scenario.kind!r} has no program to plan")
-    program = read_program(scenario.program, scenario.reading)
+    program = read_program(scenario.program, scenario.reading, options.orientation or scenario.orientation)
     system = load_system(scenario.system, scenario.equipment)
     placement = scenario.workpiece.placement
-    return _Task(program, placement, check(scenario, program, system), robot_of(system), tool_of(system))
+    robot = robot_of(system)
+    return _Task(program, placement, check(scenario, program, system), robot, tool_of(system), robot.q_home)
+
+
+def _from_frames(options: Namespace) -> _Task:
+    """A robot program: its own frames say where the workpiece and the tool are."""
+    given = sorted(f"--{name.replace('_', '-')}" for name in _PLACES - {"block", "tool"} if getattr(options, name))
+    if given:
+        raise ValueError(
+            f"{', '.join(given)}: {options.program.name} has its own frames; give --at X Y Z as well to place the workpiece anew"
+        )
+    poses = read_robot_program(options.program)
+    path = replace(path_of(poses), name=options.program.name)
+    frames, robot = poses.frames, load_robot(options.robot)
+    program = path if options.orientation is None else replace(path, interpolation=options.orientation)
+    size = _metres(options.block) if options.block else None
+    findings = check_plan(program, size, {0: _mill(options)}) if size is not None else Findings()
+    tool = Tool("tool of the program", np.array(frames.p_FT_F), frames.abc_FT, 0.0, frames.mass, np.array(frames.p_FG_F))
+    start = robot.q_home if frames.q_start is None else frames.q_start
+    return _Task(program, placement_of(frames), findings, robot, tool, start)
 
 
 def _from_options(options: Namespace) -> _Task:
@@ -84,14 +163,21 @@ def _from_options(options: Namespace) -> _Task:
     size = _metres(options.block) if options.block else None
     if size is not None and min(size) <= 0.0:
         raise ValueError(f"--block {' '.join(f'{v:g}' for v in options.block)}: expected three positive lengths in mm")
-    mill = load(EndMill, "tools/endmill_d16_z3")  # what milling_force starts with
-    if options.tool is not None:
-        if options.tool <= 0.0:
-            raise ValueError(f"--tool {options.tool:g}: expected a diameter in mm, more than 0")
-        mill = EndMill(1e-3 * options.tool, mill.teeth, mill.helix, math.inf)
-    program = read_program(options.program, _setup(options, size))
+    mill = _mill(options)
+    program = read_program(options.program, _setup(options, size), options.orientation)
     findings = check_plan(program, size, {0: mill}) if size is not None else Findings()
-    return _Task(program, Placement((x, y, z), (math.radians(options.turn or 0.0), 0.0, 0.0)), findings, robot, SPINDLE_ACROSS)
+    placement = Placement((x, y, z), (math.radians(options.turn or 0.0), 0.0, 0.0))
+    return _Task(program, placement, findings, robot, SPINDLE_ACROSS, robot.q_home)
+
+
+def _mill(options: Namespace) -> EndMill:
+    """The cutter: what milling_force starts with, or of the diameter that is given."""
+    mill = load(EndMill, "tools/endmill_d16_z3")
+    if options.tool is None:
+        return mill
+    if options.tool <= 0.0:
+        raise ValueError(f"--tool {options.tool:g}: expected a diameter in mm, more than 0")
+    return EndMill(1e-3 * options.tool, mill.teeth, mill.helix, math.inf)
 
 
 def _setup(options: Namespace, size: Vector | None) -> Setup:
@@ -129,7 +215,7 @@ def _from_zero(values: list[float], zero: Vector) -> Vector:
     return x, y, z
 
 
-def _show(planned: Plan, notes: list[str], warnings: tuple[str, ...], as_json: bool) -> None:
+def _show(planned: Plan, reach: Reach, notes: list[str], warnings: tuple[str, ...], as_json: bool) -> None:
     extent = planned.position(np.linspace(0.0, planned.duration, 2001))
     low, high = extent.min(axis=0), extent.max(axis=0)
     if as_json:
@@ -140,6 +226,8 @@ def _show(planned: Plan, notes: list[str], warnings: tuple[str, ...], as_json: b
             "segments": len(planned.table),
             "lowest_m": low.tolist(),
             "highest_m": high.tolist(),
+            "axes": _axes(reach),
+            "singular": {name: {"nearness": w.value, "line": w.line, "path_time_s": w.tau} for name, w in _singular(reach)},
             "notes": notes,
             "warnings": list(warnings),
         }
@@ -150,7 +238,39 @@ def _show(planned: Plan, notes: list[str], warnings: tuple[str, ...], as_json: b
         "tool tip in the base, mm: "
         + ", ".join(f"{a} {1e3 * lo:.1f} .. {1e3 * hi:.1f}" for a, lo, hi in zip("xyz", low, high, strict=True))
     )
+    print("of its limit, at line       " + "".join(f"{quantity:>22}" for quantity in QUANTITIES) + "   to the limits of the axis")
+    for axis in _axes(reach):
+        shares = "".join(f"{100.0 * axis[q]['share']:>10.0f} %, line {axis[q]['line']:<5}" for q in QUANTITIES)
+        print(f"axis A{axis['axis']}                  {shares} {axis['margin_deg']:>6.1f} deg")
+    print("nearest to singular (0): " + ", ".join(f"{name} {w.value:.2f} at line {w.line}" for name, w in _singular(reach)))
     for note in notes:
         print(f"note: {note}")
     for text in warnings:
         print(f"warning: {text}")
+
+
+def _axes(reach: Reach) -> list[dict[str, Any]]:
+    """Peaks of each axis with their places, for --json and the table."""
+    units = ("deg_s", "deg_s2", "deg_s3")
+    return [
+        {
+            "axis": i + 1,
+            "margin_deg": math.degrees(reach.margin[i]),
+            **{
+                quantity: {
+                    "share": reach.where[k][i].value,
+                    units[k]: math.degrees(reach.peaks[k, i]),
+                    "limit": math.degrees(reach.limits[k, i]),
+                    "line": reach.where[k][i].line,
+                    "path_time_s": reach.where[k][i].tau,
+                }
+                for k, quantity in enumerate(QUANTITIES)
+            },
+        }
+        for i in range(6)
+    ]
+
+
+def _singular(reach: Reach) -> list[tuple[str, Worst]]:
+    """Kinds of singular poses and where the plan is nearest to them."""
+    return list(zip(SINGULAR, reach.singular, strict=True))

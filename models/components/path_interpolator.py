@@ -71,13 +71,20 @@ def _unordered(address: int, rows: int, columns: int) -> int:
 
 
 @kernel
+def override(s: Record) -> float:
+    """Path time per time: the speed ratio, times what the machine makes of it."""
+    ratio: float = s.speed_ratio * (1.0 + s.override_error)
+    return ratio
+
+
+@kernel
 def advance(s: Record, h: float) -> None:
-    """Let the path time run by speed_ratio * h [s], not beyond the end.
+    """Let the path time run by `override` times h [s], not beyond the end.
 
     Compensated summation (Kahan 1965): the path time after n steps has the error of one addition, so that equal times
     mean equal positions whatever the step.
     """
-    step = s.speed_ratio * h - s.path_time_carry
+    step = override(s) * h - s.path_time_carry
     total = s.path_time + step
     s.path_time_carry = (total - s.path_time) - step
     end = segment(s, int(s.segments_rows) - 1, TAU)
@@ -226,7 +233,7 @@ def evaluate(s: Record, anywhere: bool) -> int:
     jerk = segment(s, row, JERK)
     sigma = segment(s, row, SIGMA) + t * (v0 + t * (0.5 * a0 + t * jerk / 6.0))
     speed = v0 + t * (a0 + t * jerk * 0.5)
-    position(s, row, sigma, speed * s.speed_ratio)
+    position(s, row, sigma, speed * override(s))
     for i in range(4):
         s.quat_BT[i] = segment(s, row, QUAT + i)
     turn(s, row, AXIS_1, F_1, sigma)
@@ -271,7 +278,7 @@ def init(s: Record) -> int:
 
 
 def step(s: Record, t: float, h: float) -> int:
-    """Path time on by speed_ratio * h [s]; the outputs are those at t + h."""
+    """Path time on by `override` times h [s]; the outputs are those at t + h."""
     if s.segments_rows == 0:
         return 1
     if not 0.0 <= s.speed_ratio <= 1.5:
@@ -360,6 +367,17 @@ MODEL = Model(
             "1",
             (PILOT_COLUMNS,),
             kind="table",
+        ),
+        Variable(
+            "override_error",
+            "parameter",
+            "Effect: relative error of the feed override: the machine runs at 1 + this times the speed ratio",
+            "1",
+            (),
+            0.0,
+            -0.5,
+            0.5,
+            effect=True,
         ),
         Variable("path_time_carry", "state", "Rounding of the path time, carried on", "s"),
         Variable("row", "state", "Row of the segment table", kind="integer"),

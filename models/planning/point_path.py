@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from robomill.models.planning.gcode import Vector
 
 Interpolation = Literal["corner", "path"]
+INTERPOLATIONS: tuple[Interpolation, ...] = get_args(Interpolation)
 
 
 @dataclass(frozen=True)
@@ -44,3 +45,5 @@ class PointPath:
     points: tuple[PathPoint, ...]
     interpolation: Interpolation
     source: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    """What was taken in a way that the file does not say, one text each."""

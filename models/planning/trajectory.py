@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -223,6 +224,8 @@ class Plan:
     source: tuple[str, ...]
     """Lines of the program."""
     placement: Placement
+    within_axes: bool = False
+    """Whether lines are slower so that axes keep their limits."""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -231,7 +234,8 @@ class Plan:
             return ()
         slowest = min(self.reduced, key=lambda r: r.speed / r.feed)
         others = f"; {len(self.reduced)} blocks are slowed, this one most" if len(self.reduced) > 1 else ""
-        return (f"{slowest} where the path curves or turns too tightly{others}",)
+        axes = ", or an axis would exceed its limits" if self.within_axes else ""
+        return (f"{slowest} where the path curves or turns too tightly{axes}{others}",)
 
     @property
     def duration(self) -> float:
@@ -304,10 +308,13 @@ class Plan:
         return f"{self.name} line {number} ({text})"
 
 
-def plan(program: Program | PointPath, placement: Placement, limits: PathLimits = LIMITS) -> Plan:
+def plan(
+    program: Program | PointPath, placement: Placement, limits: PathLimits = LIMITS, slower: Mapping[int, float] = MappingProxyType({})
+) -> Plan:
     """Plan `program` at `placement`: from rest at its first point to rest at its last.
 
-    PlanError if there is nothing to move.
+    `slower`: line of the program -> share of the speed that it would have, for lines on which axes would exceed their limits
+    (`reachability.plan_within`). PlanError if there is nothing to move.
     """
     if isinstance(program, Program):
         items, final = _moves(program, placement, limits), program.final_spindle_speed
@@ -324,7 +331,7 @@ def plan(program: Program | PointPath, placement: Placement, limits: PathLimits 
                 rows.append(last.copy())
             tau += run.duration
             continue
-        speeds, slowed = _speeds(run, limits)
+        speeds, slowed = _speeds(run, limits, slower)
         reduced += slowed
         profile = _profile(run, speeds, limits)
         elements = _element_rows(run)
@@ -345,7 +352,7 @@ def plan(program: Program | PointPath, placement: Placement, limits: PathLimits 
     table = np.concatenate(rows)
     table = table[np.append(np.diff(table[:, TAU]) > 0.0, True)]
     table.flags.writeable = False
-    return Plan(program.name, table, length, tuple(reduced), program.source, placement)
+    return Plan(program.name, table, length, tuple(reduced), program.source, placement, bool(slower))
 
 
 def _moves(program: Program, placement: Placement, limits: PathLimits) -> list[_Stretch | Dwell]:
@@ -523,7 +530,7 @@ def _blend_turn(before: _Turn, after: _Turn, reach: float, distance: float, leng
     return _Turn(meeting, before.axis_1, f_1, after.axis_1, f_2)
 
 
-def _speeds(run: list[_Stretch], limits: PathLimits) -> tuple[list[float], list[Reduction]]:
+def _speeds(run: list[_Stretch], limits: PathLimits, slower: Mapping[int, float]) -> tuple[list[float], list[Reduction]]:
     """The speed that each element of a run allows, and each block whose feed is not held."""
     speeds: list[float] = []
     lowest: dict[tuple[int, int], tuple[float, float]] = {}
@@ -538,7 +545,7 @@ def _speeds(run: list[_Stretch], limits: PathLimits) -> tuple[list[float], list[
                 speed = min(speed, limits.angular_speed / rate)
             if bend > 0.0:
                 speed = min(speed, math.sqrt(limits.angular_acceleration / bend))
-        speeds.append(speed)
+        speeds.append(speed * slower.get(element.line, 1.0))
     for _, pieces in itertools.groupby(range(len(run)), key=lambda i: run[i].corner or -i):
         blend_pieces = list(pieces)
         speed = min(speeds[i] for i in blend_pieces)  # constant speed through a blend

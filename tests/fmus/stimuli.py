@@ -52,7 +52,7 @@ def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     return {
         "path_interpolator": (
             {"speed_ratio": 1.0 + 0.5 * _rise(0.1, 0.05) - 0.1 * _rise(0.2, 0.05)},
-            {"segments": segments, "pilot": pilot},
+            {"segments": segments, "pilot": pilot, "override_error": 0.02},
         ),
         "robot_drive": (
             {
