@@ -347,7 +347,7 @@ def compensate(
     folder = Path(folder)
     if not overwrite:
         check_vacant(folder / f"iteration_{k}" for k in range(settings.iterations + 1))
-    program = read_program(scenario.program, scenario.reading)
+    program = read_program(scenario.program, scenario.reading, scenario.orientation)
     job = lay_out(replace(scenario, variants=(chosen,)), folder, overwrite=overwrite)
     path = planned_path(job.plan, program)
     machine = Machine(job, chosen, path, progress)

@@ -86,10 +86,10 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece, nominal: bool = Fa
     for ax in axes[shown:]:
         ax.remove()
     bar = figure.colorbar(ScalarMappable(norm, MAP), ax=list(axes[:shown]), shrink=0.8)
-    key = ("red: material left, blue: gouged", "walls folded outwards; yellow: beside", "an edge, not counted; crosses: at least so much")
-    if not nominal:
-        key = (f"{key[0]}; walls folded outwards;", "yellow: beside an edge, not counted; crosses: at least so much")
-    bar.set_label("deviation along the surface normal in mm\n(" + "\n".join(key) + ")", fontsize=8 if nominal else None)
+    key = "red: material left, blue: gouged; walls folded outwards;\nyellow: beside an edge, not counted; crosses: at least so much"
+    if nominal:
+        key = "red: material left, blue: gouged\nwalls folded outwards; yellow: beside\nan edge, not counted; crosses: at least so much"
+    bar.set_label("deviation along the surface normal in mm\n(" + key + ")", fontsize=8 if nominal else None)
     return figure
 
 

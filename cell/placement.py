@@ -169,7 +169,7 @@ def prepare(scenario: Scenario, folder: Path, progress: Progress | None = None) 
         raise PlacementError(f"{scenario.file}: a scenario of kind {scenario.kind!r} has no program to place; give a milling scenario")
     job = lay_out(scenario, folder, overwrite=True)
     tau, force = offline_force(job, progress)
-    path = planned_path(job.plan, read_program(scenario.program, scenario.reading))
+    path = planned_path(job.plan, read_program(scenario.program, scenario.reading, scenario.orientation))
     chosen = np.unique(np.linspace(0, len(path) - 1, SAMPLES).astype(np.int64))
     times = path.time[chosen]
     placement = job.plan.placement
@@ -250,7 +250,9 @@ def place(
     )
     fine = minimize(counted, coarse.x, method="Nelder-Mead", bounds=bounds[index], options={"xatol": 1e-4, "fatol": 1e-9})
     best = full(fine.x if fine.fun < coarse.fun else coarse.x)
-    best[3:] = (best[3:] + math.pi) % (2.0 * math.pi) - math.pi
+    beyond = np.abs(best) > math.pi
+    beyond[:3] = False
+    best[beyond] = (best[beyond] + math.pi) % (2.0 * math.pi) - math.pi
     value = judged.criterion(_placement(scenario, best))
     if value >= OUT_OF_REACH:
         low, high = 1e3 * bounds[:3].T
@@ -294,7 +296,7 @@ def _check(scenario: Scenario, judged: Task, values: FloatArray) -> FloatArray:
     from robomill.cell.equipment import load_system
 
     assert scenario.program is not None
-    planned = plan(read_program(scenario.program, scenario.reading), _placement(scenario, values))
+    planned = plan(read_program(scenario.program, scenario.reading, scenario.orientation), _placement(scenario, values))
     tool = tool_of(load_system(scenario.system, scenario.equipment))
     try:
         return check_reachable(planned, judged.robot, tool, judged.robot.q_home).margin
@@ -315,7 +317,7 @@ def milled(scenario: Scenario, folder: Path, variant: Variant | None = None, pro
     assert scenario.program is not None
     chosen = variant or scenario.variants[0]
     job = lay_out(replace(scenario, variants=(chosen,)), folder, overwrite=True)
-    path = planned_path(job.plan, read_program(scenario.program, scenario.reading))
+    path = planned_path(job.plan, read_program(scenario.program, scenario.reading, scenario.orientation))
     return Machine(job, chosen, path, progress).mill("milled", job.plan, lambda tau: np.interp(tau, path.time, path.along)).figures.rms_m
 
 

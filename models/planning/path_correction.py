@@ -35,6 +35,8 @@ _GRID = 1e-4
 """m; where curvature and length of moves are worked out."""
 _ROUNDS = 8
 """Times that moves which miss a node are made shorter."""
+_WHOLE = 1.0 - 1e-9
+"""What a number of moves is multiplied by before it is rounded up, as rounding may have lifted it over a whole one."""
 _LEAST_WAY = 1e-6
 """Way [m] that nodes are apart at least: closer ones are left out."""
 _LEAST_MOVE = 1e-7
@@ -221,7 +223,7 @@ def points_along(along: FloatArray, values: FloatArray, tolerance: float) -> tup
     for _ in range(_ROUNDS):
         length = _graded(grid, np.clip(length, SHORTEST, LONGEST))
         count = np.concatenate([[0.0], np.cumsum(np.diff(grid) * 0.5 * (1.0 / length[1:] + 1.0 / length[:-1]))])
-        way = np.interp(np.linspace(0.0, count[-1], math.ceil(count[-1]) + 1), count, grid)
+        way = np.interp(np.linspace(0.0, count[-1], math.ceil(count[-1] * _WHOLE) + 1), count, grid)
         way[-1] = end
         points = spline(way)
         missed = np.linalg.norm(np.column_stack([np.interp(along, way, p) for p in points.T]) - values, axis=1) > tolerance

@@ -84,12 +84,14 @@ class Reach:
     @property
     def speed(self) -> FloatArray:
         """Largest speed of each axis [rad/s] (6,)."""
-        return self.peaks[0]
+        speeds: FloatArray = self.peaks[0]
+        return speeds
 
     @property
     def share(self) -> FloatArray:
         """Peaks over limits (3, 6)."""
-        return self.peaks / self.limits
+        shares: FloatArray = self.peaks / self.limits
+        return shares
 
     def too_fast(self, plan: Plan) -> tuple[str, ...]:
         """One text for each axis that would have to be faster than it can."""

@@ -34,7 +34,7 @@ def plan(capsys: pytest.CaptureFixture[str], *options: str, status: int = 0) -> 
 @pytest.mark.parametrize("name", ["part.src", "part.mod", "part.ngc"])
 def test_what_is_written_is_planned_as_the_program(folder: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     nominal = plan(capsys, "part.nc", "--at", "1400", "0", "1100", "--write", name)
-    assert f"{name}: 6 poses" in nominal["notes"]  # type: ignore[operator]
+    assert f"{name}: 4 poses" in nominal["notes"]  # type: ignore[operator]
     assert "from part.nc by robomill plan, not compensated" in (folder / name).read_text()
     again = plan(capsys, name, *(() if name != "part.ngc" else ("--at", "1400", "0", "1100")))
     for key in ("duration_s", "length_m"):
@@ -71,7 +71,7 @@ def test_robot_program_in_a_scenario_stands_where_the_scenario_says(folder: Path
     program = read_program(folder / "part.src", Setup())
     assert isinstance(program, PointPath)
     assert notes_of(program) == ("part.src: the frames of the file are not used; workpiece and tool stand as said here",)
-    assert len(program.points) == 6
+    assert len(program.points) == 4
 
 
 def test_orientation_is_chosen_on_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -40,7 +40,7 @@ def poses_of(
     frames = Frames.at(placement, tool, q_start)
     upright = Rotation.from_matrix(placement.R_BP.T @ placement.R_BT)
     if isinstance(program, PointPath):
-        return _of_points(program, frames, upright, header)
+        return _of_points(program, frames, upright, limits, header)
     return _of_moves(program, frames, upright, limits, header)
 
 
@@ -63,7 +63,7 @@ def placement_of(frames: Frames) -> Placement:
     return Placement(frames.p_BP_B, (float(abc[0]), float(abc[1]), float(abc[2])))
 
 
-def _of_points(path: PointPath, frames: Frames, upright: Rotation, header: Sequence[str]) -> PoseProgram:
+def _of_points(path: PointPath, frames: Frames, upright: Rotation, limits: PathLimits, header: Sequence[str]) -> PoseProgram:
     points = path.points
     turned = [upright * Rotation.from_euler("ZYX", p.abc) if p.quat is None else Rotation.from_quat(np.roll(p.quat, -1)) for p in points]
     if path.interpolation == "corner" and any((a.inv() * b).magnitude() > 0.0 for a, b in itertools.pairwise(turned)):
@@ -74,6 +74,7 @@ def _of_points(path: PointPath, frames: Frames, upright: Rotation, header: Seque
     quat = np.array([np.roll(r.as_quat(canonical=True), 1) for r in turned])
     said = ((p.feed, p.blend, p.spindle_speed, p.tool, p.dwell, p.rapid) for p in points)
     feed, distance, spindle, tool, dwell, rapid = (list(c) for c in zip(*said, strict=True))
+    feed[0], rapid[0] = limits.rapid_speed, True  # the way to where the path begins
     lines = [p.line or i for i, p in enumerate(points, 1)]
     return pose_program(
         _stem(path.name), frames, [p.position for p in points], quat, feed, distance, spindle, tool, dwell, rapid,
@@ -94,7 +95,8 @@ def _of_moves(program: Program, frames: Frames, upright: Rotation, limits: PathL
         feed = limits.rapid_speed if action.feed is None else action.feed
         said = [action.spindle_speed, float(action.tool), 0.0, float(action.feed is None), float(action.line)]
         if not rows:
-            rows.append([*action.start, feed, 0.0, *said])
+            rows.append([*action.start, limits.rapid_speed, 0.0, *said])
+            rows[0][8] = 1.0  # the way to where the program begins
         for p in _chords(action):
             rows.append([*p, feed, 0.0, *said])
         if isinstance(action, Arc):

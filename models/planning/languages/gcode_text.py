@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from robomill.models.model.declaration import FloatArray
-from robomill.models.planning.languages.poses import RPM, PoseProgram, comment, number
+from robomill.models.planning.languages.poses import RPM, PoseProgram, comment, number, stops_at
 from robomill.models.planning.trajectory import LONGEST_BLEND
 
 _LEAST_TOLERANCE = 1e-6
@@ -65,6 +65,7 @@ def _motions(program: PoseProgram, given: float | None) -> Iterator[str]:
     least = np.maximum(program.blend / LONGEST_BLEND, _LEAST_TOLERANCE)
     wide = np.maximum(deviations(program.p, program.blend), least) if given is None else given
     tolerance = np.where(program.blend > 0.0, wide, 0.0)
+    stops = stops_at(program.dwell, program.spindle_speed, program.tool)
     control, feed, spindle, tool = "", "", "0.000", 0
     for i, p in enumerate((1e3 * program.p).tolist()):
         turning = number(program.spindle_speed[i] / RPM, 3)
@@ -77,7 +78,9 @@ def _motions(program: PoseProgram, given: float | None) -> Iterator[str]:
         if i in program.comments:
             yield _bracketed(program.comments[i])
         wanted = f"G64 P{number(1e3 * tolerance[i], 4)}" if tolerance[i] > 0.0 else "G61"
-        if wanted != control:
+        # a corner is blended where the moves on both sides are: behind one, a move stays blended, and a rest ends it
+        follows = i > 0 and tolerance[i] == 0.0 and tolerance[i - 1] > 0.0
+        if wanted != control and not follows:
             control = wanted
             yield wanted
         said = number(6e4 * program.feed[i], 3)
@@ -85,7 +88,7 @@ def _motions(program: PoseProgram, given: float | None) -> Iterator[str]:
         words = "" if program.rapid[i] or said == feed else f" F{said}"
         feed = feed if program.rapid[i] else said
         yield f"{motion} X{number(p[0], 4)} Y{number(p[1], 4)} Z{number(p[2], 4)}{words}"
-        if program.dwell[i] > 0.0:
+        if program.dwell[i] > 0.0 or (follows and not stops[i]):
             yield f"G4 P{number(program.dwell[i], 3)}"
     if spindle != "0.000":
         yield "M5"

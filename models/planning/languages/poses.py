@@ -121,7 +121,7 @@ class PoseProgram:
         if self.motion == "linear":
             exact: BoolArray = self.blend == 0.0
             return exact
-        ends: BoolArray = _stops(self.dwell, self.spindle_speed, self.tool) | self.rapid | np.append(self.rapid[1:], True)
+        ends: BoolArray = stops_at(self.dwell, self.spindle_speed, self.tool) | self.rapid | np.append(self.rapid[1:], True)
         ends[0] = True
         return ends
 
@@ -178,7 +178,7 @@ def pose_program(
     for text in (*said.values(), *header):
         if "\n" in text or "\r" in text:
             raise ValueError(f"{name}: comment {text!r} has more than one line; give one text per line")
-    each["blend"][_stops(each["dwell"], each["spindle_speed"], tools)] = 0.0
+    each["blend"][stops_at(each["dwell"], each["spindle_speed"], tools)] = 0.0
     numbers = np.array(lines, dtype=np.int64)
     return PoseProgram(
         name, frames, points, quats, **each, tool=tools, rapid=fast, motion=motion,
@@ -186,7 +186,7 @@ def pose_program(
     )  # fmt: skip
 
 
-def _stops(dwell: FloatArray, spindle_speed: FloatArray, tool: IntArray) -> BoolArray:
+def stops_at(dwell: FloatArray, spindle_speed: FloatArray, tool: IntArray) -> BoolArray:
     """Where a path cannot go through (n,): dwells, changes of tool or spindle speed, the end."""
     stops: BoolArray = (dwell > 0.0) | np.append((np.diff(spindle_speed) != 0.0) | (np.diff(tool) != 0), True)
     return stops

@@ -157,6 +157,18 @@ class TestSamePath:
         assert text.duration == pytest.approx(poses.duration, rel=0.02)  # the planner measures deviations on 64 chords, to 1e-3 of them
         assert "G64 P0.5000" in write_gcode(program, 0.5e-3)
 
+    def test_exact_stops_between_blends(self) -> None:
+        """A corner without blend between blended ones is a stop in G-code, too: there the path rests."""
+        p = np.array([[0, 0, 0], [20, 0, 0], [20, 20, 0], [0, 20, 0], [0, 40, 0], [20, 40, 0]]) * 1e-3
+        quat = quaternions(np.array([[0.0, 90.0, 0.0]]))[0]
+        program = pose_program(
+            "stops", Frames.at(HERE, SPINDLE_ACROSS), p, quat, 0.025, [0, 1e-3, 0, 2e-3, 1e-3, 0], rapid=[True] + 5 * [False]
+        )
+        poses, text = plan(path_of(program), HERE), plan(parse(write_gcode(program)), HERE)
+        assert write_gcode(program).count("G4 P0.000") == 1
+        assert text.duration == pytest.approx(poses.duration, abs=1e-3)  # deviations are measured to 1e-3, over a few mm at 25 mm/s
+        assert text.length == pytest.approx(poses.length, abs=1e-5)
+
     def test_deviation_of_a_blend_in_closed_form(self) -> None:
         """Against the middle of the Bezier curve: the nearest point to the corner, by symmetry."""
         for degrees in (5.0, 45.0, 90.0, 135.0):
