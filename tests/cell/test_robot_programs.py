@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from robomill.cell.milling import notes_of, read_program
+from robomill.cell.scenario import ScenarioError, load_scenario
 from robomill.cli import main
 from robomill.models.planning.gcode import Setup
 from robomill.models.planning.point_path import PointPath
@@ -81,6 +82,16 @@ def test_orientation_is_chosen_on_the_command_line(folder: Path, capsys: pytest.
     durations = [plan(capsys, square, *there, "--orientation", how)["duration_s"] for how in ("path", "corner")]
     assert durations[1] > durations[0]  # type: ignore[operator]
     assert plan(capsys, square, *there)["duration_s"] == durations[0]
+
+
+def test_orientation_is_a_key_of_the_scenario(folder: Path) -> None:
+    head = '[scenario]\nname = "part"\nkind = "static_loads"\nsystem = "part.nc"\n'
+    for text, found in (("", None), ('orientation = "corner"\n', "corner")):
+        (folder / "part.toml").write_text(head + text)
+        assert load_scenario(folder / "part.toml").orientation == found
+    (folder / "part.toml").write_text(head + 'orientation = "slerp"\n')
+    with pytest.raises(ScenarioError, match=r"part\.toml:5: scenario: orientation: unknown orientation 'slerp'; available: corner, path"):
+        load_scenario(folder / "part.toml")
 
 
 @pytest.mark.parametrize(
