@@ -238,10 +238,10 @@ def _show(planned: Plan, reach: Reach, notes: list[str], warnings: tuple[str, ..
         "tool tip in the base, mm: "
         + ", ".join(f"{a} {1e3 * lo:.1f} .. {1e3 * hi:.1f}" for a, lo, hi in zip("xyz", low, high, strict=True))
     )
-    print("of its limit, at line       " + "".join(f"{quantity:>22}" for quantity in QUANTITIES) + "   to the limits of the axis")
+    print("of the limit" + "".join(f"{quantity:<21}" for quantity in ("", *QUANTITIES))[9:] + "to the end of the axis")
     for axis in _axes(reach):
-        shares = "".join(f"{100.0 * axis[q]['share']:>10.0f} %, line {axis[q]['line']:<5}" for q in QUANTITIES)
-        print(f"axis A{axis['axis']}                  {shares} {axis['margin_deg']:>6.1f} deg")
+        shares = "".join(f"{100.0 * axis[q]['share']:>4.0f} %, line {axis[q]['line']:<8}" for q in QUANTITIES)
+        print(f"axis A{axis['axis']}                 {shares}{axis['margin_deg']:.1f} deg, line {axis['margin_line']}")
     print("nearest to singular (0): " + ", ".join(f"{name} {w.value:.2f} at line {w.line}" for name, w in _singular(reach)))
     for note in notes:
         print(f"note: {note}")
@@ -256,6 +256,7 @@ def _axes(reach: Reach) -> list[dict[str, Any]]:
         {
             "axis": i + 1,
             "margin_deg": math.degrees(reach.margin[i]),
+            "margin_line": reach.margin_where[i].line,
             **{
                 quantity: {
                     "share": reach.where[k][i].value,

@@ -69,6 +69,8 @@ class Reach:
 
     margin: FloatArray
     """Smallest distance of each axis from its limits [rad] (6,)."""
+    margin_where: tuple[Worst, ...]
+    """Where that is."""
     peaks: FloatArray
     """Largest speed [rad/s], acceleration [rad/s2] and jerk [rad/s3] of each axis (3, 6) at speed ratio 1."""
     limits: FloatArray
@@ -151,9 +153,15 @@ def survey(
         _refuse(plan, data, status)
         _look(plan, robot, data, times, angles, found)
         before = angles[-3:].copy()
-    places = tuple(tuple(Worst(float(s), float(t), int(n)) for s, t, n in zip(*rows, strict=True)) for rows in found.places())
+    places = tuple(_worst(*rows) for rows in found.places())
     singular = tuple(Worst(*x) for x in found.nearest)
-    return Reach(found.margin, found.share * limits, limits, places, singular, found.line_shares)
+    nearest = _worst(found.margin, found.margin_tau, found.margin_line)
+    return Reach(found.margin, nearest, found.share * limits, limits, places, singular, found.line_shares)
+
+
+def _worst(values: FloatArray, tau: FloatArray, lines: FloatArray) -> tuple[Worst, ...]:
+    """Places of six axes."""
+    return tuple(Worst(float(v), float(t), int(n)) for v, t, n in zip(values, tau, lines, strict=True))
 
 
 def plan_within(
@@ -197,6 +205,7 @@ class _Found:
     def __init__(self, limits: FloatArray, lines: int) -> None:
         self.limits = limits
         self.margin = np.full(6, math.inf)
+        self.margin_tau, self.margin_line = np.zeros(6), np.zeros(6)
         self.share = np.zeros((3, 6))
         self.tau, self.line = np.zeros((3, 6)), np.zeros((3, 6))
         self.nearest: list[tuple[float, float, int]] = [(math.inf, 0.0, 0)] * 3
@@ -259,7 +268,11 @@ def _look(plan: Plan, robot: Robot, data: npt.NDArray[np.void], times: FloatArra
         top = shares[worst, range(6)]
         more = top > found.share[k]
         found.share[k, more], found.tau[k, more], found.line[k, more] = top[more], times[worst][more], lines[worst][more]
-    found.margin = np.minimum(found.margin, np.min(np.minimum(q - robot.q_min, robot.q_max - q), axis=0))
+    margins = np.minimum(q - robot.q_min, robot.q_max - q)
+    worst = np.argmin(margins, axis=0)
+    least = margins[worst, range(6)]
+    less = least < found.margin
+    found.margin[less], found.margin_tau[less], found.margin_line[less] = least[less], times[worst][less], lines[worst][less]
 
 
 def _solved(J: FloatArray, twists: FloatArray, aligned: npt.NDArray[np.bool_]) -> FloatArray:

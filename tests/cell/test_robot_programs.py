@@ -8,12 +8,17 @@ from pathlib import Path
 import pytest
 
 from robomill.cell.milling import notes_of, read_program
+from robomill.cell.scenario import ScenarioError, load_scenario
 from robomill.cli import main
 from robomill.models.planning.gcode import Setup
 from robomill.models.planning.point_path import PointPath
 from tests import SCENARIOS
 
 PART = "G21 G90 G64 P1 G0 X0 Y0 Z5\nS13000 M3\nG1 X40 F1500\nY40\nX0\nM30\n"
+PRINTED = 1e-4
+"""Relative: four decimals of a mm over 40 mm, and the deviation of blends, which the planner measures to 1e-3."""
+PLACED = 1e-6
+"""m: four decimals of a mm, sampled at 2001 times."""
 SINGULAR = "G21 G90 G0 X0 Y1 Z300\nS13000 M3\nG64 P0.1\nG1 X10 F3000\nZ-300\nX50\nM30\n"
 
 
@@ -38,9 +43,9 @@ def test_what_is_written_is_planned_as_the_program(folder: Path, name: str, caps
     assert "from part.nc by robomill plan, not compensated" in (folder / name).read_text()
     again = plan(capsys, name, *(() if name != "part.ngc" else ("--at", "1400", "0", "1100")))
     for key in ("duration_s", "length_m"):
-        assert again[key] == pytest.approx(nominal[key], rel=1e-4)  # four decimals of a mm, over 40 mm
+        assert again[key] == pytest.approx(nominal[key], rel=PRINTED)
     for key in ("lowest_m", "highest_m"):
-        assert again[key] == pytest.approx(nominal[key], abs=1e-6)
+        assert again[key] == pytest.approx(nominal[key], abs=PLACED)
 
 
 def test_splines(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -81,6 +86,18 @@ def test_orientation_is_chosen_on_the_command_line(folder: Path, capsys: pytest.
     durations = [plan(capsys, square, *there, "--orientation", how)["duration_s"] for how in ("path", "corner")]
     assert durations[1] > durations[0]  # type: ignore[operator]
     assert plan(capsys, square, *there)["duration_s"] == durations[0]
+
+
+def test_orientation_is_a_key_of_the_scenario(folder: Path) -> None:
+    head = '[scenario]\nname = "part"\nkind = "static_loads"\nsystem = "part.nc"\n'
+    for text, found in (("", None), ('orientation = "corner"\n', "corner")):
+        (folder / "part.toml").write_text(head + text)
+        assert load_scenario(folder / "part.toml").orientation == found
+    (folder / "part.toml").write_text(head + 'orientation = "slerp"\n')
+    with pytest.raises(
+        ScenarioError, match=r"part\.toml:5: \[scenario\] orientation: unknown orientation 'slerp'; available: corner, path"
+    ):
+        load_scenario(folder / "part.toml")
 
 
 @pytest.mark.parametrize(

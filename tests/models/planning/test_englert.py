@@ -92,7 +92,7 @@ class TestBlend:
         assert np.ptp(speed) < physics(0.1, relative=1e-4)  # pieces are quintic in the arc length, 1e-5
 
     def test_default_limit_slows_that_corner(self) -> None:
-        """2.3 m/s2 lateral: sqrt(2.3 R/1.295) = 94.2 mm/s, and the plan says so; 0.1 m/s needs R = 5.7 mm."""
+        """2.3 m/s2 lateral: sqrt(2.3 R/1.295) = 94.2 mm/s, and the plan says so; 0.1 m/s needs R = 5.63 mm."""
         p, speed, acceleration = around(LIMITS)
         assert np.max(acceleration) <= LIMITS.lateral_acceleration * (1.0 + 1e-4)
         expected = math.sqrt(LIMITS.lateral_acceleration * R / 1.295)

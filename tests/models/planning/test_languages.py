@@ -39,6 +39,20 @@ LENGTH = 0.5e-7 * 1.001
 """m: half of the fourth decimal of a mm, and roundoff."""
 TURN = 3 * math.radians(0.5e-5) * 1.001
 """rad: half of the fifth decimal of a degree in each of three angles; eight decimals of a quaternion are finer (4e-8)."""
+FEED = 0.5e-6 * 1.001
+"""m/s: half of the sixth decimal of $VEL.CP; RAPID has a seventh."""
+SPEED = 0.5e-3 * math.pi / 30.0 * 1.001
+"""rad/s: half of the third decimal of a rev/min."""
+DURATION = 1e-4
+"""s: what the printed digits do to 0.3 m of path at 25 mm/s, where corners are slowed by the rotation in them."""
+PLACE = 1e-6
+"""m: the tool at the same time, DURATION times 10 mm/s, as slowly as it goes through those corners."""
+SHORTER = 0.02
+"""Relative: the planner measures deviations on 64 chords, to 1e-3 of them; blends of chords are slower by as much in their radius."""
+STOPPED = 1e-3
+"""s: deviations to 1e-3 of blends of 2 mm at 25 mm/s."""
+CUT = 1e-5
+"""m: deviations to 1e-3 of blends of 2 mm."""
 WRITE_READ = [(write_krl, read_krl), (write_rapid, read_rapid)]
 Writer, Reader = Callable[[PoseProgram], str], Callable[[str], PoseProgram]
 
@@ -90,9 +104,9 @@ class TestRoundTrip:
         np.testing.assert_allclose(found.p, program.p, rtol=0.0, atol=LENGTH)
         turned = Rotation.from_quat(np.roll(found.quat, -1, axis=1)).inv() * Rotation.from_quat(np.roll(program.quat, -1, axis=1))
         assert np.max(turned.magnitude()) <= TURN
-        np.testing.assert_allclose(found.feed, program.feed, rtol=0.0, atol=0.5e-6)  # $VEL.CP has six decimals of a m/s
+        np.testing.assert_allclose(found.feed, program.feed, rtol=0.0, atol=FEED)
         np.testing.assert_allclose(found.blend, program.blend, rtol=0.0, atol=LENGTH)
-        np.testing.assert_allclose(found.spindle_speed, program.spindle_speed, rtol=0.0, atol=0.5e-3 * math.pi / 30.0 * 1.001)
+        np.testing.assert_allclose(found.spindle_speed, program.spindle_speed, rtol=0.0, atol=SPEED)
         for name in ("tool", "dwell", "rapid"):
             np.testing.assert_array_equal(getattr(found, name), getattr(program, name))
         assert (dict(found.comments), found.header) == (dict(program.comments), program.header)
@@ -115,7 +129,7 @@ class TestRoundTrip:
         assert text.count("SPLINE WITH") == text.count("ENDSPLINE") > 3
         found = read_krl(text)
         assert found.motion == "spline"
-        np.testing.assert_allclose(found.feed, program.feed, rtol=0.0, atol=0.5e-6)
+        np.testing.assert_allclose(found.feed, program.feed, rtol=0.0, atol=FEED)
         np.testing.assert_array_equal(found.rapid, program.rapid)
         assert write_krl(found) == text
         assert plan(path_of(found), HERE).duration > 0.0
@@ -138,8 +152,8 @@ class TestSamePath:
         found = back(write(tilted()))
         again = plan(path_of(found), placement_of(found.frames))
         tau = np.linspace(0.0, nominal.duration, 501)
-        assert again.duration == pytest.approx(nominal.duration, abs=1e-4)  # printed digits over 25 mm/s, and the slowed corners
-        np.testing.assert_allclose(again.position(tau), nominal.position(tau), rtol=0.0, atol=1e-6)  # the same, times that speed
+        assert again.duration == pytest.approx(nominal.duration, abs=DURATION)
+        np.testing.assert_allclose(again.position(tau), nominal.position(tau), rtol=0.0, atol=PLACE)
         assert np.max((again.rotation(tau).inv() * nominal.rotation(tau)).magnitude()) < 10.0 * TURN
 
     def test_arcs_are_chords(self) -> None:
@@ -154,7 +168,7 @@ class TestSamePath:
         program = part()
         poses, text = plan(path_of(program), HERE), plan(parse(write_gcode(program)), HERE)
         assert text.length == pytest.approx(poses.length, abs=len(program.p) * 1e-7)  # four decimals of a mm at each end
-        assert text.duration == pytest.approx(poses.duration, rel=0.02)  # the planner measures deviations on 64 chords, to 1e-3 of them
+        assert text.duration == pytest.approx(poses.duration, rel=SHORTER)
         assert "G64 P0.5000" in write_gcode(program, 0.5e-3)
 
     def test_exact_stops_between_blends(self) -> None:
@@ -166,8 +180,8 @@ class TestSamePath:
         )
         poses, text = plan(path_of(program), HERE), plan(parse(write_gcode(program)), HERE)
         assert write_gcode(program).count("G4 P0.000") == 1
-        assert text.duration == pytest.approx(poses.duration, abs=1e-3)  # deviations are measured to 1e-3, over a few mm at 25 mm/s
-        assert text.length == pytest.approx(poses.length, abs=1e-5)
+        assert text.duration == pytest.approx(poses.duration, abs=STOPPED)
+        assert text.length == pytest.approx(poses.length, abs=CUT)
 
     def test_deviation_of_a_blend_in_closed_form(self) -> None:
         """Against the middle of the Bezier curve: the nearest point to the corner, by symmetry."""
