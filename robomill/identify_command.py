@@ -1,4 +1,4 @@
-"""`robomill identify stiffness|payload`: parameters of the cell from measured sets and runs."""
+"""`robomill identify`: parameters of the cell from measured sets and runs. Stiffness and payload are here, the others beside it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from robomill import identify_cycle, identify_stations
+from robomill import identify_cycle, identify_hammer, identify_stations
 from robomill.measured_set import MeasuredSet, Quantity, read_measured
 
 _Q = Quantity("q", "rad", 6, ("q_link", "q", "q_motor"))
@@ -72,6 +72,7 @@ def add_arguments(parser: Any) -> None:
     payload.add_argument("--out", type=Path, metavar="FILE.ssv", help="write its parameters for `robomill run --adopt FILE.ssv`")
     identify_cycle.add_arguments(kinds)
     identify_stations.add_arguments(kinds)
+    identify_hammer.add_arguments(kinds)
     for kind in (stiffness, payload):
         kind.add_argument(
             "measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/identify.md)"
@@ -89,6 +90,8 @@ def run(options: Namespace) -> int:
         "cycle": identify_cycle.run_cycle,
         "backlash": identify_cycle.run_backlash,
         "stations": identify_stations.run,
+        "hammer": identify_hammer.run_hammer,
+        "modes": identify_hammer.run_modes,
     }[options.kind](options)
 
 

@@ -88,7 +88,9 @@ def frequency_response(time: FloatArray, force: FloatArray, acceleration: FloatA
         part = slice(i - lead, i - lead + rows)
         across = np.linalg.norm(np.delete(force[part], axis, axis=1), axis=1).max()
         if struck[part].max() < ALONG * np.hypot(struck[part].max(), across):
-            raise ValueError(f"hammer: the blow at t = {time[i]:.4g} s has no clear direction ({force[i].round(1).tolist()} N); strike along x, y or z")
+            raise ValueError(
+                f"hammer: the blow at t = {time[i]:.4g} s has no clear direction ({force[i].round(1).tolist()} N); strike along x, y or z"
+            )
         f = force[part, axis] - force[i - lead : max(i - 2, i - lead + 1), axis].mean()
         forces[n] = f * _pulse(np.abs(f))
         answers[n] = acceleration[part] - acceleration[i - lead : max(i - 2, i - lead + 1)].mean(axis=0)
@@ -97,7 +99,9 @@ def frequency_response(time: FloatArray, force: FloatArray, acceleration: FloatA
     fa = np.mean(np.conj(F)[:, :, None] * A, axis=0)
     coherence = np.abs(fa) ** 2 / np.maximum(ff * aa, np.finfo(float).tiny)
     peaks = np.abs(forces).max(axis=1)
-    return Response(axis, np.fft.rfftfreq(rows, step)[1:], fa / ff, coherence, len(starts), float(peaks.mean()))
+    return Response(
+        axis, np.asarray(np.fft.rfftfreq(rows, step)[1:], dtype=np.float64), fa / ff, coherence, len(starts), float(peaks.mean())
+    )
 
 
 def _sampling(time: FloatArray, force: FloatArray, acceleration: FloatArray) -> float:

@@ -197,6 +197,6 @@ def _check(responses: Sequence[Response]) -> None:
         bad = np.flatnonzero(~np.isfinite(r.inertance).all(axis=1))
         if len(bad):
             raise ValueError(
-                f"modal fit: the response to blows along {'xyz'[r.direction]} has a gap at {first[bad[0]]:.4g} Hz ({len(bad)} lines are not "
-                "finite numbers); leave these blows out"
+                f"modal fit: the response to blows along {'xyz'[r.direction]} has a gap at {first[bad[0]]:.4g} Hz "
+                f"({len(bad)} lines are not finite numbers); leave these blows out"
             )
