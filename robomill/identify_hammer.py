@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from robomill.identify_pictures import draw_responses, draw_shapes
+from robomill.identify_pictures import SHOWN, draw_responses, draw_shapes
 from robomill.identify_report import columns, finite, keep
 from robomill.measured_set import MeasuredSetError, Quantity, labelled, read_signals
 from robomill.models.calibration.hammer import Response, frequency_response, simulated_blows
@@ -104,8 +104,8 @@ def run_modes(options: Namespace) -> int:
     test = _test(options)
     shapes = mode_shapes(test.machine, test.q, test.modes)
     pairs = pair(test.fit.modes, test.modes)
-    chosen = [j for _, j in pairs]
-    titles = [f"{test.fit.modes[i].frequency:.1f} Hz: {_springs(test.modes, j, 2)}" for i, j in pairs]
+    drawn = [(i, j) for i, j in pairs if test.fit.modes[i].frequency < SHOWN]
+    titles = [f"{test.fit.modes[i].frequency:.1f} Hz: {_springs(test.modes, j, 2)}" for i, j in drawn]
     tilt = share(test.modes, "A1 tilt")
     band = (test.modes.frequency > COLUMN_TILT[0]) & (test.modes.frequency < COLUMN_TILT[1])
     column = int(np.argmax(np.where(band, tilt, -1.0))) if band.any() else None
@@ -121,7 +121,7 @@ def run_modes(options: Namespace) -> int:
         options,
         result,
         lines,
-        {"responses": draw_responses(test.responses, test.fit), "shapes": draw_shapes(shapes, chosen, titles)},
+        {"responses": draw_responses(test.responses, test.fit), "shapes": draw_shapes(shapes, [j for _, j in drawn], titles)},
     )
     return DONE
 

@@ -5,16 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from robomill.models.calibration.hammer import Response
 from robomill.models.calibration.modal_fit import ModalFit
 from robomill.models.calibration.mode_shapes import ModeShapes
+from robomill.models.model.declaration import FloatArray
 
 SHOWN = 50.0
 """Hz: peaks from 0 to 50 Hz are what the thesis shows and fits."""
 LARGEST = 0.3
 """Largest motion in a picture of a mode [m]."""
+BAR = 0.4
+"""Half of the bar across the arm in a view from the front [m]."""
+X, Y, Z = range(3)
 PHASES = np.cos(np.linspace(0.0, np.pi, 5))
 COLUMNS = 3
 
@@ -41,25 +46,42 @@ def draw_responses(responses: Sequence[Response], fit: ModalFit) -> Figure:
 
 
 def draw_shapes(shapes: ModeShapes, chosen: Sequence[int], titles: Sequence[str]) -> Figure:
-    """The arm in the chosen modes of the model at five phases of the vibration, each seen so that it moves most: from the side or above."""
+    """The arm in the chosen modes of the model at five phases of the vibration, each seen so that it moves most.
+
+    From the side, from above or, where it rolls about x, from the front, with a bar across each place of the arm.
+    """
     rows = max(-(-len(chosen) // COLUMNS), 1)
     figure = Figure(figsize=(3.6 * COLUMNS, 2.6 * rows + 0.2), layout="constrained")
     panels = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
-    reach = 0.5 * float(np.ptp(shapes.points[:, :2], axis=0).max()) + LARGEST + 0.1
     for ax in panels[len(chosen) :]:
         ax.axis("off")
     for ax, mode, title in zip(panels, chosen, titles, strict=False):
-        motion = shapes.motion[mode]
-        motion = motion * LARGEST / max(float(np.linalg.norm(motion, axis=1).max()), 1e-12)
-        across = 2 if np.abs(motion[:, 2]).max() > np.abs(motion[:, 1]).max() else 1
-        for phase in PHASES:
-            moved = shapes.points + phase * motion
-            between = abs(phase) < 1.0 - 1e-9
-            ax.plot(moved[:, 0], moved[:, across], color="0.8" if between else "tab:blue", lw=1.0 if between else 1.8, marker="o", ms=2.5)
-        ax.plot(shapes.points[:, 0], shapes.points[:, across], color="k", lw=1.0, marker="o", ms=2.5)
-        middle = [0.5 * float(shapes.points[:, k].min() + shapes.points[:, k].max()) for k in (0, across)]
-        half = 0.55 * reach
-        ax.set(xlim=(middle[0] - reach, middle[0] + reach), ylim=(middle[1] - half, middle[1] + half), aspect="equal", xlabel="x in m")
-        ax.set_ylabel("z in m (side)" if across == 2 else "y in m (above)")
+        _shape(ax, shapes.points, shapes.motion[mode], shapes.turn[mode])
         ax.set_title(title, fontsize=9)
     return figure
+
+
+def _shape(ax: Axes, points: FloatArray, motion: FloatArray, turn: FloatArray) -> None:
+    """One mode: still in black, its ends in blue, between them in grey."""
+    roll = BAR * float(np.abs(turn[:, 0]).max())
+    flat = np.abs(motion).max(axis=0)
+    front = roll > flat.max()
+    scale = LARGEST / max(roll if front else float(np.linalg.norm(motion, axis=1).max()), 1e-12)
+    (across, up), seen = ((Y, Z), "front") if front else ((X, Z), "side") if flat[Z] > flat[Y] else ((X, Y), "above")
+
+    def draw(part: float, colour: str, width: float) -> None:
+        moved = points + part * scale * motion
+        ax.plot(moved[:, across], moved[:, up], color=colour, lw=width, marker="o", ms=2.5)
+        if front:
+            bar = np.array([0.0, BAR, 0.0]) + part * scale * np.cross(turn, [0.0, BAR, 0.0])
+            for place, half in zip(moved, bar, strict=True):
+                ends = np.stack([place - half, place + half])
+                ax.plot(ends[:, across], ends[:, up], color=colour, lw=width)
+
+    for part in PHASES:
+        draw(part, *(("0.8", 1.0) if abs(part) < 1.0 - 1e-9 else ("tab:blue", 1.8)))
+    draw(0.0, "k", 1.0)
+    reach = 0.5 * float(np.ptp(points[:, [X, Y]], axis=0).max()) + LARGEST + 0.1
+    middle = [0.5 * float(points[:, k].min() + points[:, k].max()) for k in (across, up)]
+    ax.set(xlim=(middle[0] - reach, middle[0] + reach), ylim=(middle[1] - 0.55 * reach, middle[1] + 0.55 * reach), aspect="equal")
+    ax.set(xlabel=f"{'xyz'[across]} in m", ylabel=f"{'xyz'[up]} in m ({seen})")

@@ -24,6 +24,8 @@ class ModeShapes:
     """[places, 3] in B, m."""
     motion: FloatArray
     """[modes, places, 3] in B, per modal coordinate: m/sqrt(kg)."""
+    turn: FloatArray
+    """[modes, places, 3] turn of the arm there in B, per modal coordinate: rad/sqrt(kg)/m."""
 
 
 def mode_shapes(machine: ElasticMachine, q: FloatArray, modes: TipModes) -> ModeShapes:
@@ -34,7 +36,7 @@ def mode_shapes(machine: ElasticMachine, q: FloatArray, modes: TipModes) -> Mode
     s = elastic_robot(machine)
     virtual_joints(s, np.asarray(q, dtype=np.float64))
     points = np.stack([np.zeros(3), s.frame_p[0], s.frame_p[1], s.frame_p[3], s.frame_p[5], s.link_p[5], s.frame_p[13]])
-    motion = np.zeros((len(modes.frequency), len(points), 3))
+    motion, turn = (np.zeros((len(modes.frequency), len(points), 3)) for _ in range(2))
     for i, name in enumerate(modes.coordinates):
         row = max((r for r, joint in enumerate(JOINT_NAMES) if name.startswith(joint + " ")), key=lambda r: len(JOINT_NAMES[r]))
         column = 2 if name.endswith("drive") else "xyz".index(name[-1])
@@ -42,8 +44,9 @@ def mode_shapes(machine: ElasticMachine, q: FloatArray, modes: TipModes) -> Mode
         axis, origin = np.array(s.frame_R[frame, :, column]), np.array(s.frame_p[frame])
         for n, carried in enumerate(_CARRIED):
             if row < carried:
+                turn[:, n] += modes.coordinate_shape[i][:, None] * axis
                 motion[:, n] += modes.coordinate_shape[i][:, None] * np.cross(axis, points[n] - origin)
-    return ModeShapes(points, motion)
+    return ModeShapes(points, motion, turn)
 
 
 def share(modes: TipModes, begins: str) -> FloatArray:
