@@ -39,7 +39,7 @@ class Response:
     """Inertance of three directions to blows along one of them."""
 
     direction: int
-    """Of the blows: x, y, z of B = 0, 1, 2."""
+    """Axis of the blows: x, y, z of B = 0, 1, 2."""
     frequency: FloatArray
     """[nf] Hz, from the first line above zero."""
     inertance: ComplexArray

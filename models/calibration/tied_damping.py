@@ -53,7 +53,7 @@ class DampingFit:
     heuristic_damping: FloatArray
     """[pairs] and with the heuristic."""
     condition: float
-    """Of the sensitivities of the damping ratios to the groups."""
+    """Condition number of the sensitivities of the damping ratios to the groups."""
 
     def finding(self, g: int) -> str:
         """`determined`, or `not determined: why`."""
