@@ -28,8 +28,7 @@ def finite(value: float) -> float | None:
 
 
 def columns(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table, the first row its head: the first column to the left, the others to the right."""
+    """Lines of a table, the first row its head: numbers to the right, texts to the left."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(c.ljust(w) if i == 0 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))).rstrip() for row in rows
-    ]
+    text = [any(c.isalpha() for row in rows[1:] for c in row[i]) for i in range(len(widths))]
+    return ["  ".join(c.ljust(w) if t else c.rjust(w) for c, w, t in zip(row, widths, text, strict=True)).rstrip() for row in rows]

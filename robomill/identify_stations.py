@@ -32,7 +32,7 @@ def add_arguments(kinds: Any) -> None:
         "stations",
         help="stiffness at stations of the work space against springs, with and without tilt",
         description="Compare the stiffness that pushes along x, y, z show at stations with that of springs, with and without tilt axes.",
-        epilog="Example: robomill identify stations results/stations/*-1 --compliance scenarios/kr210/table_3_1.toml --out results/stations",
+        epilog="Example: robomill identify stations results/stations/*-1 --compliance scenarios/kr210/table_3_1.toml",
     )
     kind.add_argument("measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/identify.md)")
     kind.add_argument("--compliance", required=True, metavar="NAME", help="springs: name of models/data/compliance or a .toml file")

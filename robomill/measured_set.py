@@ -182,10 +182,10 @@ def _of_run(run: Run, quantities: Sequence[Quantity]) -> dict[str, FloatArray]:
 def _from_run(folder: Path, quantities: Sequence[Quantity], robot: str | None, tool: str | None) -> MeasuredSet:
     run = Run.load(folder)
     values = {q.name: np.zeros((len(run), q.width)) for q in quantities} | _of_run(run, quantities)
-    return MeasuredSet(load_robot(robot or _labelled(run, "robot")), load_tool(tool or _labelled(run, "tool")), True, values)
+    return MeasuredSet(load_robot(robot or labelled(run, "robot")), load_tool(tool or labelled(run, "tool")), True, values)
 
 
-def _labelled(run: Run, role: str) -> str:
+def labelled(run: Run, role: str) -> str:
     """Name of the file in models/data of the robot or tool that a run is labelled with."""
     label: Any = run.info.get(role, "")
     if not label and run.info.get("kind") == "simulated":

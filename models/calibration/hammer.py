@@ -39,7 +39,7 @@ class Response:
     """Inertance of three directions to blows along one of them."""
 
     direction: int
-    """Of the blows: x, y, z of B = 0, 1, 2."""
+    """Axis of the blows: x, y, z of B = 0, 1, 2."""
     frequency: FloatArray
     """[nf] Hz, from the first line above zero."""
     inertance: ComplexArray
@@ -99,7 +99,9 @@ def frequency_response(time: FloatArray, force: FloatArray, acceleration: FloatA
     fa = np.mean(np.conj(F)[:, :, None] * A, axis=0)
     coherence = np.abs(fa) ** 2 / np.maximum(ff * aa, np.finfo(float).tiny)
     peaks = np.abs(forces).max(axis=1)
-    return Response(axis, np.fft.rfftfreq(rows, step)[1:], fa / ff, coherence, len(starts), float(peaks.mean()))
+    return Response(
+        axis, np.asarray(np.fft.rfftfreq(rows, step)[1:], dtype=np.float64), fa / ff, coherence, len(starts), float(peaks.mean())
+    )
 
 
 def _sampling(time: FloatArray, force: FloatArray, acceleration: FloatArray) -> float:

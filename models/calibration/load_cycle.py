@@ -81,7 +81,7 @@ class GapFit:
     gap: float
     """Between the flanks, rad."""
     interval: tuple[float, float]
-    """Of the gap, with the probability `CONFIDENCE`, rad."""
+    """Interval of the gap, with the probability `CONFIDENCE`, rad."""
     slope: float
     """Stiffness beside the gap, N.m/rad."""
     width: float

@@ -144,18 +144,20 @@ def _result(responses: Sequence[Response], problem: _Problem, found: Any) -> Mod
     variance = 2.0 * float(found.cost) / (2 * problem.H.size - len(found.x))
     errors = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * variance)
     peaks = np.hypot(linear[:m], linear[m : 2 * m] * (2.0 * np.pi * frequency / problem.w[-1])[:, None]) / (2.0 * damping[:, None])
+    inside = np.minimum(damping / DAMPING[0], DAMPING[1] / damping) > 1.0 + AT_BOUND
+    largest = float(peaks[inside].max()) if inside.any() else float(peaks.max())
     modes, dropped = [], []
     for k in np.argsort(frequency):
         f, zeta = float(frequency[k]), float(damping[k])
         said = f"{f:.2f} Hz, damping {zeta:.3f}"
-        if min(zeta / DAMPING[0], DAMPING[1] / zeta) < 1.0 + AT_BOUND:
+        if not inside[k]:
             dropped.append(f"{said}: the fit ends on the bound of the damping ratio, {DAMPING[0]} to {DAMPING[1]}")
             continue
         if not problem.w[0] <= 2.0 * np.pi * f <= problem.w[-1]:
             dropped.append(f"{said}: outside the band of the fit")
             continue
-        if peaks[k].max() < SMALL * peaks.max():
-            dropped.append(f"{said}: its peak is {100 * peaks[k].max() / peaks.max():.1f} % of the largest, less than {100 * SMALL:.0f} %")
+        if peaks[k].max() < SMALL * largest:
+            dropped.append(f"{said}: its peak is {100 * peaks[k].max() / largest:.1f} % of the largest, less than {100 * SMALL:.0f} %")
             continue
         height = np.zeros((3, 3))
         for n, r in enumerate(responses):
@@ -197,6 +199,6 @@ def _check(responses: Sequence[Response]) -> None:
         bad = np.flatnonzero(~np.isfinite(r.inertance).all(axis=1))
         if len(bad):
             raise ValueError(
-                f"modal fit: the response to blows along {'xyz'[r.direction]} has a gap at {first[bad[0]]:.4g} Hz ({len(bad)} lines are not "
-                "finite numbers); leave these blows out"
+                f"modal fit: the response to blows along {'xyz'[r.direction]} has a gap at {first[bad[0]]:.4g} Hz "
+                f"({len(bad)} lines are not finite numbers); leave these blows out"
             )

@@ -53,7 +53,7 @@ class DampingFit:
     heuristic_damping: FloatArray
     """[pairs] and with the heuristic."""
     condition: float
-    """Of the sensitivities of the damping ratios to the groups."""
+    """Condition number of the sensitivities of the damping ratios to the groups."""
 
     def finding(self, g: int) -> str:
         """`determined`, or `not determined: why`."""
@@ -120,15 +120,15 @@ def fit_damping(measured: Sequence[Mode], modes: TipModes, groups: int = 3) -> D
     used = np.unique(member)
     if len(pairs) < len(used):
         raise ValueError(
-            f"tied damping: {len(pairs)} measured modes are within {100 * NEAR:.0f} % of one of the model, for {len(used)} groups; tie the springs "
-            "in fewer groups, correct the stiffness first, or strike along more axes"
+            f"tied damping: {len(pairs)} measured modes are within {100 * NEAR:.0f} % of one of the model, for {len(used)} groups; tie the "
+            "springs in fewer groups, correct the stiffness first, or strike along more axes"
         )
     target = np.array([measured[i].damping for i, _ in pairs])
     error = np.hypot(LEAST_ERROR, np.array([measured[i].damping_error for i, _ in pairs]) / target)
     lines = [j for _, j in pairs]
 
     def ratios(beta: FloatArray) -> FloatArray:
-        return damping_ratios(modes, beta[member] * modes.stiffness)[lines]
+        return np.asarray(damping_ratios(modes, beta[member] * modes.stiffness)[lines])
 
     w = 2.0 * np.pi * modes.frequency[lines]
     heuristic = float(np.exp(np.mean(np.log(2.0 * target / w))))  # one beta: zeta = beta w/2
@@ -136,7 +136,7 @@ def fit_damping(measured: Sequence[Mode], modes: TipModes, groups: int = 3) -> D
     def rest(x: FloatArray) -> FloatArray:
         beta = np.full(len(GROUPS[groups]), heuristic)
         beta[used] = np.exp(x)
-        return np.log(np.maximum(ratios(beta), 1e-9) / target) / error
+        return np.asarray(np.log(np.maximum(ratios(beta), 1e-9) / target) / error)
 
     bounds = (np.full(len(used), np.log(BETA[0])), np.full(len(used), np.log(BETA[1])))
     found = least_squares(rest, np.full(len(used), np.log(heuristic)), bounds=bounds)
