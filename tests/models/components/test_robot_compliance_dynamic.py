@@ -7,6 +7,7 @@ tests/models/robot/test_elastic_modes.py; what a load at rest does is robot_comp
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -293,7 +294,7 @@ def frequency_of(machine: ElasticMachine, **values: Any) -> tuple[float, float]:
     crossings = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
     at = crossings - y[crossings] / (y[crossings + 1] - y[crossings])
     period = float((at[-1] - at[0]) / (len(at) - 1)) * 1e-3
-    peaks = np.array([y[a : b + 1].max() for a, b in zip(crossings[:-1], crossings[1:], strict=True)])
+    peaks = np.array([y[a : b + 1].max() for a, b in pairwise(crossings)])
     decrement = float(np.log(peaks[0] / peaks[-1]) / (len(peaks) - 1))
     return 1.0 / period, decrement / (2.0 * np.pi)
 
