@@ -152,13 +152,13 @@ class TestFit:
 
     @pytest.mark.paper
     def test_hammer_test_of_the_kr_210(self) -> None:
-        """FACTS10 10.5: 1 500 N, 5 blows, T = 4 s, 0.03 m/s2: rational fit within 3 %, half power .039 for .020 (one line: .031-.047)."""
+        """FACTS10 10.5: 1 500 N, 5 blows, T = 4 s, 0.03 m/s2: rational fit within 3 %, half power says .039 for .020; 3 %."""
         fit = fit_modes(struck(damped(0.02)))
         assert [round(m.frequency, 1) for m in fit.modes[:6]] == [9.4, 11.5, 17.8, 18.2, 37.7, 43.0]
         for m in fit.modes[:6]:
             assert abs(m.damping - 0.02) < physics(0.02, relative=DOMINANT)
             assert np.abs(modes().frequency - m.frequency).min() < physics(m.frequency, relative=1e-3)  # a hundredth of a line at 9 Hz
-        assert abs(fit.modes[0].half_power - 0.039) < physics(0.0, absolute=0.25 / (2.0 * 9.44))
+        assert abs(fit.modes[0].half_power - 0.039) < physics(0.039, relative=0.03)
         assert fit.modes[0].half_power > 1.5 * fit.modes[0].damping
 
     @pytest.mark.paper
