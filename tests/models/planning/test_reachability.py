@@ -54,7 +54,7 @@ def test_peaks_are_those_of_the_played_angles(name: str) -> None:
     margins = np.minimum(q - KR300.q_min, KR300.q_max - q)
     np.testing.assert_allclose(reach.margin, np.min(margins, axis=0), rtol=CLOSE)
     for axis, nearest in enumerate(reach.margin_where):
-        assert margins[4 + round(nearest.tau / CLOCK), axis] == pytest.approx(reach.margin[axis], rel=CLOSE)
+        assert margins[3 + math.ceil(nearest.tau / CLOCK - CLOSE), axis] == pytest.approx(reach.margin[axis], rel=CLOSE)
     np.testing.assert_allclose(reach.share * AXIS_LIMITS.of(KR300), reach.peaks, rtol=ROUNDOFF)
     for quantity, places in enumerate(reach.where):
         for axis, worst in enumerate(places):
