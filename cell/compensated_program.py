@@ -96,7 +96,7 @@ def summary(result: Compensation) -> dict[str, Any]:
         "time_s": {"uncompensated": result.before.plan.duration, "compensated": result.after.plan.duration},
         "perturbed": [t.figures for t in result.trials],
         "lines": result.lines,
-        "notes": [*result.notes, *result.after.plan.notes],
+        "notes": result.remarks,
     }
 
 

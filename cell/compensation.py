@@ -214,6 +214,11 @@ class Compensation:
     """What robot, tool and so on are called."""
 
     @property
+    def remarks(self) -> list[str]:
+        """Notes of the program as it is, and what the planner decided of the compensated one, whose poses are its lines."""
+        return [*self.notes, *(f"compensated program, poses as lines: {note}" for note in self.after.plan.notes)]
+
+    @property
     def placement(self) -> Placement:
         """Where the workpiece stands."""
         return self.before.plan.placement

@@ -18,7 +18,7 @@ def draw_all(result: Compensation, folder: Path) -> list[Path]:
     """Draw maps.png and path.png into `folder`; returns the files."""
     files = [folder / "maps.png", folder / "path.png"]
     for figure, file in zip((maps(result), path(result)), files, strict=True):
-        figure.savefig(file, dpi=110)
+        figure.savefig(file, dpi=95)
     return files
 
 

@@ -122,7 +122,7 @@ def _show(result: Compensation, folder: Path, files: list[Path]) -> None:
             f"{_mm(t.after.figures.rms_m)} mm after; {100 * t.left:+.0f} % of the deviation is left",
             highlight=False,
         )
-    for note in (*result.notes, *result.after.plan.notes):
+    for note in result.remarks:
         console.print(f"note: {note}", highlight=False, markup=False)
     console.print(
         f"In {folder}/: {', '.join(f.name for f in files)}, compensation.json, correction.csv, a run per iteration", highlight=False
