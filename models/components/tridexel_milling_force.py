@@ -546,17 +546,21 @@ def _shares(s: Record, n: int) -> bool:
         if (e0 > 0.0) == (e1 > 0.0):
             s.share[b] = 0.5 * (e0 + e1)
         else:
-            # the material ends within the bin: halve it to where
+            # the material ends within the bin: halve it to where, then go straight, so that the force follows the pose smoothly
             inside, outside = (0.0, 1.0) if e0 > 0.0 else (1.0, 0.0)
+            f_inside, f_outside = 0.0, 0.0
             m = s.middle[n]
             for _ in range(4):
                 place = 0.5 * (inside + outside)
                 sine, cosine = sincos(TWO_PI * (b + place) / BINS)
-                if _reach(s, sine, cosine, m[0], m[1], m[2], m[3]) > 0.0:
-                    inside = place
+                f = _reach(s, sine, cosine, m[0], m[1], m[2], m[3])
+                if f > 0.0:
+                    inside, f_inside = place, f
                 else:
-                    outside = place
+                    outside, f_outside = place, f
             place = 0.5 * (inside + outside)
+            if f_inside > f_outside:
+                place = inside + (outside - inside) * f_inside / (f_inside - f_outside)
             s.share[b] = e0 * place if e0 > 0.0 else e1 * (1.0 - place)
     return found
 
