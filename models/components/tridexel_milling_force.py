@@ -125,6 +125,7 @@ VARIABLES = (
     _scratch("left", "unit vector to its left", shape=(3,)),
     _scratch("swing", "angular velocity of the tool axis in P", "rad/s", (3,)),
     _scratch("v_P", "feed velocity in P, mean over the step", "m/s", (3,)),
+    _scratch("v_way", "way of the tool relative to the workpiece in P over the duration of the step", "m/s", (3,)),
     _scratch("v_now", "commanded feed velocity in P at the end of the step", "m/s", (3,)),
     _scratch("v_last", "the same at its beginning", "m/s", (3,)),
     _scratch("f_P", "mean force of the last step in P", "N", (3,)),
@@ -302,7 +303,8 @@ def _means(s: Record, h: float) -> None:
     mat_t_vec(s.R_BP, s.v_BT_B, s.v_now)
     for i in range(3):
         s.p_mid[i] = 0.5 * (s.p_last[i] + s.p_PT_P[i])
-        s.v_P[i] = (s.p_PT_P[i] - s.p_last[i]) / h if s.actual_feed != 0 else 0.5 * (s.v_last[i] + s.v_now[i])
+        s.v_way[i] = (s.p_PT_P[i] - s.p_last[i]) / h
+        s.v_P[i] = s.v_way[i] if s.actual_feed != 0 else 0.5 * (s.v_last[i] + s.v_now[i])
         s.axis_mid[i] = s.axis_last[i] + s.axis[i]
         s.side_mid[i] = s.side_last[i] + s.side[i]
     _unit(s.axis_mid)
@@ -400,7 +402,7 @@ def _force(s: Record, turn: float, h: float) -> int:
     for k in range(s.substeps):
         for i in range(3):
             s.instant[k, i] = 0.0
-    thrust, torque, rate = _end_face(s, -along * per_tooth, -along, h)
+    thrust, torque, rate = _end_face(s, -along * per_tooth, -dot(s.v_way, s.axis_mid), h)
     for i in range(3):
         s.f_P[i] = thrust * s.axis_mid[i]
         s.m_P[i] = torque * s.axis_mid[i]
@@ -544,17 +546,21 @@ def _shares(s: Record, n: int) -> bool:
         if (e0 > 0.0) == (e1 > 0.0):
             s.share[b] = 0.5 * (e0 + e1)
         else:
-            # the material ends within the bin: halve it to where
+            # the material ends within the bin: halve it to where, then go straight, so that the force follows the pose smoothly
             inside, outside = (0.0, 1.0) if e0 > 0.0 else (1.0, 0.0)
+            f_inside, f_outside = 0.0, 0.0
             m = s.middle[n]
             for _ in range(4):
                 place = 0.5 * (inside + outside)
                 sine, cosine = sincos(TWO_PI * (b + place) / BINS)
-                if _reach(s, sine, cosine, m[0], m[1], m[2], m[3]) > 0.0:
-                    inside = place
+                f = _reach(s, sine, cosine, m[0], m[1], m[2], m[3])
+                if f > 0.0:
+                    inside, f_inside = place, f
                 else:
-                    outside = place
+                    outside, f_outside = place, f
             place = 0.5 * (inside + outside)
+            if f_inside > f_outside:
+                place = inside + (outside - inside) * f_inside / (f_inside - f_outside)
             s.share[b] = e0 * place if e0 > 0.0 else e1 * (1.0 - place)
     return found
 
@@ -607,7 +613,11 @@ def _disc(s: Record, n: int, per_tooth: float) -> float:
         if advance > 0.0:
             s.engaged[b] = advance * per_tooth
             s.bin_depth[b] += s.share[b] * (s.level[n + 1, 0] - s.level[n, 0])
-            rate += s.share[b] * advance * radius * TWO_PI / BINS * s.edge[n]
+            # what is really removed follows the actual way
+            for i in range(3):
+                normal = up * (sine * s.ahead[i] + cosine * s.left[i]) - down * s.axis_mid[i]
+                advance += (s.v_way[i] - s.v_P[i]) * normal
+            rate += s.share[b] * max(advance, 0.0) * radius * TWO_PI / BINS * s.edge[n]
     return rate
 
 
@@ -707,7 +717,11 @@ def _end_face(s: Record, plunge: float, speed: float, h: float) -> tuple[float, 
     edge = (1.0 + s.tool_wear) * (plunge / s.edge_onset if plunge < s.edge_onset else 1.0)
     length = s.mill_teeth * mean * s.bottom_edge * flat
     arm = (1.0 - 0.5 * s.bottom_edge) * flat
-    return length * (s.Krc * cutting + s.Kre * edge), length * arm * (s.Ktc * cutting + s.Kte * edge), target * PI * flat * flat * speed
+    return (
+        length * (s.Krc * cutting + s.Kre * edge),
+        length * arm * (s.Ktc * cutting + s.Kte * edge),
+        target * PI * flat * flat * max(speed, 0.0),
+    )
 
 
 @kernel
@@ -911,6 +925,7 @@ def _forget(s: Record) -> None:
         s.f_P[i] = 0.0
         s.m_P[i] = 0.0
         s.v_P[i] = 0.0
+        s.v_way[i] = 0.0
         s.p_mid[i] = 0.0
         s.axis_mid[i] = 0.0
         s.side_mid[i] = 0.0
