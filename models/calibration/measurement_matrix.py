@@ -11,6 +11,7 @@ of f (`felt`). Two ways of least squares lead to M:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +65,8 @@ class MatrixFit:
         noise of a sample. Drift, another attack point and all else that changes after the calibration are not in it.
         """
         share = 1.0 / samples + 1.0 / self.rows + float(force @ self.spread @ force)
-        return self.force_noise * np.sqrt(share)
+        found: FloatArray = self.force_noise * math.sqrt(share)
+        return found
 
 
 def identify_matrix(bridges: FloatArray, forces: FloatArray, way: str = "strains") -> MatrixFit:
