@@ -24,6 +24,7 @@ from robomill.models.components.robot_compliance import VARIABLES as STATIC_VARI
 from robomill.models.model.declaration import FloatArray, Model, Record, Variable, kernel
 from robomill.models.robot.dynamics import DYNAMICS_VARIABLES
 from robomill.models.robot.elastic_bodies import (
+    COORDINATES,
     ELASTIC_VARIABLES,
     couple_forces,
     elastic_coordinates,
@@ -95,6 +96,8 @@ VARIABLES = (
     Variable("q_before", "state", "Axis angles at the end of the last step", "rad", (6,)),
     Variable("axis_speed", "state", "Mean axis speeds of the last step", "rad/s", (6,)),
     Variable("axis_push", "state", "Accelerations at its beginning", "rad/s2", (6,)),
+    Variable("still", "state", "Scratch: zeros", "rad/s", (6,)),
+    Variable("own_force", "state", "Scratch: inertia force of the elastic rates alone", "N.m", (COORDINATES,)),
     Variable("push", "state", "Scratch: accelerations in the middle of the step", "rad/s2", (6,)),
 )
 
@@ -133,15 +136,19 @@ def _load(s: Record, push: FloatArray) -> None:
     Needs `load_moments`; leaves s.elastic_M as the mass matrix. Both change with the masses, so with mode_frequency_error.
     """
     mass = 1.0 / ((1.0 + s.mode_frequency_error) * (1.0 + s.mode_frequency_error))
-    place_bodies(s)
-    inertia_force(s, s.axis_speed, push, s.elastic_rate, s.gravity_sag)
-    mass_matrix(s)
     n = s.elastic_count
+    place_bodies(s)
+    # What the elastic rates do by themselves is of second order, as is the change of M with the elastic angles that goes with it: both
+    # are left out, or the frozen M would not keep the energy.
+    inertia_force(s, s.still, s.still, s.elastic_rate, 0.0)
     for k in range(n):
         s.elastic_load[k] = s.joint_moment[s.elastic_joint[k], s.elastic_axis[k]]
+        s.own_force[k] = s.elastic_force[k]
+    inertia_force(s, s.axis_speed, push, s.elastic_rate, s.gravity_sag)
+    mass_matrix(s)
     couple_forces(s, s.elastic_load)
     for k in range(n):
-        s.elastic_load[k] -= mass * s.elastic_force[k]
+        s.elastic_load[k] -= mass * (s.elastic_force[k] - s.own_force[k])
         for i in range(n):
             s.elastic_M[k, i] *= mass
 
@@ -191,6 +198,7 @@ def init(s: Record) -> int:
         s.axis_speed[i] = 0.0
         s.axis_push[i] = 0.0
         s.push[i] = 0.0
+        s.still[i] = 0.0
     rest(s)
     _springs(s)
     for k in range(s.elastic_count):
