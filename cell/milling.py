@@ -262,6 +262,10 @@ def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool
     return result, watch.factor
 
 
+_OF_JOB = {"path": ("segments", "pilot"), "milling": ("p_BP_B", "quat_BP", "block_size", "tools")}
+"""Parameters that `lay_out` and `with_pilot` give a component, whatever its source."""
+
+
 def of_variant(job: Job, variant: Variant) -> System:
     """The system of a job with the sources and the parameters of a variant; an exchanged component gets its equipment anew.
 
@@ -270,6 +274,11 @@ def of_variant(job: Job, variant: Variant) -> System:
     if not variant.sources:
         return with_parameters(job.system, variant.parameters)
     other = load_system(job.scenario.system, job.scenario.equipment, variant.sources)
+    for name in variant.sources:
+        before = job.system.component(name).parameters
+        planned = {p: before[p] for p in _OF_JOB.get(name, ()) if p in before}
+        if planned and not _is_recording(other, name):
+            other = other.with_parameters(name, planned)
     other = with_parameters(other, {c: v for c, v in job.scenario.parameters.items() if c in variant.sources})
     if job.fmus is not None:
         other = with_fmus(other, job.fmus)

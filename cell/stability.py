@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -129,7 +130,7 @@ def _process(system: System, modes: str | Path | None) -> tuple[CuttingCoefficie
     """Cutting coefficients and modes of the milling component; notes on what is assumed."""
     with assemble(system, resolve, convert) as assembly:
         starts = {p.name: p.start for p in assembly.slaves["milling"].ports if p.causality == "parameter"}
-        given = {**starts, **assembly.parameters.get("milling", {})}
+        given: dict[str, Any] = {**starts, **assembly.parameters.get("milling", {})}
     lacking = [name for name in _COEFFICIENTS if name not in given]
     if lacking:
         raise ScenarioError(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robomill.cell import stability
+from robomill.cell import milling, stability
 from robomill.cell.equipment import load_system, machine_of
 from robomill.cell.scenario import ScenarioError, load_scenario
 from robomill.cli import main
@@ -153,6 +153,24 @@ def test_modes_of_the_milling_component_are_used(tmp_path: Path) -> None:
     assert found.notes == ("modes of spindle and tool: those of 'milling'",)
     assert found.spindle is not None
     assert np.diag(found.spindle.compliance) == pytest.approx([0.0, 5e-9, 5e-9], rel=1e3 * ROUNDOFF)
+
+
+def test_a_variant_mills_the_same_block_with_a_tool_that_vibrates(tmp_path: Path) -> None:
+    """One line, `sources.milling`: place and size of the block are those of the job."""
+    text = (
+        SLOT.read_text(encoding="utf-8")
+        .replace("../", f"{SCENARIOS.as_posix()}/")
+        .replace("slot.ngc", f"{SLOT.parent.as_posix()}/slot.ngc")
+    )
+    text += (
+        '\n[variants.vibrating]\ntitle = "tool that vibrates"\nsources.milling = "regenerative_milling"\nparameters.controller.mode = 0\n'
+    )
+    (tmp_path / "slot.toml").write_text(text, encoding="utf-8")
+    job = milling.lay_out(load_scenario(tmp_path / "slot.toml"), tmp_path / "out")
+    exchanged = milling.of_variant(job, job.scenario.variants[-1]).component("milling")
+    assert exchanged.source == "regenerative_milling"
+    for name in ("p_BP_B", "quat_BP", "block_size"):
+        assert exchanged.parameters[name] == job.system.component("milling").parameters[name]
 
 
 def test_the_effect_of_the_catalogue_is_one_of_the_component() -> None:

@@ -89,8 +89,7 @@ def eigenvalues(H: ComplexArray, A: FloatArray) -> ComplexArray:
     root = np.sqrt(trace**2 - 4.0 * det)
     flips = np.where((root[1:] * root[:-1].conj()).real < 0.0, -1.0, 1.0)
     root = root * np.concatenate([[1.0], np.cumprod(flips)])
-    found: ComplexArray = 0.5 * np.stack([trace + root, trace - root])
-    return found
+    return np.asarray(0.5 * np.stack([trace + root, trace - root]), dtype=np.complex128)
 
 
 def limit_curve(H: ComplexArray, A: FloatArray) -> FloatArray:

@@ -1,0 +1,1 @@
+"""Tests of lobes, mode coupling and the exchange between two simulations."""

@@ -119,7 +119,7 @@ def test_forty_intervals_are_too_few_where_a_tooth_period_has_many_vibrations():
         for m in (INTERVALS, enough_intervals(BENCHMARK, period))
     )
     assert coarse > 1.1 * fine
-    finest = depth_limit(BENCHMARK, periodic_matrices(BENCHMARK_CUT, 2, SLOT, 400), period, 1.5 * MM)
+    finest = depth_limit(BENCHMARK, periodic_matrices(BENCHMARK_CUT, 2, SLOT, 260), period, 1.5 * MM)
     # what 30 per vibration leaves: an error of second order, 0.16^2 of that of 40 intervals
     assert fine == pytest.approx(finest, rel=physics(1.0, relative=0.015))
 
