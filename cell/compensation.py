@@ -128,7 +128,7 @@ class Iteration:
     rho: float | None
     """What follows from it with the factor of the correction."""
     factor: float
-    """Of the correction that led here; 0 for none."""
+    """What the correction that led here was multiplied by; 0 for none."""
     points: int
     duration_s: float
     largest_correction_m: float
@@ -142,7 +142,7 @@ class PathFigures:
     p95_m: float
     max_m: float
     across_rms_m: float
-    """Of it level and normal to the path."""
+    """The part level and normal to the path."""
     along_rms_m: float
     axial_rms_m: float
     """Along z of the workpiece."""

@@ -33,6 +33,8 @@ STOPS = "G21 G90 G17\nG61\nT1 M6\nS13000 M3\nG0 X0 Y0 Z2\nG1 Z-1 F600\nG4 P0.5\n
 TOLERANCE = 1e-5
 BLENDED = 2e-5
 """m: a chord is off by TOLERANCE at most, and its blends by as much again."""
+CLOCK = 1e-9
+"""s: the difference of two path times of some seconds."""
 RIPPLE = 1e-5
 """Relative: blends are polynomials in the way, whose speed is even up to this."""
 PER_CHORD = 1.3
@@ -77,7 +79,7 @@ def test_nodes_are_on_the_plan_and_know_their_line() -> None:
 def test_rests_and_dwells_are_kept() -> None:
     one, planned = path(STOPS)
     dwells = [t for t in one.rests.values() if t > 0.0]
-    assert dwells == pytest.approx([0.5], abs=1e-6, rel=0.0)  # of the planner's time law
+    assert dwells == pytest.approx([0.5], abs=CLOCK, rel=0.0)
     again, _, _, _ = played(one, np.zeros_like(one.position))
     assert abs(again.duration - planned.duration) < 0.02 * planned.duration  # a rest more or less would take 0.2 s, 7 %
 
