@@ -64,7 +64,7 @@ class MatrixFit:
         noise of a sample. Drift, another attack point and all else that changes after the calibration are not in it.
         """
         share = 1.0 / samples + 1.0 / self.rows + float(force @ self.spread @ force)
-        return self.force_noise * np.sqrt(share)
+        return np.asarray(self.force_noise * np.sqrt(share))
 
 
 def identify_matrix(bridges: FloatArray, forces: FloatArray, way: str = "strains") -> MatrixFit:
