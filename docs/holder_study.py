@@ -77,7 +77,7 @@ def pose(s: Record, x: float, z: float) -> FloatArray | None:
 
 
 def compliance(s: Record, q: FloatArray) -> FloatArray:
-    """Of the TCP [m/N], (3, 3), in B: radial, tangential, axial."""
+    """Compliance of the TCP [m/N], (3, 3), in B: radial, tangential, axial."""
     C = np.zeros((6, 6))
     compliance_matrix(s, q, C)
     return C[:3, :3]

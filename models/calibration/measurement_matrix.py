@@ -11,7 +11,6 @@ of f (`felt`). Two ways of least squares lead to M:
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,8 +64,7 @@ class MatrixFit:
         noise of a sample. Drift, another attack point and all else that changes after the calibration are not in it.
         """
         share = 1.0 / samples + 1.0 / self.rows + float(force @ self.spread @ force)
-        found: FloatArray = self.force_noise * math.sqrt(share)
-        return found
+        return np.asarray(self.force_noise * np.sqrt(share))
 
 
 def identify_matrix(bridges: FloatArray, forces: FloatArray, way: str = "strains") -> MatrixFit:

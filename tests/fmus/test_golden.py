@@ -38,6 +38,7 @@ def test_the_inputs_on_file_exercise_the_component(name: str) -> None:
         "rate_controller": {"stage"},
         "lead_through": {"q_ref"},
         "deformation_compensation": {"correction_q", "pilot_blend"},
+        "spindle_holder": {"m_S_raw", "m_T_T"},
     }
     assert idle <= allowed.get(name, set())
 

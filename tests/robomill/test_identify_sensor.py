@@ -63,7 +63,7 @@ def test_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The same from columns of a file, in mV/V."""
+    """Columns of a file, in mV/V, give what a run gives."""
     columns = calibration(staircases(rest=0)[::7], 0.0)
     rows = np.column_stack([columns["robot.q_motor"], 1e3 * columns["holder.bridge"], columns["dynamometer.f_T_B"]])
     names = [*(f"a{i}" for i in range(6)), *(f"b{i}" for i in range(6)), *(f"f{i}" for i in range(3))]

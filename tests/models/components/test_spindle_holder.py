@@ -52,7 +52,7 @@ class Holder:
         self.data["f_T_B"], self.data["m_T_B"], self.data["q"] = force, moment, q
 
     def put_in_tool(self, force: Any, moment: Any = (0.0, 0.0, 0.0)) -> None:
-        """The same in the axes of the tool, after `init`."""
+        """Set force and moment in the axes of the tool, after `init`."""
         self.data["f_T_B"], self.data["m_T_B"] = self.R_BT @ np.asarray(force), self.R_BT @ np.asarray(moment)
 
     def run(self, steps: int) -> np.ndarray:

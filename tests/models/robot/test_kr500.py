@@ -152,7 +152,7 @@ class TestSixDegreesOfFreedom:
             assert np.abs(column - C[:, i]).max() < discretisation((2e-5) ** 3, h, 2) + 1e3 * ROUNDOFF * np.abs(C).max()
 
     def test_translations_of_one_size_are_a_spring_in_series(self) -> None:
-        """The same compliance along x, y, z of n joints adds n times it to every direction, whatever the pose: joints stand in series."""
+        """One compliance along x, y, z of n joints adds n times it to every direction, whatever the pose: joints stand in series."""
         base = load_compliance(KR500)
         for c in (1e-9, 2e-9):
             along = np.zeros((JOINTS, 3))
