@@ -302,6 +302,7 @@ def compliance_file(robot: Robot, fit: StiffnessFit, used: StiffnessFit) -> str:
             ("holder_position", 100.0, "mm"),
         )
     )
+    places += '\n[damping_time]\nvalue = 0.4\nunit = "ms"\nsource = "as kr210_2"\nvalidity = "not measured; static loads do not show it"\n'
     return (
         f"# Virtual joints of the {robot.name}, written by robomill identify stiffness.\n\n[stiffness]\n"
         f'# columns k_C, k_B, k_A: about x, y, z of the frame\nvalue = [\n{rows}\n]\nunit = "N.m/rad"\n'
