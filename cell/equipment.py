@@ -238,6 +238,7 @@ def _robot(system: System) -> _Piece:
     else:
         names = ("stiffness", "sensor_stiffness_scale", "link_arm_position", "arm_position", "sensor_position", "holder_position")
         values |= {name: getattr(compliance, name) for name in names}
+        values["damping_time"] = np.broadcast_to(compliance.damping_time, np.shape(compliance.stiffness))
     dynamics = _beside(RobotDynamics, system.equipment["robot"], "dynamics")
     values |= _bodies(dynamics, robot)
     warning = (

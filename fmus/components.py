@@ -29,6 +29,7 @@ NAMES = (
     "path_interpolator",
     "robot_drive",
     "robot_compliance",
+    "robot_compliance_dynamic",
     "milling_force",
     "sensor_chain",
     "compensation_controller",

@@ -209,11 +209,11 @@ ERRORS = (
     "expected a positive one; the load on the tool f_T_B = {f_T_B} N, m_T_B = {m_T_B} N.m folds the robot: check its size and the "
     "stiffness, or set geometric_stiffness = 0",
 )
-_INPUT, _STIFFNESS, _EFFECTS, _QUATERNION, _MODE, _POSITIVE, _COUNTERBALANCE, _STEP, _ANGLE, _INDEFINITE = range(1, 11)
+_INPUT, _STIFFNESS, _EFFECTS, _QUATERNION, _MODE, _POSITIVE, _COUNTERBALANCE, STEP_STATUS, _ANGLE, _INDEFINITE = range(1, 11)
 
 
 @kernel
-def _check_inputs(s: Record) -> int:
+def check_inputs(s: Record) -> int:
     """Refuse what is not finite before the trigonometry sees it."""
     for i in range(6):
         if not abs(s.q_link[i]) < 1e4:
@@ -233,7 +233,7 @@ def _check_inputs(s: Record) -> int:
 
 
 @kernel
-def _check_parameters(s: Record) -> int:
+def check_parameters(s: Record) -> int:
     """Refuse parameters that the equations cannot take."""
     for j in range(JOINTS):
         for c in range(3):
@@ -276,7 +276,7 @@ def _mode_load(s: Record) -> float:
 
 
 @kernel
-def _advance_mode(s: Record, h: float) -> None:
+def advance_mode(s: Record, h: float) -> None:
     """Structural mode y'' + 2 zeta w y' + w^2 y = w^2 c f over h [s], exact for a force that is constant over the step."""
     omega = TWO_PI * s.mode_frequency
     sigma = s.mode_damping * omega
@@ -324,11 +324,16 @@ def _gravity_moments(s: Record) -> None:
 
 
 @kernel
-def _respond(s: Record, time: float) -> int:
-    """Outputs at `time` [s] from inputs, parameters and states; advances the hysteresis to the present torques."""
+def load_moments(s: Record) -> None:
+    """Fill s.joint_moment [N.m] with what the load on the tool and wrong weights do to the virtual joints at s.q_link."""
     virtual_joints(s, s.q_link)
     joint_moments(s, s.f_T_B, s.m_T_B)
     _gravity_moments(s)
+
+
+@kernel
+def bend(s: Record) -> int:
+    """Fill s.joint_angle [rad] from s.joint_moment, coupled axes not yet; advances the hysteresis. Returns a status."""
     joint_angles(s)
     for i in range(6):
         j = DRIVES[i]
@@ -351,6 +356,12 @@ def _respond(s: Record, time: float) -> int:
             return _INDEFINITE
         for i in range(6):
             s.joint_angle[DRIVES[i], 2] = s.drive_angle[i]
+    return 0
+
+
+@kernel
+def place_tip(s: Record, time: float) -> int:
+    """Outputs at `time` [s] from s.joint_angle and what is added at the tip: base, tool, structural mode, growth. Returns a status."""
     couple_drives(s)
     for j in range(JOINTS):
         for c in range(3):
@@ -387,18 +398,34 @@ def _respond(s: Record, time: float) -> int:
     return 0
 
 
-def init(s: Record) -> int:
-    """Outputs at t = 0 for the present inputs: gears without history, the structural mode at rest under the load."""
-    status: int = _check_parameters(s)
-    if status == 0:
-        status = _check_inputs(s)
+@kernel
+def _respond(s: Record, time: float) -> int:
+    """Outputs at `time` [s] from inputs, parameters and states; advances the hysteresis to the present torques."""
+    load_moments(s)
+    status: int = bend(s)
     if status != 0:
         return status
+    return int(place_tip(s, time))
+
+
+@kernel
+def rest(s: Record) -> None:
+    """Gears without history, the structural mode at rest under the load."""
     for i in range(6):
         for e in range(ELEMENTS):
             s.hysteresis_play[i, e] = 0.0
     s.mode_deflection = s.mode_compliance * _mode_load(s)
     s.mode_velocity = 0.0
+
+
+def init(s: Record) -> int:
+    """Outputs at t = 0 for the present inputs: gears without history, the structural mode at rest under the load."""
+    status: int = check_parameters(s)
+    if status == 0:
+        status = check_inputs(s)
+    if status != 0:
+        return status
+    rest(s)
     return _respond(s, 0.0)
 
 
@@ -406,11 +433,11 @@ def step(s: Record, t: float, h: float) -> int:
     """Outputs at t + h [s] for inputs that were held over the step; any h > 0."""
     if not h > 0.0:
         s.fault_value = h
-        return _STEP
-    status: int = _check_inputs(s)
+        return STEP_STATUS
+    status: int = check_inputs(s)
     if status != 0:
         return status
-    _advance_mode(s, h)
+    advance_mode(s, h)
     return _respond(s, t + h)
 
 

@@ -71,6 +71,7 @@ UNITS: dict[str, Unit] = {
     "s/rad": Unit(1.0, {"rad": -1, "s": 1}),
     "kg": Unit(1.0, {"kg": 1}),
     "g": Unit(1e-3, {"kg": 1}),
+    "kg.m": Unit(1.0, {"kg": 1, "m": 1}),
     "kg.m2": Unit(1.0, {"kg": 1, "m": 2}),
     "N": Unit(1.0, _N),
     "mN": Unit(1e-3, _N),

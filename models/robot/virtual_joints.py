@@ -44,12 +44,18 @@ class Compliance:
     arm_position: float = field(metadata=quantity("1", 0.0, 1.0))
     sensor_position: float = field(metadata=quantity("m"))
     holder_position: float = field(metadata=quantity("m"))
+    damping_time: float | FloatArray = field(metadata=quantity("s", 0.0, 1.0))
+    """Damping of the virtual joints over their stiffness, D = damping_time K: one value, or a table like that of the stiffness."""
 
     def __post_init__(self) -> None:
         """Refuse a table that does not have a row per virtual joint."""
         if np.shape(self.stiffness) != (JOINTS, 3):
             raise ValueError(
                 f"compliance: stiffness has shape {np.shape(self.stiffness)}, expected ({JOINTS}, 3): frames 1..10 and 13, about x, y, z"
+            )
+        if np.shape(self.damping_time) not in ((), (JOINTS, 3)):
+            raise ValueError(
+                f"compliance: damping_time has shape {np.shape(self.damping_time)}, expected one value or ({JOINTS}, 3) like stiffness"
             )
 
 
@@ -281,6 +287,26 @@ def _screw(s: Record, j: int, c: int) -> tuple[float, float, float, float, float
     r2 = s.frame_p[13, 2] - s.frame_p[i, 2]
     e0, e1, e2 = s.frame_R[i, 0, c], s.frame_R[i, 1, c], s.frame_R[i, 2, c]
     return e1 * r2 - e2 * r1, e2 * r0 - e0 * r2, e0 * r1 - e1 * r0, e0, e1, e2
+
+
+@kernel
+def tip_screws(s: Record, J: FloatArray) -> None:
+    """Fill J (JOINTS, 3, 6): velocity and turn of the tool tip in B per turn of each virtual joint about x, y, z; m/rad, rad/rad.
+
+    Needs `virtual_joints`. The z of a drive has that of the joints coupled to its axis on top.
+    """
+    for j in range(JOINTS):
+        for c in range(3):
+            g = _screw(s, j, c)
+            for a in range(6):
+                J[j, c, a] = g[a]
+    for i in range(5):
+        for m in range(i + 1, 6):
+            if s.axis_coupling[m, i] != 0.0:
+                share = s.axis_sign[i] * s.axis_coupling[m, i]
+                g = _screw(s, DRIVES[m], 2)
+                for a in range(6):
+                    J[DRIVES[i], 2, a] += share * g[a]
 
 
 @kernel

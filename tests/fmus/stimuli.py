@@ -72,6 +72,16 @@ def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
             {"q_link": _axes(), "f_T_B": _force(), "m_T_B": _moment()},
             {"gear_hysteresis": [1e-4] * 6, "tool_compliance": 2e-7, "mode_compliance": 1e-6, "payload_error": 5.0},
         ),
+        "robot_compliance_dynamic": (
+            {"q_link": _axes(), "f_T_B": _force(), "m_T_B": _moment()},
+            {
+                "gear_hysteresis": [1e-4] * 6,
+                "tilt_stiffness_error": [-0.3, 0.25, 0.15, -0.12, 0.4, -0.25],
+                "damping_error": 0.7,
+                "mode_frequency_error": -0.07,
+                "gravity_sag": 0.5,
+            },
+        ),
         "milling_force": (
             {
                 "p_BT_B": _mill_pose(),

@@ -1,0 +1,56 @@
+"""The elastic robot in a cell: exchanged by one line, equipped with the masses of its robot, its effects in the catalogue."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robomill.cell import milling
+from robomill.cell.scenario import load_scenario
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.fmus.components import component
+from robomill.models.robot.dynamics import load_dynamics
+from tests import SCENARIOS
+
+FOLDER = SCENARIOS / "kr210"
+OURS = {"damping_error", "mode_frequency_error", "tilt_stiffness_error"}
+
+
+def test_the_effects_are_in_the_catalogue() -> None:
+    candidates = {c.effect: c for c in Catalogue.load(FOLDER / "catalogue.toml").candidates if c.effect in OURS}
+    assert set(candidates) == OURS
+    for v in component("robot_compliance_dynamic").variables:
+        if v.name in OURS:
+            found = candidates[v.name]
+            assert found.unit == v.unit
+            assert v.minimum is not None
+            assert v.maximum is not None
+            assert found.maximum <= v.maximum
+
+
+@pytest.mark.slow
+def test_one_line_puts_inertia_into_the_cell(tmp_path: Path) -> None:
+    """The slot of the KR 210 with and without: the same deflection in the full cut, and a vibration on the way there."""
+    job = milling.lay_out(load_scenario(FOLDER / "elastic_slot.toml"), tmp_path)
+    variants = {v.name: v for v in job.scenario.variants}
+    dynamic = milling.of_variant(job, variants["dynamic"]).component("compliance")
+    assert dynamic.source == "robot_compliance_dynamic"
+    np.testing.assert_array_equal(dynamic.parameters["body_mass"], load_dynamics("kr210_2").body_mass)
+    (still, _), (moving, _) = (milling.mill(job, variants[name]) for name in ("static", "dynamic"))
+    forces = [np.linalg.norm(r["milling.f_T_B"], axis=1) for r in (still, moving)]
+    d = [r["compliance.d_T_B"] for r in (still, moving)]
+    cut = np.flatnonzero(forces[0] > 0.9 * forces[0].max())
+    middle = slice(cut[len(cut) // 2], cut[-1])
+    assert np.abs(d[1][middle].mean(axis=0) - d[0][middle].mean(axis=0)).max() < SAME_MEAN * np.abs(d[0][middle]).max()
+    air = slice(0, np.flatnonzero(forces[0] > 0.0)[0])
+    assert not np.any(d[0][air])
+    assert np.abs(d[1][air]).max() > SHAKEN  # the moving axes shake the robot before it cuts
+
+
+SAME_MEAN = 0.05
+"""The rest of the vibration of the entry, over some periods of the lowest mode."""
+
+SHAKEN = 1e-5
+"""m: 60 kg and links that accelerate by some tenths of m/s2, at 1 to 3 um/N."""
