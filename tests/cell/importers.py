@@ -1,8 +1,8 @@
 """Importers of others, each driven as its documentation shows: an SSP package, unpacked into a folder, run for some steps.
 
-    python -m tests.cell.importers NAME PACKAGE FOLDER STEPS OUT
+    python -m tests.cell.importers NAME PACKAGE FOLDER STEPS OUT [STEP]
 
-writes the real outputs of all components to OUT (npz: one array [steps + 1] per `component.port`), in a process of its own: some
+writes the real outputs of all components to OUT (npz: one array [steps + 1] per `component.port`; STEP in s), in a process of its own: some
 of these libraries end theirs badly. Tables are named relative to the package, so its folder is the working directory.
 """
 
@@ -31,8 +31,8 @@ Rows = list[list[float]]
 class Package:
     """What the importers need of a package: by the readers of others."""
 
-    def __init__(self, file: Path, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, file: Path, folder: Path, step: float = STEP) -> None:
+        self.folder, self.step = folder, step
         with zipfile.ZipFile(file) as archive:
             archive.extractall(folder)
         self.system = read_ssd(str(file)).system
@@ -55,8 +55,9 @@ class Package:
                     yield name, parameter.get("name"), etree.QName(parameter[0]).localname, parameter[0].get("value")
 
 
-def fmpy_loop(package: Package, steps: int, time: Callable[[int], tuple[float, float]] = lambda k: (k * STEP, STEP)) -> Rows:
+def fmpy_loop(package: Package, steps: int, time: Callable[[int], tuple[float, float]] | None = None) -> Rows:
     """FMPy's FMU2Slave in a Jacobi loop. `time`: what fmi2DoStep is given in step k."""
+    at = time or (lambda k: (k * package.step, package.step))
     slaves: dict[str, Any] = {}
     reference = {name: {v.name: v.valueReference for v in md.modelVariables} for name, md in package.descriptions.items()}
     for name, md in package.descriptions.items():
@@ -89,14 +90,15 @@ def fmpy_loop(package: Package, steps: int, time: Callable[[int], tuple[float, f
     for k in range(steps):
         connect()
         for slave in slaves.values():
-            slave.doStep(*time(k))
+            slave.doStep(*at(k))
         rows.append(row())
     return rows
 
 
 def fmpy_with_the_times_of_libcosim(package: Package, steps: int) -> Rows:
     """Libcosim counts nanoseconds; the length of a step is the difference of the two times, each rounded to a double."""
-    return fmpy_loop(package, steps, lambda k: (k * 4_000_000 / 1e9, (k + 1) * 4_000_000 / 1e9 - k * 4_000_000 / 1e9))
+    tick = round(package.step * 1e9)
+    return fmpy_loop(package, steps, lambda k: (k * tick / 1e9, (k + 1) * tick / 1e9 - k * tick / 1e9))
 
 
 def libcosim(package: Package, steps: int) -> Rows:
@@ -129,7 +131,7 @@ def ecos(package: Package, steps: int) -> Rows:
     from ecospy import EcosLib, EcosSimulation
 
     EcosLib.set_log_level("warn")
-    simulation = EcosSimulation(ssp_path=str(package.folder), step_size=STEP)
+    simulation = EcosSimulation(ssp_path=str(package.folder), step_size=package.step)
     simulation.init(parameter_set="default")
     names = [f"{name}::{v.name}" for name, v in package.columns]
     rows = [[simulation.get_real(n) for n in names]]
@@ -148,7 +150,7 @@ def container(package: Package, steps: int) -> Rows:
         (place / names[name]).write_bytes(source.read_bytes())
     description = {
         "name": "cell.fmu",
-        "step_size": STEP,
+        "step_size": package.step,
         "auto_link": False,
         "auto_input": False,
         "auto_output": False,
@@ -173,7 +175,7 @@ def container(package: Package, steps: int) -> Rows:
     wanted = [reference[f"{name}.{v.name}"] for name, v in package.columns]
     rows = [cell.getReal(wanted)]
     for k in range(steps):
-        cell.doStep(k * STEP, STEP)
+        cell.doStep(k * package.step, package.step)
         rows.append(cell.getReal(wanted))
     return rows
 
@@ -187,9 +189,9 @@ IMPORTERS: dict[str, Callable[[Package, int], Rows]] = {
 }
 
 
-def main(name: str, file: str, folder: str, steps: str, out: str) -> None:
+def main(name: str, file: str, folder: str, steps: str, out: str, step: str = str(STEP)) -> None:
     """Run one importer and write what it gives."""
-    package = Package(Path(file), Path(folder))
+    package = Package(Path(file), Path(folder), float(step))
     os.chdir(folder)
     rows = np.array(IMPORTERS[name](package, int(steps)))
     np.savez(out, **{f"{n}.{v.name}": rows[:, i] for i, (n, v) in enumerate(package.columns)})
