@@ -175,7 +175,9 @@ def test_divergence_is_said_with_its_place_and_keeps_what_there_is(tmp_path: Pat
 
 def test_a_correction_that_makes_it_worse_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robomill.cell.compensation._LEAST_NODES", 10**6)  # no line is long enough to say why
-    with pytest.raises(CompensationError, match=r"the correction makes it worse: corrected once, 1.1\d+ mm rms are left of 0.7\d+ mm, most"):
+    with pytest.raises(
+        CompensationError, match=r"the correction makes it worse: corrected once, 1.1\d+ mm rms are left of 0.7\d+ mm, most"
+    ):
         loop(tmp_path, linear(-0.6)).run()
     assert (tmp_path / "correction.csv").is_file()
 
