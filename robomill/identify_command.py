@@ -13,7 +13,7 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from robomill import identify_cycle, identify_hammer, identify_sensor, identify_stations
+from robomill import identify_cubes, identify_cycle, identify_hammer, identify_sensor, identify_stations
 from robomill.measured_set import MeasuredSet, Quantity, read_measured
 
 _Q = Quantity("q", "rad", 6, ("q_link", "q", "q_motor"))
@@ -73,6 +73,7 @@ def add_arguments(parser: Any) -> None:
     identify_cycle.add_arguments(kinds)
     identify_stations.add_arguments(kinds)
     identify_sensor.add_arguments(kinds)
+    identify_cubes.add_arguments(kinds)
     identify_hammer.add_arguments(kinds)
     for kind in (stiffness, payload):
         kind.add_argument(
@@ -92,6 +93,7 @@ def run(options: Namespace) -> int:
         "backlash": identify_cycle.run_backlash,
         "stations": identify_stations.run,
         "sensor": identify_sensor.run,
+        "cubes": identify_cubes.run,
         "hammer": identify_hammer.run_hammer,
         "modes": identify_hammer.run_modes,
     }[options.kind](options)
