@@ -149,8 +149,8 @@ def three_poses(R_BS: FloatArray, force: FloatArray, moment: FloatArray) -> Payl
         if not len(found):
             nearest = math.degrees(math.acos(min(1.0, float((up @ target).max()))))
             raise ValueError(
-                f"three_poses: no row is within {math.degrees(NEAR):g} deg of O{number}, up = {np.round(target, 3).tolist()} in the sensor; "
-                f"the nearest is {nearest:.1f} deg away: measure there, or use least squares over all orientations"
+                f"three_poses: no row is within {math.degrees(NEAR):g} deg of O{number}, up = {np.round(target, 3).tolist()} in the "
+                f"sensor; the nearest is {nearest:.1f} deg away: measure there, or use least squares over all orientations"
             )
     first = [r[0] for r in rows]
     means = [np.array([np.mean(v[r], axis=0) for r in rows]) for v in (force, moment)]
