@@ -210,9 +210,9 @@ def _payload(options: Namespace) -> int:
     except ValueError as error:
         raise MeasuredSetError(f"{', '.join(map(str, options.measured))}: {error}") from error
     load = fit.load
-    shown, turned = load.wrench(R_BS)
+    at_rest, turned = load.wrench(R_BS)
     pull, twist = hose_wrench(hose, MOUNTING, R_BS) if hose else (0.0, 0.0)
-    rest = (v["force"] - shown - pull, v["moment"] - turned - twist)
+    rest = (v["force"] - at_rest - pull, v["moment"] - turned - twist)
     parameters = {
         "model_weight_B": (load.weight_B, fit.deviation_weight_B, "N"),
         "model_cog_S": (load.cog_S, fit.deviation_cog_S, "m"),
