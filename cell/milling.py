@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from robomill.cell.binding import convert, resolve, with_fmus
+from robomill.cell.combination import check_combination
 from robomill.cell.equipment import load_system
 from robomill.cell.plan_checks import Findings, check_plan
 from robomill.cell.plausibility import unusual_values
@@ -269,8 +270,15 @@ _OF_JOB = {"path": ("segments", "pilot"), "milling": ("p_BP_B", "quat_BP", "bloc
 def of_variant(job: Job, variant: Variant) -> System:
     """The system of a job with the sources and the parameters of a variant; an exchanged component gets its equipment anew.
 
-    Raises what `load_system` raises; SystemFileError for a component that the system does not have.
+    Raises what `load_system` raises; SystemFileError for a component that the system does not have, and for components that cannot
+    work together (`check_combination`).
     """
+    system = _exchanged(job, variant)
+    check_combination(system)
+    return system
+
+
+def _exchanged(job: Job, variant: Variant) -> System:
     if not variant.sources:
         return with_parameters(job.system, variant.parameters)
     other = load_system(job.scenario.system, job.scenario.equipment, variant.sources)

@@ -25,27 +25,32 @@ def figures(runs: Runs) -> dict[str, Figures]:
     return {name: result.figures for name, result in runs.results("groove").items()}
 
 
+@pytest.mark.paper
 def test_uncompensated_deviation_at_the_published_force(figures):
     assert figures["uncompensated"].max_deviation_m == pytest.approx(1.4 * MM, abs=physics(1.4 * MM, relative=0.10))
     assert figures["uncompensated"].peak_force_n == pytest.approx(546.0, abs=physics(546.0, relative=0.03))
 
 
+@pytest.mark.paper
 def test_cartesian_compensation_leaves_its_largest_deviation_at_the_cutter_exit(figures):
     assert figures["cartesian"].max_deviation_m == pytest.approx(0.7 * MM, abs=physics(0.7 * MM, relative=0.15))
     assert figures["cartesian"].max_deviation_location.startswith("cutter exit")
 
 
+@pytest.mark.paper
 def test_pilot_control_leaves_a_third_of_a_millimetre_and_removes_78_percent(figures):
     assert figures["cartesian_pilot"].max_deviation_m <= 0.33 * MM
     assert figures["cartesian_pilot"].max_deviation_m <= (1.0 - 0.78) * figures["uncompensated"].max_deviation_m
 
 
+@pytest.mark.paper
 def test_reaction_takes_100_to_150_ms_without_and_at_most_three_cycles_with_pilot_control(figures):
     assert 0.100 <= figures["cartesian"].reaction_t50_s <= 0.150
     assert abs(figures["cartesian_pilot"].reaction_t50_s) <= 0.012
     assert figures["uncompensated"].reaction_t50_s is None
 
 
+@pytest.mark.paper
 def test_axis_specific_corrections_hold_the_depth_less_well(runs: Runs):
     """Backlash: where a correction reverses an axis, the controller's own compensation does not know of it (sec. 3.3)."""
     results = runs.results("groove")

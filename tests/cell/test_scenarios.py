@@ -100,6 +100,7 @@ class TestSwapping:
 class TestTestPart:
     """The main job: everything is cut, and the variants come in the order of the paper."""
 
+    @pytest.mark.paper
     @pytest.mark.slow
     def test_variants_rank_as_in_the_paper(self, runs: Runs):
         largest = {name: r.figures.max_deviation_m for name, r in runs.results("test_part").items()}
@@ -121,6 +122,7 @@ class TestTestPart:
 class TestStaticLoads:
     """Paper 000, sec. 3.1: mean calculated displacement 1.72 mm (0.11 mm are 6 % of the measured mean)."""
 
+    @pytest.mark.paper
     def test_mean_of_the_sixty_cases(self):
         first, cell = run_static_loads(load_scenario(SCENARIOS / "static_loads.toml")).values()
         assert first.mean_displacement_m == pytest.approx(1.72e-3, abs=physics(0.0, absolute=0.005e-3))

@@ -171,6 +171,7 @@ def test_slot_across_the_dexels_in_any_block(angle: float, block: float) -> None
     assert f[:3] == pytest.approx((fx, fy, -fa), abs=ROUNDOFF * 1e3 * fy)
 
 
+@pytest.mark.paper
 def test_slot_of_the_paper() -> None:
     """FACTS 3.4: D16 z3, 13000 rpm, 25 mm/s, ap 11.8 mm gives a mean of 546 N in the plane; 15 steps are 13 revolutions."""
     f = slot(ap=11.8e-3, steps=45, spindle=GROOVE)[15:45].mean(axis=0)

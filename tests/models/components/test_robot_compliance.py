@@ -104,6 +104,7 @@ class TestPhysics:
         R = Rotation.from_quat(np.roll(np.array(s.quat_BT), -1)).as_matrix()
         assert np.abs(R - s.link_R[6]).max() < ROUNDOFF
 
+    @pytest.mark.paper
     def test_mean_of_the_published_loads(self) -> None:
         """Haehn & Weigold 2020, sec. 3.1: 60 loads of 750 N, 1.72 mm on average (tool calibrated to it), half of the last digit."""
         loads = validation_loads()

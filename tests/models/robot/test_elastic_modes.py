@@ -48,6 +48,7 @@ def near(found: FloatArray, published: tuple[float, ...], half_width: float) -> 
         ((0, -90, 90, 0, 0, 0), (9.3, 10.4, 20.1, 21.8), 0.051),
     ],
 )
+@pytest.mark.paper
 def test_eighteen_springs_of_the_kr_210(degrees: tuple[float, ...], published: tuple[float, ...], half_width: float) -> None:
     # FACTS10 10.5: springs of the thesis, both tilts, 60 kg 200 mm in front of the flange
     near(elastic_modes(machine("kr210_2"), np.deg2rad(degrees)).frequency, published, half_width)
@@ -70,6 +71,7 @@ def test_drives_alone_and_the_highest_mode_of_the_kr_210() -> None:
         ((2.66, -77.64, 77.44, 0, 0.2, 0), (8.9, 9.1, 19.1, 19.6)),
     ],
 )
+@pytest.mark.paper
 def test_all_springs_of_the_kr_300(degrees: tuple[float, ...], published: tuple[float, ...]) -> None:
     # FACTS 4.3: all springs of Table 1 of Haehn & Weigold 2020, 60 kg with the centre of gravity at (60, 0, 200) mm; 31.55 printed 31.5
     whole = machine("kr300_r2500_ultra", "spindle_across", ())
