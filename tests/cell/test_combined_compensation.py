@@ -12,7 +12,7 @@ from tests import SCENARIOS
 
 SOFT = Perturbation(-0.15, 0.2)
 KNOWN = Perturbation(-0.15, 0.2, informed=True)
-"""The same machine with its springs in the controller, as identified on it."""
+"""SOFT with its springs in the controller, as identified on it."""
 
 
 def compensated(folder: Path, variant: str, *machines: Perturbation) -> Compensation:
