@@ -429,6 +429,13 @@ class Loop:
             now, was = self.iterations[-1].left_m, least
             if number == 1:
                 factor = self._stable(before, left, factor)
+                if now >= start:
+                    worst = int(np.argmax(np.where(self.first.cut, np.linalg.norm(left, axis=1), 0.0)))
+                    raise CompensationError(
+                        f"the correction makes it worse: corrected once, {1e3 * now:.3f} mm rms are left of {1e3 * start:.3f} mm, most at "
+                        f"{self._where(worst)}: the machine swings, or is pulled in; compensate on a twin without inertia "
+                        f"(robot_compliance), or cut less deep{self._kept}"
+                    )
             if now < least:
                 least, best = now, (self.offset, self.program, self.plan, self.along, self.last)
             if now <= self.settings.converged * start:
@@ -517,7 +524,8 @@ class Loop:
 
     def _rhos(self, before: FloatArray, left: FloatArray, factor: float) -> list[tuple[float, int]]:
         """Value of rho of each line of the program that speaks, with a node of it, the least first; -inf where the deviation grew."""
-        lines, cut = self.path.lines, self.first.cut
+        fed = np.array([not s.rapid for s in self.path.said])  # a rapid out of the cut only swings
+        lines, cut = self.path.lines, self.first.cut & fed
         whole = _rms(before[cut])
         found: list[tuple[float, int]] = []
         for line in np.unique(lines[cut]).tolist():

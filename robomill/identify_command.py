@@ -13,8 +13,8 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from robomill import identify_cycle, identify_hammer, identify_sensor, identify_stations
-from robomill.measured_set import MeasuredSet, Quantity, read_measured
+from robomill import identify_cubes, identify_cycle, identify_hammer, identify_sensor, identify_stations
+from robomill.measured_set import MeasuredSet, MeasuredSetError, Quantity, read_measured
 
 _Q = Quantity("q", "rad", 6, ("q_link", "q", "q_motor"))
 STIFFNESS = (
@@ -68,11 +68,20 @@ def add_arguments(parser: Any) -> None:
     payload.add_argument(
         "--hose", metavar="NAME", help="hose pack that is subtracted first, of models/data/sensors (hose_gallows) or a .toml file"
     )
+    payload.add_argument(
+        "--three", action="store_true", help="weight, centre of gravity and offsets from O1, O2, O3 alone (paper 000, Eqs. 12-15)"
+    )
+    payload.add_argument(
+        "--polynomial",
+        action="store_true",
+        help="then fit Eq. (17) of paper 000 to the forces left over all orientations; --hose only says where the hose pulls",
+    )
     payload.add_argument("--component", default="sensor", metavar="NAME", help="the sensor_chain that the result is for (default: sensor)")
     payload.add_argument("--out", type=Path, metavar="FILE.ssv", help="write its parameters for `robomill run --adopt FILE.ssv`")
     identify_cycle.add_arguments(kinds)
     identify_stations.add_arguments(kinds)
     identify_sensor.add_arguments(kinds)
+    identify_cubes.add_arguments(kinds)
     identify_hammer.add_arguments(kinds)
     for kind in (stiffness, payload):
         kind.add_argument(
@@ -92,6 +101,7 @@ def run(options: Namespace) -> int:
         "backlash": identify_cycle.run_backlash,
         "stations": identify_stations.run,
         "sensor": identify_sensor.run,
+        "cubes": identify_cubes.run,
         "hammer": identify_hammer.run_hammer,
         "modes": identify_hammer.run_modes,
     }[options.kind](options)
@@ -184,16 +194,25 @@ def _show_stiffness(measured: MeasuredSet, result: dict[str, Any], coupled: bool
 
 def _payload(options: Namespace) -> int:
     from robomill.diagnosis.outcome import adopt
-    from robomill.models.calibration.identification import FEATURES, identify_payload
-    from robomill.models.calibration.sensor_poses import hose_wrench, load_hose, sensor_orientations
-    from robomill.models.components.sensor_chain import MOUNTING
+    from robomill.models.calibration.identification import FEATURES, identify_payload, three_poses
+    from robomill.models.calibration.sensor_poses import hose_wrench, load_hose, payload_with_hose, sensor_orientations
+    from robomill.models.components.sensor_chain import HOSE, MOUNTING
 
     measured = read_measured(options.measured, PAYLOAD, options.robot, options.tool)
     v, hose = measured.values, load_hose(options.hose) if options.hose else None
     R_BS = sensor_orientations(measured.robot, measured.tool, v["q"], MOUNTING)
-    force, moment = hose_wrench(hose, MOUNTING, R_BS) if hose else (0.0, 0.0)
-    fit = identify_payload(R_BS, v["force"] - force, v["moment"] - moment)
+    try:
+        if options.polynomial:
+            fit, hose = payload_with_hose(R_BS, v["force"], v["moment"], hose or HOSE, MOUNTING, options.three)
+        else:
+            force, moment = hose_wrench(hose, MOUNTING, R_BS) if hose else (0.0, 0.0)
+            fit = (three_poses if options.three else identify_payload)(R_BS, v["force"] - force, v["moment"] - moment)
+    except ValueError as error:
+        raise MeasuredSetError(f"{', '.join(map(str, options.measured))}: {error}") from error
     load = fit.load
+    at_rest, turned = load.wrench(R_BS)
+    pull, twist = hose_wrench(hose, MOUNTING, R_BS) if hose else (0.0, 0.0)
+    rest = (v["force"] - at_rest - pull, v["moment"] - turned - twist)
     parameters = {
         "model_weight_B": (load.weight_B, fit.deviation_weight_B, "N"),
         "model_cog_S": (load.cog_S, fit.deviation_cog_S, "m"),
@@ -217,6 +236,8 @@ def _payload(options: Namespace) -> int:
         "tilt_deviation_rad": fit.deviation_tilt.tolist(),
         "residual_force_n": fit.residual_f,
         "residual_moment_nm": fit.residual_m,
+        "left_force_n": float(np.sqrt(np.mean(rest[0] ** 2))),
+        "left_moment_nm": float(np.sqrt(np.mean(rest[1] ** 2))),
         "condition": [fit.condition_f, fit.condition_m],
         "parameters": {
             name: {"value": value.tolist(), "deviation": deviation.tolist(), "unit": unit}
@@ -236,6 +257,9 @@ def _payload(options: Namespace) -> int:
         shown, factor = ("mm", 1e3) if unit == "m" else (unit, 1.0)
         print(f"  {name}: {', '.join(f'{factor * a:.3f} +- {factor * s:.3f}' for a, s in zip(value, deviation, strict=True))} {shown}")
     print(f"left: {fit.residual_f:.3g} N, {fit.residual_m:.3g} N.m rms per component")
+    if options.polynomial or options.three:
+        pulls = f"hose pulls with up to {np.linalg.norm(pull, axis=-1).max():.1f} N; " if options.polynomial else ""
+        print(f"{pulls}over all rows {result['left_force_n']:.3g} N, {result['left_moment_nm']:.3g} N.m rms are left")
     if options.out is not None:
         print(f"{options.out}: parameters of {options.component}; robomill run SCENARIO --adopt {options.out}")
     return DONE

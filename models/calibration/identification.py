@@ -9,7 +9,7 @@ R_BS turns S components into B components.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,10 @@ THREE_POSES = np.array([[_SQRT2 / 2, _SQRT2 / 2, 0.0], [0.0, 0.0, -1.0], [0.0, 1
 """Rows: the upward unit vector in S at the orientations O1, O2, O3 of Fig. 7, inferred from Eqs. (12)-(15).
 
 Gravity there is (1, 1, 0) F_G,z / sqrt(2), (0, 0, -F_G,z) and (0, F_G,z, 0) with F_G,z = -m g."""
+
+
+NEAR = math.radians(1.0)
+"""Angle [rad] within which a row is at one of `THREE_POSES`: 10 N of a weight of 600 N are across it then."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +136,29 @@ def identify_three_poses(force: FloatArray, moment: FloatArray) -> Load:
     r_x = (offset_m[2] - m3[2]) / weight  # Eq. (15), first and second row
     r_y = r_x + _SQRT2 * (m1[2] - offset_m[2]) / weight
     return Load(np.array([0.0, 0.0, weight]), -np.array([r_x, r_y, r_z]), offset_f, offset_m)
+
+
+def three_poses(R_BS: FloatArray, force: FloatArray, moment: FloatArray) -> PayloadFit:
+    """`identify_three_poses` on the means of the rows in which the sensor stands at O1, O2, O3 within `NEAR`; other rows are not used.
+
+    Standard deviations are those of `identify_payload` on the three means. Errors: ValueError names an orientation that no row has.
+    """
+    up = np.asarray(R_BS, dtype=np.float64)[:, 2, :]
+    rows = [np.flatnonzero(up @ target > math.cos(NEAR)) for target in THREE_POSES]
+    for number, (found, target) in enumerate(zip(rows, THREE_POSES, strict=True), start=1):
+        if not len(found):
+            nearest = math.degrees(math.acos(min(1.0, float((up @ target).max()))))
+            raise ValueError(
+                f"three_poses: no row is within {math.degrees(NEAR):g} deg of O{number}, up = {np.round(target, 3).tolist()} in the "
+                f"sensor; the nearest is {nearest:.1f} deg away: measure there, or use least squares over all orientations"
+            )
+    first = [r[0] for r in rows]
+    means = [np.array([np.mean(v[r], axis=0) for r in rows]) for v in (force, moment)]
+    fit = identify_payload(np.asarray(R_BS)[first], *means)
+    load = identify_three_poses(*means)
+    left = np.concatenate([m - w for m, w in zip(means, load.wrench(np.asarray(R_BS)[first]), strict=True)], axis=1)
+    rms = [float(np.sqrt(np.mean(left[:, part] ** 2))) for part in (slice(0, 3), slice(3, 6))]
+    return replace(fit, load=load, residual_f=rms[0], residual_m=rms[1])
 
 
 def identify_poses(R_BS: FloatArray, force: FloatArray, moment: FloatArray) -> Load:

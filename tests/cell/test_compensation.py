@@ -173,6 +173,15 @@ def test_divergence_is_said_with_its_place_and_keeps_what_there_is(tmp_path: Pat
     assert (tmp_path / "correction.csv").read_text().startswith("line,along_mm,planned_x_mm")
 
 
+def test_a_correction_that_makes_it_worse_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("robomill.cell.compensation._LEAST_NODES", 10**6)  # no line is long enough to say why
+    with pytest.raises(
+        CompensationError, match=r"the correction makes it worse: corrected once, 1.1\d+ mm rms are left of 0.7\d+ mm, most"
+    ):
+        loop(tmp_path, linear(-0.6)).run()
+    assert (tmp_path / "correction.csv").is_file()
+
+
 def test_a_correction_beyond_the_limit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         CompensationError, match=r"iteration 1: the correction at cut.ngc line 6 \(G1 X30\) is 0.30 mm, more than the limit of"
