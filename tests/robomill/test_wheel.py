@@ -90,7 +90,7 @@ def test_it_runs_beside_foreign_packages_of_the_same_names(installed: tuple[Path
 @pytest.mark.slow
 def test_fmus_from_the_wheel_are_those_of_the_checkout(installed: tuple[Path, dict[str, str]], work: Path) -> None:
     for backend in ("python", "native"):
-        robomill(installed, work, "build", "--backend", backend, "--component", "sensor_chain", "--out", f"out_{backend}")
+        robomill(installed, work, "build", "--backend", backend, "--component", "spindle_current", "--out", f"out_{backend}")
         here = [
             sys.executable,
             "-m",
@@ -99,15 +99,15 @@ def test_fmus_from_the_wheel_are_those_of_the_checkout(installed: tuple[Path, di
             "--backend",
             backend,
             "--component",
-            "sensor_chain",
+            "spindle_current",
             "--out",
             str(work / f"here_{backend}"),
         ]
         subprocess.run(here, cwd=ROOT, check=True, capture_output=True)
-        file = "sensor_chain.fmu"
+        file = "spindle_current.fmu"
         assert (work / f"out_{backend}" / file).read_bytes() == (work / f"here_{backend}" / file).read_bytes(), backend
-    assert "sensor_chain" in NAMES
-    robomill(installed, work, "check", "out_native/sensor_chain.fmu")
+    assert "spindle_current" in NAMES
+    robomill(installed, work, "check", "out_native/spindle_current.fmu")
 
 
 def test_every_example_is_copied_with_what_it_refers_to(tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def still(value: float = 0.0, channels: int = 1, rows: int = ROWS) -> FloatArray
 
 
 class TestRepeats:
-    ROWS = 10000
+    ROWS = 3000
 
     def noise(self, seed: int, conditions: Sequence[tuple[int, int]]) -> tuple[list[list[FloatArray]], list[list[FloatArray]]]:
         """White measurements and simulations, so many of each condition; a single simulation has no noise."""

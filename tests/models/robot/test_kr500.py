@@ -77,7 +77,7 @@ def soft(tilt: float = 1.0) -> Compliance:
     for j in DRIVES:
         about[j, 0] *= tilt
     along[HOLDER] = base.translation_compliance[HOLDER]
-    return Compliance(about, 1.0, 0.5, 0.5, 0.028, 0.15, along)
+    return Compliance(about, 1.0, 0.5, 0.5, 0.028, 0.15, 0.0, along)
 
 
 def with_pinocchio(q: np.ndarray, load: np.ndarray, springs: Compliance) -> np.ndarray:
@@ -132,7 +132,7 @@ class TestSixDegreesOfFreedom:
     def test_rigid_translations_leave_the_virtual_joints(self, seed: int) -> None:
 
         base = load_compliance(KR500)
-        rigid = Compliance(base.stiffness, 1.0, 0.5, 0.5, 0.028, 0.15)
+        rigid = Compliance(base.stiffness, 1.0, 0.5, 0.5, 0.028, 0.15, 0.0)
         q, load = angles(seed), loads(seed)
         got = respond(arm(compliance=rigid), q, load)
         s = arm(compliance=rigid)
@@ -159,8 +159,8 @@ class TestSixDegreesOfFreedom:
             along[list(DRIVES)] = c
             for seed in SEEDS:
                 q = angles(seed)
-                without = matrix(arm(compliance=Compliance(base.stiffness, 1.0, 0.5, 0.5, 0.028, 0.15)), q)
-                with_them = matrix(arm(compliance=Compliance(base.stiffness, 1.0, 0.5, 0.5, 0.028, 0.15, along)), q)
+                without = matrix(arm(compliance=Compliance(base.stiffness, 1.0, 0.5, 0.5, 0.028, 0.15, 0.0)), q)
+                with_them = matrix(arm(compliance=Compliance(base.stiffness, 1.0, 0.5, 0.5, 0.028, 0.15, 0.0, along)), q)
                 added = with_them - without
                 assert np.abs(added[:3, :3] - 6 * c * np.eye(3)).max() < ROUNDOFF
                 assert np.abs(added[3:]).max() == EXACT
@@ -179,7 +179,7 @@ class TestSixDegreesOfFreedom:
 
     def test_a_table_of_another_shape_is_refused(self) -> None:
         with pytest.raises(ValueError, match=r"translation_compliance has shape \(6, 3\), expected \(11, 3\).*along x, y, z"):
-            Compliance(load_compliance(KR500).stiffness, 1.0, 0.5, 0.5, 0.028, 0.15, np.zeros((6, 3)))
+            Compliance(load_compliance(KR500).stiffness, 1.0, 0.5, 0.5, 0.028, 0.15, 0.0, np.zeros((6, 3)))
 
     def test_negative_compliance_is_refused(self) -> None:
         s = record(MODEL.new())
@@ -214,10 +214,10 @@ class TestCalibratedSet:
         base = load_compliance(KR500)
         along = base.translation_compliance.copy()
         along[list(DRIVES)] = 0.0
-        without = matrix(arm(compliance=Compliance(base.stiffness, 1.0, 0.5, 0.5, 0.028, 0.15, along)), CENTRE)
+        without = matrix(arm(compliance=Compliance(base.stiffness, 1.0, 0.5, 0.5, 0.028, 0.15, 0.0, along)), CENTRE)
         with_them = along.copy()
         with_them[list(DRIVES)] = 1.0 / stiffness
-        got = matrix(arm(compliance=Compliance(base.stiffness, 1.0, 0.5, 0.5, 0.028, 0.15, with_them)), CENTRE)
+        got = matrix(arm(compliance=Compliance(base.stiffness, 1.0, 0.5, 0.5, 0.028, 0.15, 0.0, with_them)), CENTRE)
         assert np.abs(np.diag(got - without)[:3] * UM - added).max() < physics(0.0, absolute=5e-4)
 
     @pytest.mark.paper
@@ -226,6 +226,6 @@ class TestCalibratedSet:
         base = load_compliance(KR500)
         only = np.zeros((JOINTS, 3))
         only[HOLDER] = base.translation_compliance[HOLDER]
-        C = matrix(arm(compliance=Compliance(np.full((JOINTS, 3), 1e30), 1.0, 0.5, 0.5, 0.028, 0.15, only)), CENTRE)[:3, :3] * UM
+        C = matrix(arm(compliance=Compliance(np.full((JOINTS, 3), 1e30), 1.0, 0.5, 0.5, 0.028, 0.15, 0.0, only)), CENTRE)[:3, :3] * UM
         # the pose is given to 0.1 deg
         assert np.abs(C - np.diag([0.137, 0.168, 0.048])).max() < physics(0.0, absolute=2e-4)
