@@ -15,13 +15,14 @@ from robomill.diagnosis.experiment.simulation import Laboratory, Report, Setting
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.gate import phases, run_set
-from robomill.diagnosis.inference.estimation import Fit, probabilities
+from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.priors import probabilities
 from robomill.diagnosis.inference.search import Search, likely_count, searched
 from robomill.diagnosis.inference.sensitivities import NOMINAL
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, curves_of, effort_of, titles_of
 from robomill.diagnosis.outcome.conclusion import Conclusion
 from robomill.diagnosis.outcome.how_far import CLOSING
-from robomill.diagnosis.outcome.verdict import UNEXPLAINED, UNKNOWN, over_noise, unexplained
+from robomill.diagnosis.outcome.verdict import UNKNOWN, left_by, over_noise, unexplained
 from robomill.orchestration.assembly import Resolver, assemble, run
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
@@ -162,7 +163,7 @@ def _wrong_channel(
     if chi2.max() < DOMINANT * chi2.sum():
         return None
     name = names[int(chi2.argmax())]
-    if unexplained(over_noise(search, fits[0]), over_noise(search, best)) >= UNEXPLAINED and (rest := _rest(search, best, groups, name)):
+    if left_by(over_noise(search, fits[0]), over_noise(search, best)) < 0.0 and (rest := _rest(search, best, groups, name)):
         return gate.Finding(name, "constant", rest, "s", f"stands still for {rest:.3g} s, which nothing explains")
     sign = np.where(np.array(search.simulator.laboratory.channels) == name, -1.0, 1.0)
     turned, fits_of_it = searched(catalogue, search.simulator, [[sign * x for x in group] for group in groups], nuisances)

@@ -27,16 +27,11 @@ from robomill.orchestration.slaves.protocol import FloatArray
 Model = tuple[Candidate, ...]
 """Candidates that are switched on together; () is the nominal model."""
 
-PRIOR_OF_SIZE = {0: 0.3, 1: 0.4, 2: 0.2, 3: 0.1}
-"""Probability of so many effects before the data, shared among all sets of that size."""
-
+FORM: Address = ("", "form")
+"""Name of the nuisances that stand for what effects do otherwise than their laws say."""
 
 SAME_SIGNATURE = 0.97
 """Correlation of whitened sensitivities from which a nuisance is taken as the same thing as a parameter that is fitted."""
-
-UNDETERMINED = 1.0
-"""Standard deviation, over the value, from which data do not say how large an effect is."""
-
 
 @dataclass
 class Fit:
@@ -57,6 +52,8 @@ class Fit:
     """ds/dx at the best values, per prior scale, [n, parameters]."""
     predictive: dict[str, float] = field(default_factory=dict)
     """condition -> gain in log score there [nats], when fitted to all the others."""
+    form: FloatArray | None = None
+    """What its effects may do otherwise than their laws say: one nuisance per effect, condition and array, [n, k]; None: too little to see."""
 
     @property
     def name(self) -> str:
@@ -113,7 +110,7 @@ class Space:
         if not gone:
             return self
         if gone not in self._without:
-            self._without[gone] = Space(self.y, self.blocks, self.nuisances, self.names, self._products, gone)
+            self._without[gone] = Space(self.y, self.blocks, self.nuisances, self.names, self._products, gone | self.gone)
         return self._without[gone]
 
     def less(self, names: Collection[Address]) -> Space:
@@ -123,15 +120,20 @@ class Space:
             return self
         return Space(self.y, self.blocks, self.nuisances[:, kept], [self.names[i] for i in kept])
 
+    def widened(self, columns: FloatArray | None) -> Space:
+        """A space of its own that has these nuisances, [n, k], too; this one where there are none."""
+        if columns is None or not columns.shape[1]:
+            return self
+        across, m = self.nuisances.T @ columns, self.nuisances.shape[1]
+        products = np.block([[self._products, across], [across.T, columns.T @ columns]])
+        names = [*self.names, *[("", "")] * (m - len(self.names)), *[FORM] * columns.shape[1]]
+        wide = Space(self.y, self.blocks, np.concatenate([self.nuisances, columns], axis=1), names, products, self.gone)
+        wide.alike = self.alike
+        return wide
+
     def moved(self, left: FloatArray) -> FloatArray:
         """Standard deviations by which the nuisances are moved to explain the residual `left` [n]: (I + B'B)^-1 B' left, [m]."""
         return np.asarray(self._inner @ (self.nuisances.T @ left))
-
-    def divided(self, blocks: Mapping[str, slice]) -> Space:
-        """Space with the same y, divided into other blocks: name -> its part of y."""
-        space = Space(self.y, blocks, self.nuisances, self.names, self._products, self.gone)
-        space.alike = self.alike
-        return space
 
     def find_alike(self, sensitivities: Mapping[Address, FloatArray], scales: Mapping[Address, float]) -> None:
         """Note in `alike` which nuisances have (nearly) the same sensitivity as a parameter.
@@ -183,14 +185,18 @@ class Space:
         return np.concatenate([np.arange(self.y.size)[self.blocks[b]] for b in blocks])
 
 
-def quadratic_fit(model: Model, y: FloatArray, base: FloatArray, sensitivities: FloatArray, start: FloatArray, space: Space) -> Fit:
+def quadratic_fit(
+    model: Model, base: FloatArray, sensitivities: FloatArray, start: FloatArray, space: Space, form: FloatArray | None = None
+) -> Fit:
     """The best x for the signature base + sensitivities (x - start), with bounds and priors.
 
-    `y`, `base` [n]; `sensitivities` [n, k] per prior scale; `start` [k] in prior scales.
+    `base` [n]; `sensitivities` [n, k] per prior scale; `start` [k] in prior scales; `form` as in `Fit`.
     """
-    own = space.without([a for c in model for a in c.addresses])
+    own, y = space.without([a for c in model for a in c.addresses]).widened(form), space.y
     together = np.column_stack([sensitivities, y - base + sensitivities @ start])
-    return solved(model, own.dot(together, together), space, own)
+    fit = solved(model, own.dot(together, together), space, own)
+    fit.form = form
+    return fit
 
 
 def solved(model: Model, products: FloatArray, space: Space, own: Space) -> Fit:
@@ -277,27 +283,6 @@ def _points(c: Candidate, x: float, width: float) -> FloatArray:
     return np.asarray(points[(points >= low) & (points <= high)])
 
 
-def log_priors(models: Sequence[Model], candidates: Sequence[Candidate]) -> list[float]:
-    """Log of the probability of each model before the data: effects share that of their number, locations that of their effect.
-
-    log P(m) = log PRIOR_OF_SIZE[n] - log(sets of n of the effects) - sum of log(locations of an effect), with n effects in m.
-    """
-    effects = len({c.effect for c in candidates})
-    out = []
-    for m in models:
-        n = len(m)
-        sets = math.comb(effects, n) if n <= effects else 1
-        out.append(math.log(PRIOR_OF_SIZE.get(n, 0.02)) - math.log(max(sets, 1)) - sum(math.log(c.locations) for c in m))
-    return out
-
-
-def probabilities(fits: Sequence[Fit], candidates: Sequence[Candidate]) -> FloatArray:
-    """Probabilities of the models in `fits` after the data, float64[fits]: evidence times prior, over the sum of that of all fits."""
-    priors = log_priors([f.model for f in fits], candidates)
-    scores = np.array([f.log_evidence + p for f, p in zip(fits, priors, strict=True)])
-    return np.asarray(np.exp(scores - logsumexp(scores)))
-
-
 @dataclass(frozen=True)
 class LeftOut:
     """One part of the data, left out of the fit, and what the others say about it."""
@@ -306,8 +291,6 @@ class LeftOut:
     """Gain in log score there [nats] when the model is fitted to all the others (linear about the best values)."""
     fitted: float
     """Gain in log score there [nats] at the best values of all parts together."""
-    determined: bool
-    """Whether the others say how large the effects are: not if an effect shows in this part only."""
 
 
 def leave_one_out(fit: Fit, space: Space) -> dict[str, LeftOut]:
@@ -338,6 +321,5 @@ def leave_one_out(fit: Fit, space: Space) -> dict[str, LeftOut]:
         gains[name] = LeftOut(
             float(0.5 * (plain.chi2 - there.dot(moved, moved))),
             float(0.5 * (plain.chi2 - there.dot(left, left))),
-            all(refit.deviations[a] < UNDETERMINED * size for c in fit.model for a, size in c.sizes(fit.values).items()),
         )
     return gains

@@ -19,14 +19,16 @@ import numpy.typing as npt
 from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, selects
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.experiment.simulation import Laboratory
-from robomill.diagnosis.inference.estimation import Space
+from robomill.diagnosis.inference.estimation import Model, Space
 from robomill.diagnosis.inference.noise import SPELL, Whitening, fast, own_noise, whitening
-from robomill.orchestration.slaves.protocol import FloatArray
+from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 TRUST = 0.02
 """Part of an effect of typical size that the models are not trusted to: the noise floor of each channel."""
 DEPENDENCE = 10.0
 """Samples that are worth one: what two systems that are not quite the same leave is no noise, it goes in one direction for a while."""
+FORM = 0.04
+"""Part of what an effect does, by condition and array, that a law which is right may miss (standard deviation)."""
 LATENESS = 0.2
 """Communication steps that the channels of a component may be late: outputs hold for a step, and a step later others see them."""
 BEGINNING, SETTLING = 25, 0.1
@@ -64,6 +66,8 @@ class Evidence:
     """Variance of a whitened run that is not repeated, by channel."""
     late: frozenset[Address]
     """Latenesses that are no nuisance here: they would have to be larger than what the catalogue calls a late clock."""
+    arrays: npt.NDArray[np.intp]
+    """Which array each active channel is an element of, [active channels]."""
     halves: list[tuple[FloatArray, FloatArray]]
     """What two independent means of nominal simulations are away from the mean of all, whitened."""
 
@@ -78,6 +82,27 @@ class Evidence:
         """Whitened change [n] of means over simulations with different noise against means of as many nominal ones; None if one failed."""
         means = [None if g is None else np.asarray(np.mean(g, axis=0)) for g in groups]
         return self._white(means, [np.asarray(np.mean(n[: len(g or n)], axis=0)) for n, g in zip(self.nominals, groups, strict=True)])
+
+    def form(self, model: Model, signature: FloatArray, sensitivities: FloatArray, x: FloatArray) -> FloatArray | None:
+        """What the effects of a model may do otherwise than their laws say: columns [n, k] of standard deviation FORM of what each does.
+
+        One column per effect, condition and array, where that much could be seen at all. `signature` [n] at x [prior scales];
+        `sensitivities` [n, parameters]. An effect among several does what its sensitivities at x say.
+        """
+        columns, first = [], 0
+        for c in model:
+            k = len(c.parameters)
+            does = signature if len(model) == 1 else sensitivities[:, first : first + k] @ x[first : first + k]
+            first += k
+            for block in self.space.blocks.values():
+                part = FORM * does[block].reshape(-1, len(self.arrays))
+                for array in np.unique(self.arrays):
+                    here = self.arrays == array
+                    if float((part[:, here] ** 2).sum()) > 1.0:
+                        column = np.zeros(self.space.y.size)
+                        column[block] = np.where(here, part, 0.0).ravel()
+                        columns.append(column)
+        return np.stack(columns, axis=1) if columns else None
 
     def _white(self, results: Sequence[FloatArray | None], base: Sequence[FloatArray]) -> FloatArray | None:
         parts = []
@@ -150,6 +175,7 @@ def gather(
         _variance([w.apply(fast(x), 1.0, s) for x in g], len(names)) if w.guessed else np.ones(len(names))
         for g, s in zip(over, sudden, strict=True)
     ]
+    arrays = np.unique([base_name(name) for name in names], return_inverse=True)[1]
     spell = max(1, round(SPELL / laboratory.decimation))
     own, expected = [], np.zeros(y.size)
     for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
@@ -167,7 +193,7 @@ def gather(
     late = _late(space, clocks, names, LATENESS * laboratory.system.step) if like is None else like.late
     space = space.less(late)
     space.find_alike(sensitivities, scales)
-    return Evidence(space, w, active, nominals, sudden, residuals, sensitivities, counts, expected, np.mean(alone, axis=0), late, halves)
+    return Evidence(space, w, active, nominals, sudden, residuals, sensitivities, counts, expected, np.mean(alone, axis=0), late, arrays, halves)
 
 
 def _late(space: Space, clocks: Sequence[Candidate], channels: Sequence[str], size: float) -> frozenset[Address]:
@@ -219,8 +245,8 @@ def _whitening(
     """From the repeats, above a floor of TRUST of what effects of typical size do to a channel."""
     rms = np.array([np.sqrt(np.mean(np.concatenate([c * c for c in change]), axis=0)) for change in changes.values()])
     floor = np.array([TRUST * np.median(r[r > 1e-3 * r.max()]) if r.max() > 0.0 else 0.0 for r in rms.T])
-    least = np.where(floor > 0.0, 0.0, 1e-9 + 1e-6 * np.abs(np.concatenate([n[0] for n in nominals])).max(axis=0))
-    return whitening(groups, floor + least, begin, left)
+    least = 1e-9 + 1e-6 * np.abs(np.concatenate([n[0] for n in nominals])).max(axis=0)  # what numbers are not good for
+    return whitening(groups, np.maximum(floor, least), begin, left)
 
 
 def _scatter(group: Sequence[FloatArray], channels: int) -> FloatArray:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import LOGGING, Catalogue, Nuisance
+from robomill.diagnosis.catalogue import LOGGING, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
 from robomill.diagnosis.inference.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
 from robomill.diagnosis.inference.evidence import DEPENDENCE
@@ -27,10 +26,6 @@ SUBSTANTIAL = 0.05
 FAULT = 0.67
 """Part of what is left beyond noise that a fault of the log must explain. It can be modelled exactly: what is left of something else is no
 reason to reject a log."""
-TIME_PARTS = 6
-"""Parts of each condition for the test whether an effect is the same all along."""
-TOLD = 0.1
-"""Part of the gain that must be where the other parts say how large an effect is, for that to be a test."""
 FAR, NEARBY = 50.0, 0.4
 """Log of the odds against a model, beside the best of its size, from which it is not looked at more closely; or that part of the gain."""
 SINGLES, BASES, EXTENSIONS = 10, 3, 4
@@ -39,8 +34,6 @@ HIDDEN = 0.1
 """Part of a gap without the tolerances like it that a candidate leaves, which is looked at though with them it seems to be of no use."""
 GUESSES = 4
 """How often noise is guessed anew from what the best model leaves: once more than a model has effects, at most."""
-LARGEST, GROWTH_ROUNDS = 3, 4
-"""Effects of the largest models, and how often models are grown: once more where the best one loses an effect that is too small."""
 
 
 class Search:
@@ -85,7 +78,8 @@ class Search:
             scales, _, _ = scaled_bounds(base.model)
             best = np.array([base.values[a] for c in base.model for a in c.addresses]) / (scales if len(scales) else 1.0)
             target = space.y - base.signature + base.sensitivities @ best
-            gram = space.gram(np.column_stack([base.sensitivities, stacked, target]))
+            wide = space.widened(base.form)
+            gram = wide.gram(np.column_stack([base.sensitivities, stacked, target]))
             k = len(best)
             for c in self.candidates:
                 model = (*base.model, c)
@@ -95,11 +89,10 @@ class Search:
                 there = self.starts.get(c.addresses[0])
                 if there is not None:
                     sensitivities = np.concatenate([base.sensitivities, there.sensitivity[:, None]], axis=1)
-                    found[key] = quadratic_fit(
-                        model, space.y, base.signature + there.signature, sensitivities, np.append(best, there.x), space
-                    )
+                    start = np.append(best, there.x)
+                    found[key] = quadratic_fit(model, base.signature + there.signature, sensitivities, start, space, base.form)
                     continue
-                own = space.without([a for m in model for a in m.addresses])
+                own = wide.without([a for m in model for a in m.addresses])
                 products = own.within(gram, [*range(k), *(k + place[a] for a in c.addresses), k + len(order)])
                 found[key] = solved(model, products, space, own)
         return list(found.values())
@@ -159,7 +152,8 @@ class Search:
         scales, _, _ = scaled_bounds(fit.model)
         addresses = [a for c in fit.model for a in c.addresses]
         x = np.array([fit.values[a] for a in addresses]) / scales
-        better = quadratic_fit(fit.model, self.evidence.space.y, signature, sensitivities, x, self.evidence.space)
+        form = self.evidence.form(fit.model, signature, sensitivities, x)
+        better = quadratic_fit(fit.model, signature, sensitivities, x, self.evidence.space, form)
         move = np.array([better.values[a] for a in addresses]) / scales - x
         better.sensitivities, better.signature = sensitivities, signature + sensitivities @ move
         return better
@@ -213,27 +207,45 @@ class Search:
         chosen += [f for f in singles if f not in chosen and self._hidden(f)]
         level = self._sharpened(self.polish(self.refine(chosen), chosen))
         fits += level
-        bases = self._best(level, BASES)
-        for _ in range(GROWTH_ROUNDS):
-            if not bases or len(bases[0].model) == LARGEST:
-                break
-            best = max(f.log_evidence for f in fits)
+        fits = self._grown(fits, self._best(level, BASES))
+        while (others := self._exchanged(max(fits, key=_evidence), fits)) and max(others, key=_evidence).log_evidence > _most(fits):
+            fits = self._grown(fits + others, self._best(others, 1))
+        fits = [f for f in fits + others if f.large_enough()]
+        for f in sorted(fits[1:], key=_evidence, reverse=True)[:3]:
+            f.predictive = {name: part.predicted for name, part in leave_one_out(f, space).items()}
+        return fits
+
+    def _grown(self, fits: list[Fit], bases: Sequence[Fit]) -> list[Fit]:
+        """`fits`, and models with one effect more than `bases`, one more than these, and so on while that is worth it."""
+        while bases:
+            best = _most(fits)
             grown = sorted(self.linear_fits(bases), key=_evidence, reverse=True)
             chosen = [f for f in grown if f.log_evidence > best + GROWTH_GAIN][: EXTENSIONS * len(bases)]
             hidden = {frozenset(f.model) for f in grown if f not in chosen and self._hidden(f)}
             chosen += [f for f in grown if frozenset(f.model) in hidden]
-            if not chosen:
-                break
             level = [f for f in self._sharpened(self.polish(self.refine(chosen), chosen)) if self._worth(f, fits)]
             level = [f for f in level if frozenset(f.model) not in hidden or f.log_evidence > best + GROWTH_GAIN]
             smaller = self._smaller(level, fits)
             again = {frozenset(f.model) for f in smaller}
             fits = [f for f in fits if frozenset(f.model) not in again] + level + smaller
             bases = self._best(smaller, 1) if any(f is max(fits, key=_evidence) for f in smaller) else self._best(level, 1)
-        fits = [f for f in fits if f.large_enough()]
-        for f in sorted(fits[1:], key=_evidence, reverse=True)[:3]:
-            f.predictive = {name: part.predicted for name, part in leave_one_out(f, space).items()}
+            if bases and bases[0].log_evidence <= best:
+                break
         return fits
+
+    def _exchanged(self, best: Fit, known: Sequence[Fit]) -> list[Fit]:
+        """Models that have another effect, or none, in place of one of `best`: the likeliest by sensitivities, fitted on simulations.
+
+        What came first, when little else was known, may stand for two that came later.
+        """
+        if len(best.model) < 2:
+            return []
+        fewer = [_without(best, c) for c in best.model]
+        seen = {frozenset(f.model) for f in known}
+        swapped = sorted(self.linear_fits(fewer), key=_evidence, reverse=True)
+        trials = [f for f in swapped if frozenset(f.model) not in seen and f.log_evidence > best.log_evidence - GROWTH_GAIN][:EXTENSIONS]
+        trials += [f for f in fewer if frozenset(f.model) not in seen]
+        return self._sharpened(self.polish(self.refine(trials), trials))
 
     def _hidden(self, fit: Fit) -> bool:
         """Whether the last effect of a model explains nearly all of a large gap that tolerances explain better, by its linear fit.
@@ -286,23 +298,6 @@ class Search:
 
         without = [f for f in fits if set(f.model) < set(fit.model)]
         return all(f.chi2 > noise and fit.chi2 - noise < (1.0 - part(f)) * (f.chi2 - noise) for f in without)
-
-    def kept(self, fit: Fit) -> float:
-        """Part of the gain in evidence that stays when parts of the time are predicted from the others: an effect is the same all along.
-
-        Sum of the predicted gains over the sum of the fitted ones, over those of the TIME_PARTS of each condition whose others say how
-        large the effects are. 1 where that cannot be told, because the effect shows in one part only.
-        """
-        space, channels = self.evidence.space, int(self.evidence.active.sum())
-        parts: dict[str, slice] = {}
-        for name, block in space.blocks.items():
-            rows = (block.stop - block.start) // channels
-            edges = block.start + channels * np.linspace(0, rows, TIME_PARTS + 1).astype(int)
-            parts |= {f"{name}, part {i + 1}": slice(int(a), int(b)) for i, (a, b) in enumerate(itertools.pairwise(edges))}
-        every = leave_one_out(fit, space.divided(parts)).values()
-        told = [part for part in every if part.determined]
-        gain = sum(p.fitted for p in told)
-        return sum(p.predicted for p in told) / gain if gain > TOLD * sum(p.fitted for p in every) else 1.0
 
     def gap(self, fit: Fit, *, calibrated: bool = True) -> tuple[float, float]:
         """G: mean over pairs of repeats of r_a' W r_b with the model taken out, and its deviation by noise.
@@ -360,6 +355,24 @@ def _evidence(fit: Fit) -> float:
     return fit.log_evidence
 
 
+def _most(fits: Sequence[Fit]) -> float:
+    return max(f.log_evidence for f in fits)
+
+
+def _without(fit: Fit, candidate: Candidate) -> Fit:
+    """The model without one of its effects, as sensitivities have it: nothing is fitted again."""
+    assert fit.signature is not None
+    assert fit.sensitivities is not None
+    order = [(c, a) for c in fit.model for a in c.addresses]
+    here = [i for i, (c, _) in enumerate(order) if c == candidate]
+    kept = [i for i, (c, _) in enumerate(order) if c != candidate]
+    x = np.array([fit.values[a] / c.prior.scale for c, a in order])
+    model = tuple(c for c in fit.model if c != candidate)
+    values, deviations = ({a: known[a] for c in model for a in c.addresses} for known in (fit.values, fit.deviations))
+    signature = fit.signature - fit.sensitivities[:, here] @ x[here]
+    return Fit(model, values, deviations, -np.inf, np.inf, signature, fit.sensitivities[:, kept], form=fit.form)
+
+
 class _State:
     """One model under refinement."""
 
@@ -383,7 +396,7 @@ class _State:
             self.sensitivities = self.sensitivities + np.outer(signature - self.signature - self.sensitivities @ move, move) / length
         left = space.y - signature
         chi2 = float(space.without(addresses).dot(left, left))
-        fit = quadratic_fit(self.fit.model, space.y, signature, self.sensitivities, new, space)
+        fit = quadratic_fit(self.fit.model, signature, self.sensitivities, new, space)
         if chi2 < self.chi2:
             # its evidence is that of the quadratic about these values, at their real chi2
             self.chi2 = chi2

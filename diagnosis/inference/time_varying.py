@@ -16,7 +16,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from robomill.diagnosis.catalogue import LOGGING, Candidate
-from robomill.diagnosis.inference.estimation import log_priors
+from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
 from robomill.orchestration.slaves.protocol import FloatArray
 

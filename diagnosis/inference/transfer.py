@@ -11,26 +11,17 @@ given as the diagnosed runs have them, the nominal system would bring along for 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from robomill.diagnosis.catalogue import Address
+import numpy as np
+
 from robomill.diagnosis.experiment.simulation import setting
-from robomill.diagnosis.inference.estimation import Space
+from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.evidence import gather
 from robomill.diagnosis.inference.search import POLISH, Search
 from robomill.diagnosis.inference.sensitivities import NOMINAL, TOLERANCES, changed
 from robomill.orchestration.slaves.protocol import FloatArray
-
-TELLING = 20.0
-"""Expected gain [nats] from which having it says that a model is right: the gain scatters by the root of twice that."""
-HOLDS = 0.6
-"""Part of the expected gain that a model must have, if less is not chance."""
-CHANCE = 3.0
-"""Deviations by which the gain of a right model may be short of the expected one."""
-SURPLUS, BY_FAR = 2.0, 8.0
-"""The expected gain is exceeded by something else that grows there, not by another effect beside: as a factor and in deviations."""
-
 
 @dataclass(frozen=True)
 class Transfer:
@@ -46,23 +37,22 @@ class Transfer:
     doubt: float = 0.0
     """Standard deviation of the fitted values, relative to them."""
 
-    @property
-    def tells(self) -> bool:
-        """Whether a model that holds is right there: not if the effect would hardly show (expected gain up to TELLING)."""
-        return self.expected_gain > TELLING
+    amplitude: float = 1.0
+    deviation: float = 1.0
+    """Factor on s that fits best there, and its standard deviation by noise, tolerances and form."""
 
     @property
-    def holds(self) -> bool:
-        """Whether the model has its expected gain g there, or may have it but for chance: deviation sqrt(2 g + (2 doubt g)^2)."""
-        # of noise, and of the fitted values: the expected gain goes with their square
-        deviation = math.hypot(math.sqrt(2.0 * max(self.expected_gain, 0.0)), 2.0 * self.doubt * self.expected_gain)
-        short = self.gain < HOLDS * self.expected_gain and self.expected_gain - self.gain > CHANCE * deviation
-        beyond = self.gain > SURPLUS * self.expected_gain and self.gain - self.expected_gain > BY_FAR * deviation
-        return not short and not beyond
+    def promise(self) -> float:
+        """Log Bayes factor for a right model against a stand-in, from the amplitude a that is found there.
+
+        Right: a ~ N(1, deviation^2 + doubt^2). A stand-in promises nothing: a ~ N(0, deviation^2 + 1).
+        """
+        right, other = math.hypot(self.deviation, self.doubt), math.hypot(self.deviation, 1.0)
+        return 0.5 * (self.amplitude / other) ** 2 + math.log(other) - 0.5 * ((self.amplitude - 1.0) / right) ** 2 - math.log(right)
 
 
-def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Mapping[Address, float], doubt: float) -> Transfer | None:
-    """What the model with these values [unit] is worth in new conditions; None where there are none, or the system cannot run there.
+def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, doubt: float) -> Transfer | None:
+    """What a model is worth in new conditions; None where there are none, or the system cannot run there.
 
     `groups`: measured repeats of every condition of the laboratory, those that were diagnosed first; repeats of these that were
     held out are not used. `doubt`: part by which what the model does may be too large or too small.
@@ -75,7 +65,7 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Map
     if not every:
         return None
     nominals = simulator.repeated(every, (), NOMINAL, "new conditions")
-    there = simulator.repeated(every, setting(values), POLISH, "new conditions")
+    there = simulator.repeated(every, setting(fit.values), POLISH, "new conditions")
     sizes = {n.address: TOLERANCES * n.scale for n in search.nuisances}
     plain = [n for n in nominals if n is not None]
     if len(plain) < len(every) or any(t is None for t in there):
@@ -88,8 +78,11 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], values: Map
     assert signature is not None
     space = e.space
     before, after = _chi2(space, space.y, None), _chi2(space, space.y - signature, doubt * signature)
-    noise = float(e.expected.sum())
-    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * _chi2(space, signature, None), doubt)
+    noise, size = float(e.expected.sum()), float(space.dot(signature, signature))
+    wide = space.widened(e.form(fit.model[:1], signature, np.zeros((0, 0)), np.zeros(0)))
+    seen = float(wide.dot(signature, signature)) + 1e-300
+    amplitude = float(wide.dot(signature, space.y)) / seen
+    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * size, doubt, amplitude, seen**-0.5)
 
 
 def _chi2(space: Space, left: FloatArray, unsure: FloatArray | None) -> float:

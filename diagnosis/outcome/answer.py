@@ -25,7 +25,7 @@ from robomill.diagnosis.localisation.swap import Share
 from robomill.diagnosis.localisation.where import Where
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.next_run import NextRun, Offer
-from robomill.diagnosis.outcome.verdict import Verdict, stands
+from robomill.diagnosis.outcome.verdict import Tests, Verdict
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
 
 SCHEMA = "robomill-diagnosis/1"
@@ -138,6 +138,7 @@ class Answer:
     next_run: NextRun | None = None
     isolability: tuple[Pair, ...] | None = None
     gap: Gap | None = None
+    tests: Tests | None = None
     transfer: Transfer | None = None
     """What the best model is worth in held-out conditions."""
     smallest_visible: tuple[Visible, ...] | None = None
@@ -209,7 +210,7 @@ def to_json(answer: Answer) -> dict[str, Any]:
             w["shares"] = {figure: {"share": s["share"], "interval": s["interval"]} for figure, s in w["shares"].items()}
     data["where"] = [{k: w[k] for k in REPLAYED} | w if "nearest" in w else w for w in data["where"]]
     if answer.transfer is not None:
-        data["transfer"]["stands"] = stands(answer.transfer)
+        data["transfer"]["promise"] = answer.transfer.promise
     if known := answer.unknown:
         data["unknown"]["channels"] = [{"channel": c, "share": share} for c, share in known.channels.items()]
         if other := known.changes:

@@ -13,7 +13,9 @@ from robomill.diagnosis.experiment.repeats import as_share
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, setting
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.inference import isolability
-from robomill.diagnosis.inference.estimation import Fit, probabilities
+from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.machines import p_none
+from robomill.diagnosis.inference.priors import probabilities
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.time_varying import Changing, changing
 from robomill.diagnosis.inference.transfer import Transfer, transfer
@@ -23,11 +25,9 @@ from robomill.diagnosis.localisation.where import Located, Where, combined, dire
 from robomill.diagnosis.outcome import next_run
 from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Menu, Unknown, Visible, Which, curves_of, titles_of
 from robomill.diagnosis.outcome.how_far import CLOSING, how_far, metrics
-from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, over_noise, unexplained
+from robomill.diagnosis.outcome.verdict import FALSE_ALARM, IDENTIFIED, changes, judged, over_noise, tested, unexplained
 from robomill.orchestration.slaves.protocol import FloatArray
 
-ELSE = 0.03
-"""Probability that an answer is of no model that was looked at: part of the clear answers that are wrong."""
 SAID = {
     "lag": "the clock of the {place} is late by {value:.1f} {unit}",
     "smooth": "the {place} was filtered before it was logged, with a time constant of {value:.1f} {unit}",
@@ -60,19 +60,20 @@ class Conclusion:
         findings: list[gate.Finding],
         menu: Menu,
         repair: bool,
+        false_alarm: float = FALSE_ALARM,
     ) -> None:
         self.laboratory, self.simulator, self.search, self.fits, self.groups, self.n = laboratory, simulator, search, fits, groups, n
-        self.findings, self.menu, self.repair = findings, menu, repair
+        self.findings, self.menu, self.repair, self.false_alarm = findings, menu, repair, false_alarm
         self.titles = titles_of(search.catalogue.titles, laboratory.ports)
         self.weights = probabilities(fits, search.candidates)
         self.best = fits[int(self.weights.argmax())]
 
     def marginal(self) -> dict[Candidate, float]:
-        """Probability of each candidate, largest first: (1 - ELSE) times the sum of those of all models that it is in."""
+        """Probability of each candidate, largest first: the sum of those of all models that it is in, if the best model is right."""
         total: dict[Candidate, float] = {}
         for f, p in zip(self.fits, self.weights, strict=True):
             for c in f.model:
-                total[c] = total.get(c, 0.0) + (1.0 - ELSE) * float(p)
+                total[c] = total.get(c, 0.0) + float(p)
         return dict(sorted(total.items(), key=lambda item: -item[1]))
 
     def answer(self) -> tuple[Answer, dict[Address, float]]:
@@ -87,7 +88,10 @@ class Conclusion:
         moved = self.transfer() if self.best.model and not clocks else None
         other = changing(search)
         faulty = bool(clocks) and not self.repair
-        verdict = judged(search, nominal, self.best, float(self.weights[0]), moved, other, marginal, faulty)
+        odds = float(np.log(max(1.0 - self.weights[0], 1e-300)) - np.log(max(self.weights[0], 1e-300)))
+        tests = tested(search, nominal, self.best, float(self.weights[0]), p_none(search, odds), moved, self.false_alarm)
+        marginal = {c: p * tests.p_fit for c, p in marginal.items()}
+        verdict = judged(search, tests, nominal, self.best, other, marginal, faulty)
         for c in clocks:
             value, (kind, _, pattern) = self.best.values[c.addresses[0]], c.parameters[0].partition(" ")
             text = SAID[kind].format(
@@ -104,11 +108,11 @@ class Conclusion:
             self.search.evidence.whitening.guessed,
         )
         which = self.which(marginal, pairs)
-        answer = Answer(verdict, tuple(self.findings), which=which, isolability=tuple(pairs), gap=gap, transfer=moved)
+        answer = Answer(verdict, tuple(self.findings), which=which, isolability=tuple(pairs), gap=gap, transfer=moved, tests=tests)
         acts = verdict in ("identified", "ambiguous", "unknown")
         adopted = physical(self.best.values) if acts else {}
         if verdict == "none":
-            answer = replace(answer, smallest_visible=self.smallest(), probability_none=(1.0 - ELSE) * float(self.weights[0]))
+            answer = replace(answer, smallest_visible=self.smallest(), probability_none=tests.nothing)
         else:
             found = located(self.laboratory, self.n, self.search.catalogue, self.search.nuisances, self.figures(), self.menu.projections)
             answer = replace(
@@ -131,7 +135,7 @@ class Conclusion:
         fit = self.best
         sizes = {a: size for c in fit.model for a, size in c.sizes(fit.values).items()}
         doubt = max(math.hypot(BIAS, WIDER * fit.deviations[a] / (size + 1e-300)) for a, size in sizes.items())
-        return transfer(self.search, self.groups, fit.values, min(doubt, 1.0))
+        return transfer(self.search, self.groups, fit, min(doubt, 1.0))
 
     def which(self, marginal: Mapping[Candidate, float], pairs: Sequence[isolability.Pair]) -> tuple[Which, ...]:
         """Every candidate with a probability of LISTED or more."""
