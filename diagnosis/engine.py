@@ -15,6 +15,7 @@ from robomill.diagnosis.experiment.simulation import Laboratory, Report, Setting
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.gate import phases, run_set
+from robomill.diagnosis.inference.adequacy import left_by, unexplained
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import probabilities
 from robomill.diagnosis.inference.search import Search, likely_count, searched
@@ -22,7 +23,7 @@ from robomill.diagnosis.inference.sensitivities import NOMINAL
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, curves_of, effort_of, titles_of
 from robomill.diagnosis.outcome.conclusion import Conclusion
 from robomill.diagnosis.outcome.how_far import CLOSING
-from robomill.diagnosis.outcome.verdict import UNKNOWN, left_by, over_noise, unexplained
+from robomill.diagnosis.outcome.verdict import FALSE_ALARM, UNKNOWN, over_noise
 from robomill.orchestration.assembly import Resolver, assemble, run
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
@@ -52,12 +53,14 @@ def diagnose(
     report: Report | None = None,
     menu: Menu | None = None,
     repair: bool = False,
+    false_alarm: float = FALSE_ALARM,
     store: Store | None = None,
 ) -> Diagnosis:
     """Where, which, how far. DataError where the runs do not fit the system; a bad log is an answer, not an error.
 
     `held_out` runs are only looked at to see whether the answer holds there, and to measure the closure; runs labelled `held_out`
-    count as such. `repair`: a clock that is found to be late is corrected, and the rest is diagnosed. `store` keeps simulations, so
+    count as such. `repair`: a clock that is found to be late is corrected, and the rest is diagnosed.
+    `false_alarm`: probability of an effect on a machine that has none. `store` keeps simulations, so
     that a second call after an interruption goes on; the caller removes it when the answer is safe.
     """
     began = time.monotonic()
@@ -116,7 +119,7 @@ def diagnose(
             curves = curves_of(laboratory, groups, simulator.repeated(range(n), (), NOMINAL))
             answer = Answer("bad_log", tuple(findings), effort=effort_of(began, simulator), skipped=tuple(skipped))
             return Diagnosis(answer, {}, (), tuple(channels), curves, ports, titles_of(catalogue.titles, ports))
-        conclusion = Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair)
+        conclusion = Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, false_alarm)
         answer, adopted = conclusion.answer()
         answer = replace(answer, effort=effort_of(began, simulator), skipped=tuple(skipped))
         return Diagnosis(answer, adopted, tuple(fits), tuple(channels), conclusion.curves(adopted), ports, conclusion.titles)

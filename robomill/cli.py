@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 from robomill.models.planning.gcode import DIALECTS
 from robomill.models.planning.point_path import INTERPOLATIONS
 from robomill.models.planning.quantities import QUANTITIES
-from robomill.option_types import in_unit
+from robomill.option_types import in_unit, probability
 from robomill.orchestration.errors import Interrupted, OrchestrationError
 
 DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exchangeable FMUs."
@@ -188,6 +188,13 @@ def parser() -> argparse.ArgumentParser:
     )
     diagnose.add_argument("--out", type=Path, default=Path("results") / "diagnosis", metavar="DIR", help="folder for the answer")
     diagnose.add_argument("--repair", action="store_true", help="correct a clock that is late, and diagnose the rest")
+    diagnose.add_argument(
+        "--false-alarm",
+        type=probability,
+        default=0.02,
+        metavar="P",
+        help="probability of an effect on a machine that has none, between 0 and 1 (default: 0.02)",
+    )
     diagnose.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
 
     blind = _command(

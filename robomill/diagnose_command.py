@@ -72,6 +72,7 @@ def run(options: Namespace) -> int:
                 report=progress,
                 menu=menu(system, Path(folder)),
                 repair=options.repair,
+                false_alarm=options.false_alarm,
                 store=store,
             )
         except KeyboardInterrupt:

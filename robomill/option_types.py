@@ -22,3 +22,14 @@ def in_unit(unit: str) -> Callable[[str], float]:
             raise argparse.ArgumentTypeError(f"{error} (a plain number is in {unit})") from None
 
     return read
+
+
+def probability(text: str) -> float:
+    """A number between 0 and 1, both excluded."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 < value < 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is no probability between 0 and 1, such as 0.02")
+    return value

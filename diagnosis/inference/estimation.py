@@ -33,6 +33,7 @@ FORM: Address = ("", "form")
 SAME_SIGNATURE = 0.97
 """Correlation of whitened sensitivities from which a nuisance is taken as the same thing as a parameter that is fitted."""
 
+
 @dataclass
 class Fit:
     """A model with its best parameters: the x that minimises chi2 of y - s(x) plus the prior's part, within the bounds."""
@@ -53,7 +54,7 @@ class Fit:
     predictive: dict[str, float] = field(default_factory=dict)
     """condition -> gain in log score there [nats], when fitted to all the others."""
     form: FloatArray | None = None
-    """What its effects may do otherwise than their laws say: one nuisance per effect, condition and array, [n, k]; None: too little to see."""
+    """What its effects may do otherwise than their laws say, [n, k]: see `Evidence.form`. None: too little to see."""
 
     @property
     def name(self) -> str:

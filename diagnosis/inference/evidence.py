@@ -193,7 +193,9 @@ def gather(
     late = _late(space, clocks, names, LATENESS * laboratory.system.step) if like is None else like.late
     space = space.less(late)
     space.find_alike(sensitivities, scales)
-    return Evidence(space, w, active, nominals, sudden, residuals, sensitivities, counts, expected, np.mean(alone, axis=0), late, arrays, halves)
+    return Evidence(
+        space, w, active, nominals, sudden, residuals, sensitivities, counts, expected, np.mean(alone, axis=0), late, arrays, halves
+    )
 
 
 def _late(space: Space, clocks: Sequence[Candidate], channels: Sequence[str], size: float) -> frozenset[Address]:

@@ -238,7 +238,7 @@ class Search:
 
         What came first, when little else was known, may stand for two that came later.
         """
-        if len(best.model) < 2:
+        if len(best.model) <= 1:
             return []
         fewer = [_without(best, c) for c in best.model]
         seen = {frozenset(f.model) for f in known}

@@ -17,11 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from robomill.diagnosis.experiment.simulation import setting
+from robomill.diagnosis.inference.adequacy import left_by
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.evidence import gather
 from robomill.diagnosis.inference.search import POLISH, Search
 from robomill.diagnosis.inference.sensitivities import NOMINAL, TOLERANCES, changed
 from robomill.orchestration.slaves.protocol import FloatArray
+
 
 @dataclass(frozen=True)
 class Transfer:
@@ -40,6 +42,11 @@ class Transfer:
     amplitude: float = 1.0
     deviation: float = 1.0
     """Factor on s that fits best there, and its standard deviation by noise, tolerances and form."""
+
+    @property
+    def worth(self) -> float:
+        """Log Bayes factor for a right model against a stand-in, from all that is seen in new conditions: promise, and what is left."""
+        return self.promise + left_by(self.before, self.after)
 
     @property
     def promise(self) -> float:

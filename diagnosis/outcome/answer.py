@@ -210,7 +210,7 @@ def to_json(answer: Answer) -> dict[str, Any]:
             w["shares"] = {figure: {"share": s["share"], "interval": s["interval"]} for figure, s in w["shares"].items()}
     data["where"] = [{k: w[k] for k in REPLAYED} | w if "nearest" in w else w for w in data["where"]]
     if answer.transfer is not None:
-        data["transfer"]["promise"] = answer.transfer.promise
+        data["transfer"] |= {"promise": answer.transfer.promise, "worth": answer.transfer.worth}
     if known := answer.unknown:
         data["unknown"]["channels"] = [{"channel": c, "share": share} for c, share in known.channels.items()]
         if other := known.changes:

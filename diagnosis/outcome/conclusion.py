@@ -13,6 +13,7 @@ from robomill.diagnosis.experiment.repeats import as_share
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, setting
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.inference import isolability
+from robomill.diagnosis.inference.adequacy import unexplained
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.machines import p_none
 from robomill.diagnosis.inference.priors import probabilities
@@ -25,7 +26,7 @@ from robomill.diagnosis.localisation.where import Located, Where, combined, dire
 from robomill.diagnosis.outcome import next_run
 from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Menu, Unknown, Visible, Which, curves_of, titles_of
 from robomill.diagnosis.outcome.how_far import CLOSING, how_far, metrics
-from robomill.diagnosis.outcome.verdict import FALSE_ALARM, IDENTIFIED, changes, judged, over_noise, tested, unexplained
+from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, over_noise, tested
 from robomill.orchestration.slaves.protocol import FloatArray
 
 SAID = {
@@ -60,7 +61,7 @@ class Conclusion:
         findings: list[gate.Finding],
         menu: Menu,
         repair: bool,
-        false_alarm: float = FALSE_ALARM,
+        false_alarm: float,
     ) -> None:
         self.laboratory, self.simulator, self.search, self.fits, self.groups, self.n = laboratory, simulator, search, fits, groups, n
         self.findings, self.menu, self.repair, self.false_alarm = findings, menu, repair, false_alarm

@@ -12,10 +12,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from scipy.special import expit, logsumexp
+from scipy.special import expit
 
 from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, left_by
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
@@ -28,10 +28,6 @@ FALSE_ALARM = 0.02
 """Probability [1] of an effect on a machine that has none, where the user asks for no other (DIAGNOSIS: at most 2 % of the nulls)."""
 OUTSIDE = 0.2
 """Probability [1] before the data that what is wrong is in no catalogue (judgement; DIAGNOSIS: 15 % of the machines of its benchmark)."""
-LEVEL, SPREAD = 1.1, 0.1
-"""chi2 over that of noise [1] that two systems which are the same but for calibration leave, and its standard deviation."""
-MISFIT = 0.05
-"""Mean share [1] of a gap that a right model leaves, because its law is not quite that of the machine: a fifth of the amplitude."""
 UNKNOWN = 1.4
 """chi2, over that of noise, from which there is a gap even if no candidate explains any of it: LEVEL and three times SPREAD."""
 IDENTIFIED = 0.8
@@ -57,38 +53,14 @@ def over_noise(search: Search, fit: Fit) -> float:
     return fit.chi2 / float(search.evidence.expected.sum())
 
 
-def unexplained(before: float, after: float) -> float:
-    """Share of chi2 beyond that of a machine without effects that a model leaves: (after - LEVEL) / (before - LEVEL).
-
-    `before`, `after`: what the nominal system and the model leave, over that of noise (`over_noise`); the share is not below 0.
-    """
-    return max(after - LEVEL, 0.0) / max(before - LEVEL, 1e-9)
-
-
 def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: float, moved: Transfer | None, alpha: float) -> Tests:
     """The tests of an answer; `nothing`: probability of the nominal model by the diagnosed runs, `moved`: new conditions."""
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
     fits = math.log((1.0 - OUTSIDE) / OUTSIDE) + left_by(over_noise(search, nominal), over_noise(search, best))
     if moved is not None:
         odds += moved.gain
-        fits += left_by(moved.before, moved.after) + moved.promise
+        fits += moved.worth
     return Tests(alpha, p_none, float(expit(fits)), float(expit(-odds)))
-
-
-def left_by(before: float, after: float) -> float:
-    """Log Bayes factor for a right model against a stand-in, from what it leaves of a gap; both over noise.
-
-    after ~ N(LEVEL + u (before - LEVEL), SPREAD^2). The share u that is left is Beta(1, 1 / MISFIT - 1) for a right model, and could be
-    anything between 0 and 1 for a stand-in.
-    """
-    gap = max(before - LEVEL, 0.0)
-    centre, width = (after - LEVEL) / (gap + 1e-12), SPREAD / (gap + 1e-12)
-    u = np.unique(np.clip(np.concatenate([np.linspace(0.0, 1.0, 201), centre + width * np.linspace(-8.0, 8.0, 201)]), 0.0, 1.0))
-    log_likelihood = -0.5 * ((u - centre) / width) ** 2
-    step = np.log(np.maximum(np.gradient(u), 1e-300)) if len(u) > 1 else np.zeros(1)
-    b = 1.0 / MISFIT - 1.0
-    right = math.log(b) + (b - 1.0) * np.log(np.maximum(1.0 - u, 1e-300))
-    return float(logsumexp(log_likelihood + right + step) - logsumexp(log_likelihood + step))
 
 
 def judged(
@@ -100,7 +72,7 @@ def judged(
     """
     if not best.model or not believed(tests):
         return "unknown" if over_noise(search, nominal) > UNKNOWN else "none"
-    if tests.p_fit < 0.5 or (other is not None and changes(search, best, other)):
+    if tests.p_fit < 1.0 - tests.p_fit or (other is not None and changes(search, best, other)):
         return "unknown"
     if faulty:
         return "bad_log"

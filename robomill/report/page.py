@@ -478,6 +478,13 @@ def _about(s: Subject) -> str:
         lines.append(f"{GUESS}, from the fast part of what the best model leaves. Probabilities and intervals rest on that guess.")
     if gap is not None and gap.before > 0.0:
         lines.append(f"{percent(gap.within_calibration / gap.before)} of the gap lies within the tolerances of calibrated numbers.")
+    if (tests := s.answer.tests) is not None:
+        lines.append(
+            f"Of simulated machines without effects, {percent(tests.p_none)} speak as much for an effect as these runs do; "
+            f"an effect is believed below {percent(tests.false_alarm)}, the false-alarm rate that was asked for."
+        )
+        if s.answer.which:
+            lines.append(f"The best model is right, and not only the nearest in the catalogue, with a probability of {percent(tests.p_fit)}.")
     arrays = dict.fromkeys(base_name(c) for c in s.found.channels)
     lines += [f"Not looked for: {text}." for text in s.answer.skipped]
     parts += [_paragraph(text, "note" if "guess" in text else "") for text in lines]

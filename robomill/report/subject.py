@@ -14,7 +14,7 @@ from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.localisation.where import Replayed
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Which
 from robomill.diagnosis.outcome.closure import HowFar
-from robomill.diagnosis.outcome.verdict import IDENTIFIED, UNEXPLAINED, stands
+from robomill.diagnosis.outcome.verdict import IDENTIFIED
 from robomill.orchestration.runs.recorder import frame_of
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
@@ -166,11 +166,10 @@ def _answer(s: Subject) -> str:
         place = listed([listed([w.component, *(w.alternatives or ())], "or") for w in s.blamed]) or known.component
         where = f"; it shows most in {s.label(next(iter(known.channels)))}" if known.channels else ""
         why = f"leaves {percent(s.left)} of the gap"
-        if s.left <= UNEXPLAINED:
-            if s.answer.transfer is not None and stands(s.answer.transfer) is False:
-                why = "does not hold in new conditions"
-            else:
-                why = "does not change with time as the gap does" if known.changes else "does not hold all along the runs"
+        if known.changes:
+            why = "does not change with time as the gap does"
+        elif (new := s.answer.transfer) is not None and new.worth < 0.0:
+            why = "does not hold in new conditions"
         return f"Something real that is not in the catalogue, in {place}: the best model {why}{where}."
     if s.verdict == "ambiguous":
         sure, open_ = s.sure, [w for w in s.answer.which if w.probability < IDENTIFIED]
