@@ -25,6 +25,10 @@ from robomill.diagnosis.inference.sensitivities import NOMINAL, TOLERANCES, chan
 from robomill.orchestration.slaves.protocol import FloatArray
 
 
+KEEPS = 0.5
+"""Standard deviation of the amplitude of a stand-in in new conditions [1]: it does there what it does here more or less by half."""
+
+
 @dataclass(frozen=True)
 class Transfer:
     """What a model is worth in new conditions, with y the whitened residual there and s the signature of the model."""
@@ -52,10 +56,11 @@ class Transfer:
     def promise(self) -> float:
         """Log Bayes factor for a right model against a stand-in, from the amplitude a that is found there.
 
-        Right: a ~ N(1, deviation^2 + doubt^2). A stand-in promises nothing: a ~ N(0, deviation^2 + 1).
+        Right: a ~ N(1, deviation^2 + doubt^2). A stand-in keeps more or less of its promise: a ~ N(1, deviation^2 + doubt^2 + KEEPS^2).
         """
-        right, other = math.hypot(self.deviation, self.doubt), math.hypot(self.deviation, 1.0)
-        return 0.5 * (self.amplitude / other) ** 2 + math.log(other) - 0.5 * ((self.amplitude - 1.0) / right) ** 2 - math.log(right)
+        right = math.hypot(self.deviation, self.doubt)
+        other = math.hypot(right, KEEPS)
+        return 0.5 * (self.amplitude - 1.0) ** 2 * (other**-2 - right**-2) + math.log(other / right)
 
 
 def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, doubt: float) -> Transfer | None:
