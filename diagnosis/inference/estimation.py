@@ -19,6 +19,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.sparse import csc_array, hstack
 from scipy.special import logsumexp
 
 from robomill.diagnosis.catalogue import Address, Candidate
@@ -83,18 +84,20 @@ class Space:
         self,
         y: FloatArray,
         blocks: Mapping[str, slice],
-        nuisances: FloatArray,
+        nuisances: FloatArray | csc_array,
         names: Sequence[Address] = (),
         products: FloatArray | None = None,
         gone: Collection[Address] = (),
     ) -> None:
         """`y` [n]; `blocks` condition -> its part of y; `nuisances` B [n, m], whitened sensitivities per standard deviation.
 
-        `names`: parameter of each nuisance; `products`: B'B, if known; `gone`: names that do not count.
+        Nuisances are kept as sparse columns: most of them are of one channel only. `names`: parameter of each; `products`: B'B, if known; `gone`: names that do not count.
         """
-        self.y, self.blocks, self.nuisances, self.names, self.gone = y, blocks, nuisances, tuple(names), frozenset(gone)
-        self._products: FloatArray = nuisances.T @ nuisances if products is None else products
-        m = nuisances.shape[1]
+        self.y, self.blocks, self.names, self.gone = y, blocks, tuple(names), frozenset(gone)
+        self.nuisances = csc_array(nuisances)
+        self._across = self.nuisances.T.tocsr()
+        self._products: FloatArray = (self._across @ self.nuisances).toarray() if products is None else products
+        m = self.nuisances.shape[1]
         here = np.ix_(*2 * [[i for i in range(m) if i >= len(self.names) or self.names[i] not in self.gone]])
         precision = (np.eye(m) + self._products)[here]
         self._inner = np.zeros((m, m))
@@ -125,16 +128,17 @@ class Space:
         """A space of its own that has these nuisances, [n, k], too; this one where there are none."""
         if columns is None or not columns.shape[1]:
             return self
-        across, m = self.nuisances.T @ columns, self.nuisances.shape[1]
+        across, m = self._across @ columns, self.nuisances.shape[1]
         products = np.block([[self._products, across], [across.T, columns.T @ columns]])
         names = [*self.names, *[("", "")] * (m - len(self.names)), *[FORM] * columns.shape[1]]
-        wide = Space(self.y, self.blocks, np.concatenate([self.nuisances, columns], axis=1), names, products, self.gone)
+        together = hstack([self.nuisances, csc_array(columns)], format="csc")
+        wide = Space(self.y, self.blocks, together, names, products, self.gone)
         wide.alike = self.alike
         return wide
 
     def moved(self, left: FloatArray) -> FloatArray:
         """Standard deviations by which the nuisances are moved to explain the residual `left` [n]: (I + B'B)^-1 B' left, [m]."""
-        return np.asarray(self._inner @ (self.nuisances.T @ left))
+        return np.asarray(self._inner @ (self._across @ left))
 
     def find_alike(self, sensitivities: Mapping[Address, FloatArray], scales: Mapping[Address, float]) -> None:
         """Note in `alike` which nuisances have (nearly) the same sensitivity as a parameter.
@@ -144,7 +148,7 @@ class Space:
         """
         sizes = np.sqrt(np.diag(self._products))
         places = {name: i for i, name in enumerate(self.names)}
-        projected = self.nuisances.T @ np.stack(list(sensitivities.values()), axis=1) if sensitivities else np.zeros((len(sizes), 0))
+        projected = self._across @ np.stack(list(sensitivities.values()), axis=1) if sensitivities else np.zeros((len(sizes), 0))
         for (a, c), products in zip(sensitivities.items(), projected.T, strict=True):
             square = float(c @ c) + 1e-300
             same = np.abs(products) > SAME_SIGNATURE * sizes * float(np.linalg.norm(c))
@@ -158,13 +162,13 @@ class Space:
 
     def dot(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Inner product <a, b> of vectors [n], or of the columns of matrices [n, k] and [n, l]: [k, l]."""
-        left = self.nuisances.T @ a
-        right = left if b is a else self.nuisances.T @ b
+        left = self._across @ a
+        right = left if b is a else self._across @ b
         return np.asarray(a.T @ b - left.T @ (self._inner @ right))
 
     def gram(self, matrix: FloatArray) -> Gram:
         """Products of the columns of a matrix [n, k], for `within` of this space and of those that are it `without` some nuisances."""
-        return Gram(matrix.T @ matrix, self.nuisances.T @ matrix)
+        return Gram(matrix.T @ matrix, self._across @ matrix)
 
     def within(self, gram: Gram, chosen: Sequence[int]) -> FloatArray:
         """The inner products of the `chosen` columns in this space, [chosen, chosen]."""
@@ -173,13 +177,13 @@ class Space:
 
     def chi2_of(self, vectors: FloatArray) -> FloatArray:
         """chi2 of each column of [n, k], <v, v>: [k]."""
-        left = self.nuisances.T @ vectors
+        left = self._across @ vectors
         return np.asarray((vectors * vectors).sum(axis=0) - (left * (self._inner @ left)).sum(axis=0))
 
     def only(self, blocks: Sequence[str]) -> Space:
         """Space restricted to the rows of some conditions; it has no blocks."""
         rows = np.concatenate([np.arange(self.y.size)[self.blocks[b]] for b in blocks])
-        return Space(self.y[rows], {}, self.nuisances[rows], self.names, None, self.gone)
+        return Space(self.y[rows], {}, self.nuisances.tocsr()[rows], self.names, None, self.gone)
 
     def rows(self, blocks: Sequence[str]) -> FloatArray:
         """Indices of the rows of y that belong to some conditions."""

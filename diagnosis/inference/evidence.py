@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csc_array, hstack
 
 from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, selects
 from robomill.diagnosis.experiment.measured import DataError
@@ -186,10 +187,11 @@ def gather(
         )
         expected[block].reshape(-1, len(names))[:] = level
         column = own_noise([group, simulated], len(names), spell)
-        own.append(np.zeros((y.size, column.shape[1])))
-        own[-1][block] = column / np.sqrt(DEPENDENCE)
+        padded = np.zeros((y.size, column.shape[1]))
+        padded[block] = column / np.sqrt(DEPENDENCE)
+        own.append(csc_array(padded))
     doubtful = [*nuisances, *((LOGGING, f"noise {i + 1}") for i in range(sum(o.shape[1] for o in own)))]
-    space = Space(y, blocks, np.concatenate([np.stack(list(nuisances.values()), axis=1), *own], axis=1), doubtful)
+    space = Space(y, blocks, hstack([csc_array(np.stack(list(nuisances.values()), axis=1)), *own], format="csc"), doubtful)
     late = _late(space, clocks, names, LATENESS * laboratory.system.step) if like is None else like.late
     space = space.less(late)
     space.find_alike(sensitivities, scales)
