@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robomill.diagnosis.experiment.simulation import setting
-from robomill.diagnosis.inference.adequacy import left_by
+from robomill.diagnosis.inference.adequacy import MISFIT, left_by, misfit
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.evidence import gather
 from robomill.diagnosis.inference.search import POLISH, Search
@@ -47,10 +47,13 @@ class Transfer:
     deviation: float = 1.0
     """Factor on s that fits best there, and its standard deviation by noise, tolerances and form."""
 
+    misfit: float = MISFIT
+    """Mean share that the model leaves where it is right."""
+
     @property
     def worth(self) -> float:
         """Log Bayes factor for a right model against a stand-in, from all that is seen in new conditions: promise, and what is left."""
-        return self.promise + left_by(self.before, self.after)
+        return self.promise + left_by(self.before, self.after, self.misfit)
 
     @property
     def promise(self) -> float:
@@ -94,7 +97,7 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     wide = space.widened(e.form(fit.model[:1], signature, np.zeros((0, 0)), np.zeros(0)))
     seen = float(wide.dot(signature, signature)) + 1e-300
     amplitude = float(wide.dot(signature, space.y)) / seen
-    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * size, doubt, amplitude, seen**-0.5)
+    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * size, doubt, amplitude, seen**-0.5, misfit(fit.model))
 
 
 def _chi2(space: Space, left: FloatArray, unsure: FloatArray | None) -> float:

@@ -15,7 +15,7 @@ from typing import Literal
 from scipy.special import expit
 
 from robomill.diagnosis.catalogue import Candidate
-from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, left_by
+from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, left_by, misfit
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
@@ -56,7 +56,7 @@ def over_noise(search: Search, fit: Fit) -> float:
 def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: float, moved: Transfer | None, alpha: float) -> Tests:
     """The tests of an answer; `nothing`: probability of the nominal model by the diagnosed runs, `moved`: new conditions."""
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
-    fits = math.log((1.0 - OUTSIDE) / OUTSIDE) + left_by(over_noise(search, nominal), over_noise(search, best))
+    fits = math.log((1.0 - OUTSIDE) / OUTSIDE) + left_by(over_noise(search, nominal), over_noise(search, best), misfit(best.model))
     if moved is not None:
         odds += moved.gain
         fits += moved.worth
