@@ -91,7 +91,8 @@ class Space:
     ) -> None:
         """`y` [n]; `blocks` condition -> its part of y; `nuisances` B [n, m], whitened sensitivities per standard deviation.
 
-        Nuisances are kept as sparse columns: most of them are of one channel only. `names`: parameter of each; `products`: B'B, if known; `gone`: names that do not count.
+        Nuisances are kept as sparse columns: most of them are of one channel only. `names`: parameter of each; `products`: B'B, if known;
+        `gone`: names that do not count.
         """
         self.y, self.blocks, self.names, self.gone = y, blocks, tuple(names), frozenset(gone)
         self.nuisances = csc_array(nuisances)

@@ -24,7 +24,6 @@ from robomill.diagnosis.inference.search import POLISH, Search
 from robomill.diagnosis.inference.sensitivities import NOMINAL, TOLERANCES, changed
 from robomill.orchestration.slaves.protocol import FloatArray
 
-
 KEEPS = 0.5
 """Standard deviation of the amplitude of a stand-in in new conditions [1]: it does there what it does here more or less by half."""
 
