@@ -212,7 +212,7 @@ class TestReplay:
 
     def test_nothing_to_replay_is_said(self, tmp_path: Path) -> None:
         runs = measure(arrays=["masses.x"])
-        only = [Run(r.folder, r.t, {"force.f": np.zeros(len(r.t))}, r.ports, r.info) for r in runs[:1]]
+        only = [Run(r.folder, r.t, {"force.f": np.zeros(len(r.t))}, {"force.f": real("f", "output", "N")}, r.info) for r in runs[:1]]
         with pytest.raises(DataError, match="nothing to replay"):
             replay(tmp_path, only)
 
