@@ -65,7 +65,7 @@ BOUNDS: Mapping[str, Bound] = {
 T0: Mapping[str, Bound] = {"effect_top1": Bound(0.80), "ambiguity_median_size": Bound(high=4.0)}
 """Where tier T0 differs."""
 
-_SINGLE = [
+_SINGLE = (
     "good_log_stopped",
     "detection",
     "component_top1",
@@ -82,8 +82,8 @@ _SINGLE = [
     "closure_over_ceiling_median",
     "closure_over_ceiling_p10",
     "claimed_closure_error_median",
-]
-_UNKNOWN = ["unknown_recall", "confident_wrong_on_unknown"]
+)
+_UNKNOWN = ("unknown_recall", "confident_wrong_on_unknown")
 ASKED: Mapping[str, Sequence[str]] = {
     "withheld": ("withheld_unknown_or_equivalent", "withheld_confident_wrong", "good_log_stopped"),
     "null": ("null_false_alarm", *(f"null_false_alarm_{n}" for n in (1, 2, 3, 6)), "good_log_stopped"),

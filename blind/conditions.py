@@ -162,7 +162,8 @@ def load_table(c: Condition) -> FloatArray:
     table[:, :4] = rows
     keep = np.concatenate([[True], np.diff(table[:, 0]) > 0.0])
     table[:, 3] -= c.weight * GRAVITY
-    return table[keep]
+    kept: FloatArray = table[keep]
+    return kept
 
 
 @lru_cache(maxsize=64)

@@ -189,9 +189,8 @@ def machine_closure(cases: Cases, tier: str, squared_gaps: SquaredGaps | None = 
     """
     ratios = []
     for c in cases.of("machine") if squared_gaps else ():
-        wanted = {
-            (k, q): v for k, of in c.truth.ceiling.items() for q, v in of.items() if v >= CLOSABLE and not (tier == "T0" and q == TIP)
-        }
+        every = {(k, q): v for k, of in c.truth.ceiling.items() for q, v in of.items() if tier == "T1" or q != TIP}
+        wanted = {place: v for place, v in every.items() if v >= CLOSABLE}
         if wanted and squared_gaps:
             gaps = squared_gaps(c.number, c.prediction.claimed_values)
             ratios.append(float(np.mean([_closed(*gaps[k][q]) / ceiling for (k, q), ceiling in wanted.items()])))

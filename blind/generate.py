@@ -66,7 +66,7 @@ class World:
     machine: Machine
     effects: Sequence[Instance]
     changes: Changes
-    clocks: Changes = Changes()
+    clocks: Changes
 
     def simulate(self, c: Condition, random: np.random.Generator | None = None, log: bool = False) -> tuple[FloatArray, Columns]:
         """Times and columns of a run; without `random` no noise; `log`: as it is logged, by clocks that may be late."""
@@ -229,10 +229,10 @@ def _oracle(sealed: Path, truth: Truth, world: World, fault: bad_logs.BadLog | N
     """
     sealed.mkdir(parents=True, exist_ok=True)
     given = [c for c in truth.conditions if not c.held_out]
-    bare = World(world.machine, (), Changes())
+    bare = World(world.machine, (), Changes(), Changes())
     usual, without = [nominal(c).columns for c in given], [bare.simulate(c)[1] for c in given]
     logs = [world.simulate(c, log=True) for c in given]
-    groups = _largest([detectability(w, *rest, truth.tier) for (_, w), *rest in zip(logs, without, usual, strict=True)])
+    groups = _largest([detectability(w, o, u, truth.tier) for (_, w), o, u in zip(logs, without, usual, strict=True)])
     effects = []
     for e in truth.effects:
         alone = [w for _, w in logs]
@@ -240,7 +240,7 @@ def _oracle(sealed: Path, truth: Truth, world: World, fault: bad_logs.BadLog | N
             parameters, changes = switched_on([e])
             one = World(world.machine, parameters, outside.merged(changes), clocks([e]))
             alone = [one.simulate(c, log=True)[1] for c in given]
-        ratios = _largest([detectability(a, *rest, truth.tier) for a, *rest in zip(alone, without, usual, strict=True)])
+        ratios = _largest([detectability(a, o, u, truth.tier) for a, o, u in zip(alone, without, usual, strict=True)])
         effects.append(replace(e, detectability=max(ratios.values())))
     bad_log = truth.bad_log
     if fault is not None and bad_log is not None:

@@ -31,7 +31,10 @@ def situations_of(folder: Path, number: int, *, held_out: bool) -> list[Situatio
 
 
 def oracle_confusable(folder: Path, truths: Truths, tier: str, *, held_out: bool = False) -> Confusable:
-    """What cannot be told from an effect on the diagnosed conditions, and the held-out ones if asked for, from signatures (kept in `oracle`)."""
+    """What cannot be told from an effect on the diagnosed conditions, and on the held-out ones if asked for.
+
+    From signatures, which are kept in the folder `oracle`.
+    """
 
     def found(number: int, i: int) -> list[str]:
         truth = truths[number]

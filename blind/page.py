@@ -24,7 +24,7 @@ _REASON = {"set", "tier", "figure", "reason", "tried"}
 
 
 def read_reasons(file: Path) -> Reasons:
-    """reasons.toml: `[[missed]]` with set, tier, figure, reason, tried. Empty without the file; BenchmarkError where it is something else."""
+    """reasons.toml: `[[missed]]` with set, tier, figure, reason, tried; empty without the file. BenchmarkError where it is wrong."""
     if not file.is_file():
         return {}
     try:
@@ -88,17 +88,8 @@ def _together(scores: Sequence[Score]) -> list[list[str]]:
 def _line(key: str, name: str, tier: str, figure: Figure | None, makers: Sequence[Figure | None]) -> list[str]:
     verdict = {None: "", True: "yes", False: "**no**"}[met(key, None if figure is None else figure.value, tier)]
     counted = ["" if m is None or m.value is None else f"{_value(m)} ({m.count})" for m in makers]
-    return [
-        key,
-        name,
-        tier,
-        _value(figure),
-        _interval(figure),
-        str(figure.count if figure else 0),
-        *counted,
-        str(bound(key, tier)),
-        verdict,
-    ]
+    count = str(figure.count) if figure else "0"
+    return [key, name, tier, _value(figure), _interval(figure), count, *counted, str(bound(key, tier)), verdict]
 
 
 def _missed(rows: Sequence[Sequence[str]], reasons: Reasons) -> list[str]:
@@ -131,11 +122,7 @@ def _set(s: Score) -> list[str]:
     if not s.isolability:
         lines += ["", "Isolability was not looked at: every detectable effect counts as isolable, and no withheld one has equivalents."]
     names = [ALL, *(m for m in _MAKERS if m in s.scores)]
-    every = [key for key, f in s.scores[ALL].items() if f.count]
-    rows = [
-        [key, *(c for m in names for c in (_value(s.scores[m].get(key)), _interval(s.scores[m].get(key)), _count(s, m, key)))]
-        for key in every
-    ]
+    rows = [[key, *(c for m in names for c in _cells(s.scores[m][key]))] for key, f in s.scores[ALL].items() if f.count]
     lines += ["", *_table(["figure", *(h for m in names for h in (m, "95 %", "cases"))], rows), *_baselines(s)]
     if any(f.count for stratum in s.strata.values() for f in stratum.values()):
         rows = [[name, *(f"{_value(f)} ({f.count})" for f in stratum.values())] for name, stratum in s.strata.items()]
@@ -199,5 +186,5 @@ def _interval(figure: Figure | None) -> str:
     return "" if figure is None or not figure.interval else f"{figure.interval[0]:.3g} .. {figure.interval[1]:.3g}"
 
 
-def _count(s: Score, maker: str, key: str) -> str:
-    return str(s.scores[maker][key].count)
+def _cells(figure: Figure) -> tuple[str, str, str]:
+    return _value(figure), _interval(figure), str(figure.count)

@@ -144,7 +144,7 @@ def confusable(changes: Sequence[Change], true: Instance, limit: float) -> list[
 
 
 def clocks(changes: Sequence[Change], limit: float) -> list[str]:
-    """Clocks of the log (`logging.lag COMPONENT`) that explain the changes but for `limit`, by one lag of up to `LATEST` in all situations."""
+    """Clocks of the log (`logging.lag COMPONENT`) that explain the changes but for `limit`, by one lag of up to `LATEST` everywhere."""
     found = []
     for device in dict.fromkeys(name.partition(".")[0] for c in changes for name in c.library.columns):
         parts, others = [], []
@@ -164,12 +164,10 @@ def _without_lag(parts: Sequence[tuple[FloatArray, Run, Sequence[str]]]) -> list
     def left(lag: float) -> list[FloatArray]:
         found = []
         for change, reference, names in parts:
-            rest = change.copy()
-            for row, name in zip(rest, names, strict=True):
-                y = reference.columns[name]
-                late = (np.interp(reference.t - lag, reference.t, y) - y) / floor(name, y)
-                row -= late[: len(row) * STRIDE : STRIDE]
-            found.append(rest)
+            rows = slice(0, change.shape[1] * STRIDE, STRIDE)
+            logged = [reference.columns[name] for name in names]
+            late = [((np.interp(reference.t - lag, reference.t, y) - y) / floor(n, y))[rows] for n, y in zip(names, logged, strict=True)]
+            found.append(change - np.array(late).reshape(change.shape))
         return found
 
     def misfit(lag: float) -> float:

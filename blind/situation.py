@@ -1,4 +1,4 @@
-"""How a case was measured, as its folder says: nominal system and what the experimenter set. Whoever made the case, this is all it takes."""
+"""How a case was measured, as its folder says: the nominal system and what the experimenter set, whoever made the case."""
 
 from __future__ import annotations
 

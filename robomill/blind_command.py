@@ -107,7 +107,8 @@ def blind(options: Namespace) -> int:
             request = Request(options.cases, options.seed, options.tier, options.set, options.generator)
             made = asdict(make(options.folder, request, report, options.jobs))
             summary = {k: v for k, v in made.items() if k != "files"}
-            text = f"{made['cases']} cases of the set {made['set']}, tier {made['tier']} in {options.folder}/cases, truth sealed as {made['truth'][:12]}"
+            text = f"{made['cases']} cases of the set {made['set']}, tier {made['tier']} in {options.folder}/cases, "
+            text += f"truth sealed as {made['truth'][:12]}"
         elif options.step == "run":
             from robomill.blind.run import run_cases
 
