@@ -172,7 +172,7 @@ def planned(c: Condition) -> Plan:
     return plan(program(replace(c, name="program")), Placement(c.position, (math.radians(c.turn), 0.0, 0.0)))
 
 
-def known(c: Condition, segments: str, profile: str) -> dict[str, dict[str, Any]]:
+def known(c: Condition, segments: str, profile: str = "profile.npy") -> dict[str, dict[str, Any]]:
     """What the experimenter sets, component -> parameter -> value (SI); the files are those of the planned program and of the load."""
     found: dict[str, dict[str, Any]] = {
         "path": {"segments": segments},

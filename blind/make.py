@@ -69,9 +69,7 @@ class Request:
         found = plans(self.set, self.cases, self.seed, self.generator)
         missing = sorted({p.generator for p in found} - set(WRITERS))
         if missing:
-            raise ValueError(
-                f"--generator {self.generator}: the generator {', '.join(missing)} is not installed; there is: {', '.join(WRITERS)}"
-            )
+            raise ValueError(f"--generator {self.generator}: no {', '.join(missing)} generator; there is: {', '.join(WRITERS)}")
         return found
 
 

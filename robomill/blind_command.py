@@ -76,7 +76,7 @@ def diagnose_case(case: Path, out: Path) -> None:
     catalogue = lacking(Catalogue.load(CATALOGUE), withheld(case))
     with TemporaryDirectory() as folder:
         told = menu(campaign.system, Path(folder))
-        store = Store(case.parent.parent / SIMULATIONS, sources(*dict.fromkeys(p.system for p in campaign.parts)))
+        store = Store(case.parent.parent / SIMULATIONS, sources(*{p.system.name: p.system for p in campaign.parts}.values()))
         found = diagnose_campaign(campaign, catalogue, resolver=resolve, convert=convert, menu=told, store=store)
     (out / "diagnosis.json").write_text(json.dumps(found.result, indent=1) + "\n", encoding="utf-8")
 
