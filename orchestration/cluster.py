@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 SECONDS = 10
@@ -22,3 +23,11 @@ def connect(scheduler: str) -> Any:
             f"--scheduler {scheduler}: no Dask scheduler there ({error}); expected an address such as tcp://host:8786, "
             "that of a running `dask scheduler`"
         ) from None
+
+
+def as_they_finish(futures: Sequence[Any]) -> Iterator[Any]:
+    """Futures of a client, each when it is done."""
+    import distributed
+
+    dask: Any = distributed
+    yield from dask.as_completed(futures)
