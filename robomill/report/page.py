@@ -484,7 +484,9 @@ def _about(s: Subject) -> str:
             f"an effect is believed below {percent(tests.false_alarm)}, the false-alarm rate that was asked for."
         )
         if s.answer.which:
-            lines.append(f"The best model is right, and not only the nearest in the catalogue, with a probability of {percent(tests.p_fit)}.")
+            lines.append(
+                f"The best model is right, and not only the nearest in the catalogue, with a probability of {percent(tests.p_fit)}."
+            )
     arrays = dict.fromkeys(base_name(c) for c in s.found.channels)
     lines += [f"Not looked for: {text}." for text in s.answer.skipped]
     parts += [_paragraph(text, "note" if "guess" in text else "") for text in lines]

@@ -1,0 +1,47 @@
+"""Whether a model is right, or the nearest thing in the catalogue to something that is not in it: from what it leaves of a gap."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.special import logsumexp
+
+from robomill.diagnosis.catalogue import LOGGING
+from robomill.diagnosis.inference.estimation import Model
+
+LEVEL, SPREAD = 1.1, 0.1
+"""chi2 over that of noise [1] that two systems which are the same but for calibration leave, and its standard deviation."""
+MISFIT = 0.05
+"""Mean share [1] of a gap that a right model leaves, because its law is not quite that of the machine: a fifth of the amplitude."""
+EXACT = 0.005
+"""The same where a fault of the log is part of the model: what a late clock or a filter does to a log is no law that could be wrong."""
+
+
+def misfit(model: Model) -> float:
+    """Mean share [1] of a gap that this model leaves where it is right."""
+    return EXACT if any(c.component == LOGGING for c in model) else MISFIT
+
+
+def unexplained(before: float, after: float) -> float:
+    """Share of chi2 beyond that of a machine without effects that a model leaves: (after - LEVEL) / (before - LEVEL).
+
+    `before`, `after`: what the nominal system and the model leave, over that of noise (`over_noise`); the share is not below 0.
+    """
+    return max(after - LEVEL, 0.0) / max(before - LEVEL, 1e-9)
+
+
+def left_by(before: float, after: float, misfit: float = MISFIT) -> float:
+    """Log Bayes factor for a right model against a stand-in, from what it leaves of a gap; both over noise.
+
+    after ~ N(LEVEL + u (before - LEVEL), SPREAD^2). The share u that is left is Beta(1, 1 / misfit - 1) for a right model, and could be
+    anything between 0 and 1 for a stand-in.
+    """
+    gap = max(before - LEVEL, 0.0)
+    centre, width = (after - LEVEL) / (gap + 1e-12), SPREAD / (gap + 1e-12)
+    u = np.unique(np.clip(np.concatenate([np.linspace(0.0, 1.0, 201), centre + width * np.linspace(-8.0, 8.0, 201)]), 0.0, 1.0))
+    log_likelihood = -0.5 * ((u - centre) / width) ** 2
+    step = np.log(np.maximum(np.gradient(u), 1e-300)) if len(u) > 1 else np.zeros(1)
+    b = 1.0 / misfit - 1.0
+    right = math.log(b) + (b - 1.0) * np.log(np.maximum(1.0 - u, 1e-300))
+    return float(logsumexp(log_likelihood + right + step) - logsumexp(log_likelihood + step))
