@@ -1,4 +1,4 @@
-"""Methods that the diagnosis must beat: each gets the training repeats and the nominal model, and names one effect or none.
+"""Methods that the diagnosis must beat: each gets the repeats of the first condition and the nominal model, and names one effect or none.
 
 All see the mean of the repeats minus the nominal run, whitened. None knows open sets, ambiguity or nuisance parameters; that is the point.
 """
@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from robomill.blind.case import Case
-from robomill.blind.conditions import Condition
 from robomill.blind.effects import EFFECTS
 from robomill.blind.signatures import STRIDE, Library, floor, library
+from robomill.blind.situation import Situation, nominal_run, situations
 from robomill.blind.workers import Progress
-from robomill.blind.world import nominal
 from robomill.models.model.declaration import FloatArray
 from robomill.orchestration.runs.run import Run
 
@@ -47,10 +46,10 @@ def _worst(lib: Library, r: FloatArray) -> float:
     return float(np.sqrt(np.mean(r.reshape(len(lib.columns), -1) ** 2, axis=1)).max())
 
 
-def residual(folder: Path, c: Condition, names: Sequence[str]) -> FloatArray:
-    """Whitened mean of the training repeats of a case minus the nominal run, flattened like `Library.matrix`."""
-    runs = [Run.load(f) for f in sorted((folder / "runs").glob("training-[0-9]*"))]
-    reference = nominal(c)
+def residual(folder: Path, s: Situation, names: Sequence[str]) -> FloatArray:
+    """Whitened mean of the repeats of a situation of a case minus the nominal run, flattened like `Library.matrix`."""
+    runs = [Run.load(f) for f in sorted((folder / "runs").glob(f"{s.name.replace(' ', '-')}-[0-9]*"))]
+    reference = nominal_run(s)
     rows = slice(0, len(reference.t) // STRIDE * STRIDE, STRIDE)
     grid = reference.t[rows]
     parts = []
@@ -136,9 +135,10 @@ def baseline_guesses(folder: Path, cases: Sequence[Case], tier: str, progress: P
     for i, c in enumerate(cases):
         if progress is not None:
             progress("baselines", i, len(cases))
-        condition = c.truth.conditions[0]
-        lib = library(condition, folder / "oracle").for_tier(tier)
-        r = residual(folder / "cases" / f"{c.number:04d}", condition, lib.columns)
+        case = folder / "cases" / f"{c.number:04d}"
+        first = situations(case)[0]
+        lib = library(first, folder / "oracle").for_tier(tier)
+        r = residual(case, first, lib.columns)
         for name, baseline in BASELINES.items():
             guesses[name][c.number] = baseline(lib, r)
     return guesses

@@ -17,9 +17,9 @@ from robomill.blind.truth import Truth
 
 DETECTABLE = 3.0
 """Oracle ratio from which a case counts as detectable."""
-CATALOGUE = ("single", "double", "triple")
+CATALOGUE = ("single", "double", "triple", "machine")
 """Kinds of cases with effects of the catalogue."""
-REAL = (*CATALOGUE, "outside")
+REAL = (*CATALOGUE, "withheld", "outside")
 """Kinds of cases with something real and a good log."""
 CASE_KINDS = ("null", *REAL, "bad_log")
 
@@ -87,7 +87,7 @@ class Cases:
 
     all: Sequence[Case]
     confusable: Confusable | None = None
-    _isolable: dict[tuple[int, int], bool] = field(default_factory=dict)
+    _alike: dict[tuple[int, int], Sequence[str]] = field(default_factory=dict)
 
     def of(self, *kinds: str) -> list[Case]:
         """Cases of those kinds."""
@@ -97,14 +97,22 @@ class Cases:
         """Those of these kinds that are detectable."""
         return [c for c in self.of(*kinds) if c.detectable]
 
-    def isolable(self, c: Case, i: int) -> bool:
-        """Whether the data can tell effect `i` from every other candidate, the same effect elsewhere included."""
+    def of_generator(self, name: str) -> Cases:
+        """The cases that one generator made."""
+        return Cases([c for c in self.all if c.truth.generator == name], self.confusable, self._alike)
+
+    def alike(self, c: Case, i: int) -> Sequence[str]:
+        """Candidates that the data cannot tell from effect `i`, the same effect elsewhere included."""
         if self.confusable is None:
-            return True
+            return ()
         key = (c.number, i)
-        if key not in self._isolable:
-            self._isolable[key] = not self.confusable(*key)
-        return self._isolable[key]
+        if key not in self._alike:
+            self._alike[key] = tuple(self.confusable(*key))
+        return self._alike[key]
+
+    def isolable(self, c: Case, i: int) -> bool:
+        """Whether the data can tell effect `i` from every other candidate."""
+        return not self.alike(c, i)
 
     def decidable(self, c: Case) -> list[int]:
         """Effects that are detectable and isolable."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from robomill.blind.case import Case
-from robomill.blind.prediction import Named
+from robomill.blind.prediction import Candidate, Named
 
 AXES = ("x", "y", "z")
 WRENCH_CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -56,14 +56,14 @@ def set_holds_truth(c: Case) -> bool:
     return any(e.is_effect(true) or names & set(e.confusable) for e in c.prediction.listed)
 
 
-def estimate(c: Case) -> tuple[float, bool | None] | None:
-    """Relative error of the parameter, and whether its interval covers the truth (None: none given); None if no value is given."""
-    true, value = c.effects[0], c.truth.effects[0].value
-    for name, said in c.prediction.claimed[0].parameters.items():
-        if Named.of(true.component, name) == true and said.get("value") is not None:
-            interval = said.get("interval")
+def estimate(c: Case, said: Candidate, i: int = 0) -> tuple[float, bool | None] | None:
+    """Relative error of the parameter of effect `i`, and whether its interval covers the truth (None: none given); None without a value."""
+    true, value = c.effects[i], c.truth.effects[i].value
+    for name, given in said.parameters.items():
+        if Named.of(true.component, name) == true and given.get("value") is not None:
+            interval = given.get("interval")
             covered = None if interval is None else bool(interval[0] <= value <= interval[1])
-            return abs(float(said["value"]) - value) / abs(value), covered
+            return abs(float(given["value"]) - value) / abs(value), covered
     return None
 
 

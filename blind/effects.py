@@ -109,9 +109,10 @@ EFFECTS = (
 BY_KEY = {f"{e.component}.{e.name}": e for e in EFFECTS}
 
 
-def draw(effect: Effect, random: np.random.Generator) -> Instance:
-    """An instance: element uniform, magnitude log-uniform over the range, sign even where the effect has one."""
-    index = int(random.integers(1, effect.size + 1)) if effect.size else 0
+def draw(effect: Effect, random: np.random.Generator, index: int | None = None) -> Instance:
+    """An instance: element uniform where it is not given, magnitude log-uniform over the range, sign even where the effect has one."""
+    if index is None:
+        index = int(random.integers(1, effect.size + 1)) if effect.size else 0
     value = effect.factor(index) * effect.low * (effect.high / effect.low) ** random.random()
     if effect.signed and random.random() < EVEN:
         value = -value

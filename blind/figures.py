@@ -11,33 +11,57 @@ from robomill.blind.baselines import Guess
 from robomill.blind.case import CATALOGUE, REAL, Case, Cases
 from robomill.blind.criteria import answer_right, component_right, effect_in_top, estimate, location_right, named_exactly, set_holds_truth
 from robomill.blind.prediction import ComponentValues
-from robomill.blind.statistics import Figure, expected_calibration_error, proportion, quantile
+from robomill.blind.set_figures import (
+    Equivalents,
+    campaign,
+    claims,
+    coverage_of_the_catalogue,
+    few,
+    intervals,
+    machine,
+    nulls,
+    withheld,
+)
+from robomill.blind.statistics import Claim, Figure, expected_calibration_error, proportion, quantile
 
-SquaredGaps = Callable[[int, ComponentValues], Mapping[str, tuple[float, float]]]
-"""(number of the case, claimed values) -> sum of squares of the true gap by held-out condition, before and after, of the array that
-counts at the tier."""
+SquaredGaps = Callable[[int, ComponentValues], Mapping[str, Mapping[str, tuple[float, float]]]]
+"""(number of the case, claimed values) -> sum of squares of the true gap by held-out condition and quantity, before and after."""
 Separates = Callable[[int, Mapping[str, Any], Sequence[ComponentValues]], bool]
 """(number of the case, recommended run, values of the wrong candidates) -> whether the run tells all of them from the truth."""
-GAP_ARRAY = {"T1": ("compliance.p_BT_B", "tool tip"), "T0": ("sensor.f_T_T", "force")}
+TIP = "tool tip"
+"""The quantity that needs the tracker."""
+GAP_ARRAY = {"T1": ("compliance.p_BT_B", TIP), "T0": ("sensor.f_T_T", "force")}
 """Tier -> the array whose gap counts, and its name in the ceiling of a truth."""
 CLOSABLE = 0.5
 """Closure by the truth itself from which a held-out condition counts."""
 
 
 def figures(
-    cases: Cases, tier: str = "T1", squared_gaps: SquaredGaps | None = None, separates: Separates | None = None
+    cases: Cases,
+    tier: str = "T1",
+    squared_gaps: SquaredGaps | None = None,
+    separates: Separates | None = None,
+    equivalents: Equivalents = lambda _: (),
 ) -> dict[str, Figure]:
-    """All of them. The callables may be left out: what needs them is then without cases."""
+    """All of them. The callables may be left out: what needs them is then without cases, and withheld effects have no equivalents."""
     return {
+        **withheld(cases, equivalents),
         **alarms(cases),
+        **nulls(cases),
         "right_answer": proportion([answer_right(c) for c in answerable(cases)]),
         **naming(cases),
         **ambiguity(cases, separates),
         **open_set(cases),
         **doubles(cases),
         **parameters(cases),
+        **intervals(cases),
+        **few(cases),
         **closures(cases, tier, squared_gaps),
-        "ece": calibration(cases),
+        **coverage_of_the_catalogue(cases),
+        **machine(cases),
+        **machine_closure(cases, tier, squared_gaps),
+        **campaign(cases),
+        "ece": calibration(claims(cases, equivalents)),
         **cpu_time(cases),
     }
 
@@ -116,7 +140,7 @@ def doubles(cases: Cases) -> dict[str, Figure]:
 
 def parameters(cases: Cases) -> dict[str, Figure]:
     """Relative errors of the parameters and coverage of their intervals, of singles that are named exactly."""
-    estimates = [e for c in cases.singles if named_exactly(c) and (e := estimate(c)) is not None]
+    estimates = [e for c in cases.singles if named_exactly(c) and (e := estimate(c, c.prediction.claimed[0])) is not None]
     errors = [error for error, _ in estimates]
     return {
         "parameter_error_median": quantile(errors),
@@ -147,25 +171,39 @@ def _closure(c: Case, tier: str, squared_gaps: SquaredGaps) -> tuple[float, floa
     ceilings = {name: v[quantity] for name, v in c.truth.ceiling.items() if v[quantity] >= CLOSABLE}
     if not ceilings:
         return None
-    gaps = squared_gaps(c.number, c.prediction.claimed_values)
+    gaps = {name: g[quantity] for name, g in squared_gaps(c.number, c.prediction.claimed_values).items()}
     ratio = float(np.mean([_closed(*gaps[name]) / ceiling for name, ceiling in ceilings.items()]))
-    claims = [
+    claims_of_it = [
         float(h["closure"])
         for h in c.prediction.how_far
         if h.get("on") == "held-out condition" and h.get("closure") is not None and h.get("channel", array) == array
     ]
     together = _closed(sum(before for before, _ in gaps.values()), sum(after for _, after in gaps.values()))
-    return ratio, abs(claims[0] - together) if claims else None
+    return ratio, abs(claims_of_it[0] - together) if claims_of_it else None
+
+
+def machine_closure(cases: Cases, tier: str, squared_gaps: SquaredGaps | None = None) -> dict[str, Figure]:
+    """Closure over ceiling in new conditions of machines with many effects, named or not: mean over conditions and quantities.
+
+    Those count that the truth closes (`CLOSABLE`), of the quantities that are measured at the tier.
+    """
+    ratios = []
+    for c in cases.of("machine") if squared_gaps else ():
+        every = {(k, q): v for k, of in c.truth.ceiling.items() for q, v in of.items() if tier == "T1" or q != TIP}
+        wanted = {place: v for place, v in every.items() if v >= CLOSABLE}
+        if wanted and squared_gaps:
+            gaps = squared_gaps(c.number, c.prediction.claimed_values)
+            ratios.append(float(np.mean([_closed(*gaps[k][q]) / ceiling for (k, q), ceiling in wanted.items()])))
+    return {"machine_closure_over_ceiling_median": quantile(ratios)}
 
 
 def _closed(before: float, after: float) -> float:
     return 0.0 if before == 0.0 else 1.0 - after / before
 
 
-def calibration(cases: Cases) -> Figure:
-    """Expected calibration error of the first candidate, wherever an effect is named; never right where there is none."""
-    answered = [c for c in cases.of("single", "null", "outside") if c.prediction.found and c.prediction.claimed]
-    return expected_calibration_error([c.prediction.claimed[0].probability for c in answered], [named_exactly(c) for c in answered])
+def calibration(said: Sequence[Claim]) -> Figure:
+    """Expected calibration error of what is claimed."""
+    return expected_calibration_error([c.probability for c in said], [c.right for c in said])
 
 
 def cpu_time(cases: Cases) -> dict[str, Figure]:

@@ -1,18 +1,14 @@
-"""Make a benchmark: cases for the diagnosis, truth in a sealed folder, both reproducible bit for bit from (cases, seed, tier).
+"""The first generator: a case of the components of this project, with another integration and other numbers than the diagnosis has.
 
-DIR/benchmark.json                 what it is, and the hash of every file of every case
-DIR/cases/0001/system.toml         the nominal system
-DIR/cases/0001/runs/training-1 ... six repeats, training-held-1, -2, and two of each held-out condition
-DIR/sealed/0001.json, 0001/*.npy   the truth; DIR/sealed/manifest.json their hashes, whose own hash is in benchmark.json
+cases/0001/runs/training-1 ...     repeats of each condition, two held-out ones of the first, and two of each held-out condition
+sealed/0001/other-cut.npy ...      what the machine without noise is off from the nominal one in each held-out condition
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +17,20 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from robomill.blind import bad_logs, outside
-from robomill.blind.conditions import Condition, draw, known, planned
+from robomill.blind.conditions import Condition, draw, known, load_table, planned
 from robomill.blind.effects import BY_KEY, EFFECTS, EVEN, Instance
 from robomill.blind.effects import draw as draw_effect
 from robomill.blind.outside import Changes, Columns
-from robomill.blind.sealing import Benchmark, hashes
+from robomill.blind.prediction import LOGGING, Named
+from robomill.blind.sets import GENERATOR_VERSION, Plan
 from robomill.blind.signatures import ARRAYS, floor
 from robomill.blind.truth import TrueEffect, TrueFault, TrueOutside, Truth
-from robomill.blind.workers import Progress, work
 from robomill.blind.world import (
     NOISE,
     STEP,
-    SYSTEM,
     TRACKER,
     Machine,
+    draw_hidden,
     draw_machine,
     jittered,
     measure,
@@ -42,159 +38,89 @@ from robomill.blind.world import (
     nominal_system,
     simulate,
     simulate_nominal,
+    system_file,
 )
 from robomill.models.model.declaration import FloatArray
-from robomill.orchestration.errors import RunError
 from robomill.orchestration.runs.recorder import SCHEMA, frame_of
 from robomill.orchestration.runs.run import RUN, SIGNALS
-from robomill.orchestration.slaves.protocol import PortData
 from robomill.orchestration.system.toml_text import dump
 
-GENERATOR_VERSION = 2
-"""Version of the generator: numbers change only with it."""
-TIERS = ("T0", "T1")
-PROPORTIONS: Mapping[str, float] = {"null": 0.20, "single": 0.38, "double": 0.15, "triple": 0.04, "outside": 0.15, "bad_log": 0.08}
-"""Share of the cases of each kind, as DIAGNOSIS.md has them."""
-REPEATS, HELD_REPEATS, OTHER_REPEATS = 6, 2, 2
+HELD_REPEATS, OTHER_REPEATS = 2, 2
+"""Held-out runs of the first condition, and of each held-out condition."""
+QUANTITIES: Mapping[str, slice] = {"tool tip": slice(0, 3), "force": slice(3, 6), "torque": slice(6, 12)}
+"""Columns of a gap."""
 WINDOW = 125
 """Rows of the windows (0.5 s) in which detectability is looked at."""
-ATTEMPTS = 5
-"""Machines that are drawn for a case at most: one on which the program cannot be run is rare, five in a row are an error."""
+CAMPAIGN_STIFFNESS = 0.15
+"""Smallest stiffness error that a campaign is asked to find."""
+LATE = (5e-3, 40e-3)
+"""Delay [s] of the late clock of a machine, from and to."""
+LATE_DEVICES = ("drive.*", "sensor.*", "controller.*", "compliance.*")
+"""Devices whose clock may be late; the last one is the tracker."""
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What a case is about, before anything is simulated."""
+class World:
+    """What is different from the nominal cell: effects by their parameters, what is put in between, and what is wrong with the log."""
 
-    number: int
-    kind: str
-    subject: tuple[str, ...] = ()
-    """Keys of effects, name of the outside kind or of the fault of the log."""
+    machine: Machine
+    effects: Sequence[Instance]
+    changes: Changes
+    clocks: Changes
 
-
-def plans(cases: int, seed: int) -> list[Plan]:
-    """Kinds in the proportions, effects and kinds in turn from a shuffled list, all in random order: the number says nothing."""
-    if cases < 1:
-        raise ValueError(f"--cases {cases}: expected at least 1")
-    random = np.random.default_rng([GENERATOR_VERSION, seed])
-    exact = {kind: share * cases for kind, share in PROPORTIONS.items()}
-    counts = {kind: int(value) for kind, value in exact.items()}
-    for kind in sorted(exact, key=lambda k: counts[k] - exact[k])[: cases - sum(counts.values())]:
-        counts[kind] += 1
-    effects, kinds, faults = _Deck([*BY_KEY], random), _Deck([*outside.OUTSIDE_BY_NAME], random), _Deck([*bad_logs.LOG_FAULTS], random)
-    subjects: list[tuple[str, tuple[str, ...]]] = [("null", ())] * counts["null"]
-    subjects += [("single", (effects.next(),)) for _ in range(counts["single"])]
-    for kind, size in (("double", 2), ("triple", 3)):
-        subjects += [(kind, tuple(str(k) for k in random.choice([*BY_KEY], size, replace=False))) for _ in range(counts[kind])]
-    subjects += [("outside", (kinds.next(),)) for _ in range(counts["outside"])]
-    subjects += [("bad_log", (faults.next(),)) for _ in range(counts["bad_log"])]
-    order = random.permutation(len(subjects))
-    return [Plan(i + 1, *subjects[j]) for i, j in enumerate(order)]
+    def simulate(self, c: Condition, random: np.random.Generator | None = None, log: bool = False) -> tuple[FloatArray, Columns]:
+        """Times and columns of a run; without `random` no noise; `log`: as it is logged, by clocks that may be late."""
+        t, columns, _ = simulate(c, self.machine, self.effects, self.changes, random)
+        if log and self.clocks.after is not None:
+            self.clocks.after(columns, t, STEP)
+        return t, columns
 
 
-class _Deck:
-    """Cards dealt in random order, shuffled anew when they are used up."""
+def write_case(folder: Path, plan: Plan, seed: int, tier: str, attempt: int = 0) -> Truth:
+    """Simulate a case and write its runs below cases/NNNN/runs; returns its truth. What only the generator knows goes to sealed/NNNN.
 
-    def __init__(self, cards: Sequence[str], random: np.random.Generator) -> None:
-        self._cards, self._random, self._left = list(cards), random, list[str]()
-
-    def next(self) -> str:
-        if not self._left:
-            self._left = [self._cards[i] for i in self._random.permutation(len(self._cards))]
-        return self._left.pop()
-
-
-def make(folder: str | Path, cases: int, seed: int, tier: str, progress: Progress | None = None, workers: int | None = 1) -> Benchmark:
-    """Make a benchmark in `folder`. Cases that are complete are kept, so it can be interrupted.
-
-    With more than one of `workers` (None: all cores) the cases are made in processes of their own; the bits are the same.
-
-    ValueError: an unknown tier, or a folder that holds another benchmark.
+    RunError: a machine on which the program cannot be run; another `attempt` draws another one.
     """
-    if tier not in TIERS:
-        raise ValueError(f"tier {tier!r}: expected one of {', '.join(TIERS)}")
-    every = plans(cases, seed)
-    folder = Path(folder)
-    what: dict[str, Any] = {"schema": "robomill-blind/1", "version": GENERATOR_VERSION, "cases": cases, "seed": seed, "tier": tier}
-    head = folder / "request.json"
-    if head.is_file():
-        if json.loads(head.read_text(encoding="utf-8")) != what:
-            raise ValueError(f"{folder} holds another benchmark ({head.read_text(encoding='utf-8').strip()}); choose another folder")
-    elif folder.exists() and any(folder.iterdir()):
-        raise ValueError(f"{folder} is not empty and holds no benchmark; choose another folder")
-    (folder / "sealed").mkdir(parents=True, exist_ok=True)
-    write(head, json.dumps(what) + "\n")
-    to_do = [p for p in every if not (folder / "sealed" / f"{p.number:04d}.json").is_file()]
-    for done, _ in enumerate(work(make_case, [(folder, p, seed, tier) for p in to_do], workers), 1):
-        if progress is not None:
-            progress("make", done, len(to_do))
-    manifest = hashes(folder / "sealed", exclude=("manifest.json",))
-    text = json.dumps(manifest, indent=0, sort_keys=True) + "\n"
-    write(folder / "sealed" / "manifest.json", text)
-    result = Benchmark(**what, truth=hashlib.sha256(text.encode()).hexdigest(), files=hashes(folder / "cases"))
-    write(folder / "benchmark.json", json.dumps(asdict(result), indent=0, sort_keys=True) + "\n")
-    return result
-
-
-def write(file: Path, text: str) -> None:
-    """Write a file in one move: it is there as a whole or not at all."""
-    part = file.with_name(f".{file.name}.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(file)
-
-
-def make_case(folder: Path, plan: Plan, seed: int, tier: str) -> None:
-    """Simulate, write and seal one case. A machine on which the program cannot be run (RunError) is drawn anew, ATTEMPTS in all."""
-    for attempt in range(ATTEMPTS):
-        try:
-            _attempt(folder, plan, tier, np.random.default_rng([GENERATOR_VERSION, seed, plan.number, attempt]))
-        except RunError:
-            if attempt == ATTEMPTS - 1:
-                raise
-        else:
-            return
-
-
-def _attempt(folder: Path, plan: Plan, tier: str, random: np.random.Generator) -> None:
-    """One try; the truth is written last."""
-    conditions = draw(random)
-    machine = draw_machine(random)
+    random = np.random.default_rng([GENERATOR_VERSION, seed, plan.number, attempt])
+    conditions = draw(seed, plan.shape, plan.number)
+    machine = replace(draw_machine(random), hidden=draw_hidden(random))
     truth, changes, fault = _subject(plan, tier, random)
-    place = folder / "cases" / f"{plan.number:04d}"
-    shutil.rmtree(place, ignore_errors=True)
-    (place / "runs").mkdir(parents=True)
-    shutil.copyfile(SYSTEM, place / "system.toml")
     parameters, others = switched_on(truth.effects)
-    everything = outside.merged([changes, *others])
-    for c, count, held in (
-        (conditions[0], REPEATS + HELD_REPEATS, False),
-        (conditions[1], OTHER_REPEATS, True),
-        (conditions[2], OTHER_REPEATS, True),
-    ):
-        for i in range(count):
-            held_out = held or i >= REPEATS
-            t, columns, ports = simulate(c, machine, parameters, everything, random)
+    world = World(machine, parameters, outside.merged([changes, *others]), clocks(truth.effects))
+    truth = replace(
+        truth,
+        case=plan.number,
+        tier=tier,
+        repeats=plan.repeats,
+        machine=machine.parameters,
+        hidden=machine.hidden,
+        conditions=conditions,
+    )
+    truth = _oracle(folder / "sealed" / f"{plan.number:04d}", truth, world, fault)
+    runs = folder / "cases" / f"{plan.number:04d}" / "runs"
+    shutil.rmtree(runs, ignore_errors=True)
+    for c in conditions:
+        held = HELD_REPEATS if c is conditions[0] else 0
+        for i in range(OTHER_REPEATS if c.held_out else plan.repeats + held):
+            t, columns = world.simulate(c, random, log=True)
             columns = measure(columns, tier, random)
             stamped = jittered(t, random)
             if fault is not None:
                 fault.apply(columns, t)
-            number = i + 1 if held or i < REPEATS else i + 1 - REPEATS
-            name = c.name.replace(" ", "-") + ("-held" if held_out and not held else "")
-            labels = {"condition": c.name, "repeat": number, "held_out": held_out, "tier": tier, "kind": "milling"}
-            write_run(place / "runs" / f"{name}-{number}", stamped, columns, ports, c, labels)
-    truth = replace(truth, case=plan.number, tier=tier, machine=machine.parameters, conditions=conditions)
-    truth = _oracle(folder / "sealed" / f"{plan.number:04d}", truth, machine, (parameters, everything), fault)
-    write(folder / "sealed" / f"{plan.number:04d}.json", json.dumps(truth.content, indent=1) + "\n")
+            more = not c.held_out and i >= plan.repeats
+            number = i + 1 - plan.repeats if more else i + 1
+            name = c.name.replace(" ", "-") + ("-held" if more else "")
+            labels = {"condition": c.name, "repeat": number, "held_out": c.held_out or more, "tier": tier}
+            write_run(runs / f"{name}-{number}", stamped, columns, c, labels)
+    return truth
 
 
 def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[Truth, Changes, bad_logs.BadLog | None]:
     """Truth, out-of-catalogue changes and fault of the log of a case."""
     truth = Truth(plan.kind)
-    effects: list[Instance] = []
+    true: list[TrueEffect] = []
     changes, fault = Changes(), None
-    if plan.kind in ("single", "double", "triple"):
-        effects = [draw_effect(BY_KEY[key], random) for key in plan.subject]
-    elif plan.kind == "outside":
+    if plan.kind == "outside":
         kind = outside.OUTSIDE_BY_NAME[plan.subject[0]]
         value, changes = kind.draw(random)
         truth = replace(truth, outside=TrueOutside(kind.name, kind.component, value, kind.unit))
@@ -202,12 +128,28 @@ def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[Truth,
         fault = bad_logs.draw(plan.subject[0], tier, random)
         truth = replace(truth, bad_log=TrueFault(fault.kind, fault.channel, fault.value, fault.unit))
         if random.random() < EVEN:  # a bad log with something real in it must be stopped just the same
-            effects = [draw_effect(EFFECTS[int(random.integers(len(EFFECTS)))], random)]
-    true = [
-        TrueEffect(e.effect.component, e.effect.name, e.parameter, e.index, e.value, e.effect.unit, _formulation(e, random))
-        for e in effects
-    ]
+            true = [_true(draw_effect(EFFECTS[int(random.integers(len(EFFECTS)))], random), random)]
+    else:
+        true = [_effect(text, plan, tier, random) for text in plan.subject]
     return replace(truth, effects=tuple(true)), changes, fault
+
+
+def _effect(text: str, plan: Plan, tier: str, random: np.random.Generator) -> TrueEffect:
+    """An effect of the subject of a plan, at the element that it names, or at any."""
+    component, _, parameter = text.partition(".")
+    named = Named.of(component, parameter)
+    if component == LOGGING:
+        device = LATE_DEVICES[int(random.integers(len(LATE_DEVICES) - (tier == "T0")))]
+        value = float(LATE[0] * (LATE[1] / LATE[0]) ** random.random())
+        return TrueEffect(LOGGING, named.effect, f"{named.effect} {device}", 0, value, "s", "clock")
+    effect = BY_KEY[named.key]
+    if plan.shape == "campaign" and named.effect == "stiffness_error":
+        effect = replace(effect, low=CAMPAIGN_STIFFNESS)
+    return _true(draw_effect(effect, random, named.index or None), random)
+
+
+def _true(e: Instance, random: np.random.Generator) -> TrueEffect:
+    return TrueEffect(e.effect.component, e.effect.name, e.parameter, e.index, e.value, e.effect.unit, _formulation(e, random))
 
 
 _OTHER = {"gear_hysteresis": "bouc_wen", "friction_coulomb": "dahl"}
@@ -220,10 +162,15 @@ def _formulation(e: Instance, random: np.random.Generator) -> str:
 
 
 def switched_on(effects: Sequence[TrueEffect]) -> tuple[list[Instance], list[Changes]]:
-    """Effects as they stand in a truth: those that are switched on by their parameter, and the changes that make the others."""
+    """Effects as they stand in a truth: those that are switched on by their parameter, and the changes that make the others.
+
+    Clocks are not among them.
+    """
     parameters: list[Instance] = []
     changes: list[Changes] = []
     for e in effects:
+        if not e.physical:
+            continue
         instance = e.instance
         if e.formulation == "bouc_wen":
             torque = (94.0, 94.0, 94.0, 20.0, 18.0, 11.0)[instance.index - 1]
@@ -235,12 +182,18 @@ def switched_on(effects: Sequence[TrueEffect]) -> tuple[list[Instance], list[Cha
     return parameters, changes
 
 
-def write_run(
-    folder: Path, t: FloatArray, columns: Columns, ports: Mapping[str, PortData], c: Condition, labels: Mapping[str, Any]
-) -> None:
+def clocks(effects: Sequence[TrueEffect]) -> Changes:
+    """What the late clocks among the effects do to the log."""
+    return outside.merged([outside.late_clock(e.parameter.partition(" ")[2], e.value) for e in effects if not e.physical])
+
+
+def write_run(folder: Path, t: FloatArray, columns: Columns, c: Condition, labels: Mapping[str, Any]) -> None:
     """A measured run as `orchestration.runs.run.Run.load` reads it, without a date: the same bytes each time."""
     folder.mkdir(parents=True)
     np.save(folder / "segments.npy", planned(c).table)
+    if not c.cuts:
+        np.save(folder / "profile.npy", load_table(c))
+    ports = nominal(c).ports
     described = {n: {"port": n, "unit": ports[n].unit or "", "frame": frame_of(ports[n].name), "type": ports[n].type} for n in columns}
     noise = {array: values[0] for array, values in NOISE.items() if any(n.partition("[")[0] == array for n in columns)}
     info = {
@@ -252,11 +205,11 @@ def write_run(
         "robot": nominal_system().labels["robot"],
         "tool": "end mill D16 z3",
         "workpiece": "AW-2017",
-        "system": "milling_cell",
+        "system": nominal_system(system_file(c)).name,
         "clock": {"column": "t", "unit": "s", "step": STEP, "every": 1},
-        "labels": dict(labels),
+        "labels": {**labels, "kind": "milling" if c.cuts else "static load"},
         "instruments": noise,  # white noise by data sheet; the rest is for the repeats to show
-        "parameters": known(c, "segments.npy"),
+        "parameters": known(c, "segments.npy", "profile.npy"),
         "columns": described,
     }
     text = dump(info)
@@ -269,49 +222,58 @@ def write_run(
     )
 
 
-def _oracle(
-    sealed: Path,
-    truth: Truth,
-    machine: Machine,
-    world: tuple[Sequence[Instance], Changes],
-    fault: bad_logs.BadLog | None,
-) -> Truth:
+def _oracle(sealed: Path, truth: Truth, world: World, fault: bad_logs.BadLog | None) -> Truth:
     """The truth with what only the generator can know: how far effects and fault stand out, and what adopting the truth would close.
 
-    `<condition>.npy` in `sealed`: float32[n, 6], noise-free minus nominal, tool tip [m] and compensated force [N].
+    `<condition>.npy` in `sealed`: float32[n, 12], noise-free minus nominal (`difference`); clocks are not in it.
     """
     sealed.mkdir(parents=True, exist_ok=True)
-    main, tier, usual = truth.conditions[0], truth.tier, nominal(truth.conditions[0]).columns
-    t, with_them, _ = simulate(main, machine, *world, None)
-    _, without, _ = simulate(main, machine, (), Changes(), None)
-    groups = detectability(with_them, without, usual, tier)
+    given = [c for c in truth.conditions if not c.held_out]
+    bare = World(world.machine, (), Changes(), Changes())
+    usual, without = [nominal(c).columns for c in given], [bare.simulate(c)[1] for c in given]
+    logs = [world.simulate(c, log=True) for c in given]
+    groups = _largest([detectability(w, o, u, truth.tier) for (_, w), o, u in zip(logs, without, usual, strict=True)])
     effects = []
     for e in truth.effects:
-        alone = with_them
+        alone = [w for _, w in logs]
         if len(truth.effects) > 1:
             parameters, changes = switched_on([e])
-            _, alone, _ = simulate(main, machine, parameters, outside.merged(changes), None)
-        effects.append(replace(e, detectability=max(detectability(alone, without, usual, tier).values())))
+            one = World(world.machine, parameters, outside.merged(changes), clocks([e]))
+            alone = [one.simulate(c, log=True)[1] for c in given]
+        ratios = _largest([detectability(a, o, u, truth.tier) for a, o, u in zip(alone, without, usual, strict=True)])
+        effects.append(replace(e, detectability=max(ratios.values())))
     bad_log = truth.bad_log
     if fault is not None and bad_log is not None:
-        logged = {name: values.copy() for name, values in with_them.items()}
-        fault.apply(logged, t)
-        bad_log = replace(bad_log, detectability=max(detectability(logged, with_them, usual, tier).values()))
+        ratios = {}
+        for (t, with_them), nominal_columns in zip(logs, usual, strict=True):
+            faulty = {name: values.copy() for name, values in with_them.items()}
+            fault.apply(faulty, t)
+            ratios = _largest([ratios, detectability(faulty, with_them, nominal_columns, truth.tier)])
+        bad_log = replace(bad_log, detectability=max(ratios.values()))
     ceiling = {}
-    for c in truth.conditions[1:]:
-        _, clean, _ = simulate(c, machine, *world, None)
+    instances = [e.instance for e in effects if e.physical]
+    for c in truth.conditions:
+        if not c.held_out:
+            continue
+        clean = world.simulate(c)[1]
         gap = difference(clean, nominal(c).columns)
         np.save(sealed / f"{c.name.replace(' ', '-')}.npy", gap.astype(np.float32))
-        if effects:
-            after = difference(clean, simulate_nominal(c, [e.instance for e in effects]).columns)
-            ceiling[c.name] = {"tool tip": closure(gap[:, :3], after[:, :3]), "force": closure(gap[:, 3:], after[:, 3:])}
+        if instances:
+            after = difference(clean, simulate_nominal(c, instances, truth.hidden).columns)
+            ceiling[c.name] = {quantity: closure(gap[:, part], after[:, part]) for quantity, part in QUANTITIES.items()}
     largest = max(groups.values())
     return replace(truth, effects=tuple(effects), bad_log=bad_log, detectability=largest, detectability_by_array=groups, ceiling=ceiling)
 
 
+def _largest(groups: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """The largest ratio of each array over conditions."""
+    return {array: max(g.get(array, 0.0) for g in groups) for array in sorted({a for g in groups for a in g})}
+
+
 def difference(a: Mapping[str, FloatArray], b: Mapping[str, FloatArray]) -> FloatArray:
-    """Tool tip [m] and compensated force [N] of a minus those of b, (n, 6)."""
+    """Tool tip [m], compensated force [N] and motor torques [N m] of a minus those of b, (n, 12)."""
     names = [f"{array}[{i}]" for array in (TRACKER, "sensor.f_T_T") for i in (1, 2, 3)]
+    names += [f"drive.torque_motor[{i}]" for i in range(1, 7)]
     n = min(len(a[names[0]]), len(b[names[0]]))
     return np.stack([a[k][:n] - b[k][:n] for k in names], axis=1)
 

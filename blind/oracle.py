@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,56 +11,79 @@ import numpy as np
 
 from robomill.blind.case import DETECTABLE, Confusable
 from robomill.blind.figures import Separates, SquaredGaps
-from robomill.blind.generate import difference
+from robomill.blind.generate import QUANTITIES, difference
 from robomill.blind.next_run import separates
 from robomill.blind.prediction import ComponentValues
-from robomill.blind.signatures import clocks, confusable, features, library
+from robomill.blind.set_figures import Equivalents
+from robomill.blind.signatures import Change, clocks, confusable, features, library
+from robomill.blind.situation import Situation, nominal_run, situations
 from robomill.blind.truth import Truth
-from robomill.blind.world import nominal, simulate_adopted, simulate_nominal
 from robomill.models.model.declaration import FloatArray
 from robomill.orchestration.errors import OrchestrationError
 
 Truths = Mapping[int, Truth]
 """By number of the case."""
-COLUMNS = {"T1": slice(0, 3), "T0": slice(3, 6)}
-"""Tier -> columns of a sealed gap that count."""
 
 
-def oracle_confusable(folder: Path, truths: Truths, tier: str) -> Confusable:
-    """What cannot be told from an effect, from signatures (kept in the folder `oracle`)."""
+def situations_of(folder: Path, number: int, *, held_out: bool) -> list[Situation]:
+    """How a case was measured; `held_out`: with its held-out conditions."""
+    return [s for s in situations(folder / "cases" / f"{number:04d}") if held_out or not s.held_out]
+
+
+def oracle_confusable(folder: Path, truths: Truths, tier: str, *, held_out: bool = False) -> Confusable:
+    """What cannot be told from an effect on the diagnosed conditions, and on the held-out ones if asked for.
+
+    From signatures, which are kept in the folder `oracle`.
+    """
 
     def found(number: int, i: int) -> list[str]:
         truth = truths[number]
-        condition, true = truth.conditions[0], truth.effects[i].instance
-        lib = library(condition, folder / "oracle").for_tier(tier)
-        rows, reference = lib.matrix.shape[1] // len(lib.columns), nominal(condition)
-        change = features(simulate_nominal(condition, [true]).columns, reference.columns, lib.columns, rows)
-        return confusable(lib, true, change, DETECTABLE) + clocks(lib, reference, change, DETECTABLE)
+        if not truth.effects[i].physical:
+            return []
+        true = truth.effects[i].instance
+        component, changes = true.effect.component, []
+        for s in situations_of(folder, number, held_out=held_out):
+            lib, reference = library(s, folder / "oracle").for_tier(tier), nominal_run(s)
+            with_it = s.simulate({**truth.hidden, component: {**truth.hidden.get(component, {}), true.parameter: true.value}}).columns
+            rows = lib.matrix.shape[1] // len(lib.columns)
+            changes.append(Change(lib, reference, features(with_it, reference.columns, lib.columns, rows)))
+        return confusable(changes, true, DETECTABLE) + clocks(changes, DETECTABLE)
 
     return found
 
 
-def oracle_gaps(folder: Path, truths: Truths, tier: str) -> SquaredGaps:
+def oracle_gaps(folder: Path) -> SquaredGaps:
     """Gaps by running the nominal cell with the claimed parameters against the sealed noise-free gap. Unchanged where it cannot run."""
-    columns = COLUMNS[tier]
+    known: dict[int, dict[str, dict[str, tuple[float, float]]]] = {}
 
-    def found(number: int, adopted: ComponentValues) -> dict[str, tuple[float, float]]:
-        result = {}
-        for c in truths[number].conditions[1:]:
-            before = sealed_gap(folder, number, c.name)[:, columns]
+    def found(number: int, adopted: ComponentValues) -> dict[str, dict[str, tuple[float, float]]]:
+        if number in known:
+            return known[number]
+        result = known.setdefault(number, {})
+        for s in situations_of(folder, number, held_out=True):
+            if not s.held_out:
+                continue
+            before = sealed_gap(folder, number, s.name)
             try:
-                step = difference(simulate_adopted(c, adopted).columns, nominal(c).columns)[:, columns]
+                step = difference(s.simulate(adopted).columns, nominal_run(s).columns)
             except OrchestrationError:
                 step = np.zeros_like(before)
             n = min(len(before), len(step))
-            result[c.name] = float(np.sum(before[:n] ** 2)), float(np.sum((before[:n] - step[:n]) ** 2))
+            squares = np.sum(before[:n] ** 2, axis=0), np.sum((before[:n] - step[:n]) ** 2, axis=0)
+            result[s.name] = {q: (float(squares[0][part].sum()), float(squares[1][part].sum())) for q, part in QUANTITIES.items()}
         return result
 
     return found
 
 
+def oracle_equivalents(folder: Path, truths: Truths, tier: str) -> Equivalents:
+    """What no test on the runs of a case, held-out ones too, tells from its first effect; looked up once."""
+    alike = oracle_confusable(folder, truths, tier, held_out=True)
+    return cache(lambda number: alike(number, 0))
+
+
 def sealed_gap(folder: Path, number: int, condition: str) -> FloatArray:
-    """Noise-free gap of a held-out condition as sealed, (n, 6): tool tip [m], force [N]."""
+    """Noise-free gap of a held-out condition as sealed, (n, 12): see `generate.difference`."""
     values: FloatArray = np.load(folder / "sealed" / f"{number:04d}" / f"{condition.replace(' ', '-')}.npy").astype(np.float64)
     return values
 

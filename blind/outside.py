@@ -7,8 +7,9 @@ drives and the compliance, `cut` behind the cutting force, `sense` before the se
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 
 import numpy as np
 
@@ -309,14 +310,12 @@ def dahl(index: int, coulomb: float) -> Changes:
 
 
 def merged(changes: list[Changes]) -> Changes:
-    """All changes one after the other; at most one at each place of the signal flow (ValueError otherwise)."""
+    """All changes one after the other, in their order at each place of the signal flow."""
     found: dict[str, Callable[[], Function]] = {}
     for place in ("link", "cut", "sense"):
         makers = [m for c in changes if (m := getattr(c, place)) is not None]
-        if len(makers) > 1:
-            raise ValueError(f"two inserts at {place!r}")
         if makers:
-            found[place] = makers[0]
+            found[place] = makers[0] if len(makers) == 1 else _in_turn(makers)
     afters = [c.after for c in changes if c.after is not None]
 
     def after(columns: Columns, t: FloatArray, step: float) -> None:
@@ -324,6 +323,35 @@ def merged(changes: list[Changes]) -> Changes:
             a(columns, t, step)
 
     return Changes(**found, after=after if afters else None)
+
+
+def _in_turn(makers: Sequence[Callable[[], Function]]) -> Callable[[], Function]:
+    """Functions one behind the other: each changes the first inputs, and what is behind them (the force at `link`) is for all."""
+
+    def make() -> Function:
+        functions = [m() for m in makers]
+
+        def function(t: float, h: float, u: FloatArray) -> FloatArray:
+            y = u
+            for f in functions:
+                y = f(t, h, u)
+                u = np.concatenate([y, u[len(y) :]])
+            return y
+
+        return function
+
+    return make
+
+
+def late_clock(pattern: str, delay: float) -> Changes:
+    """A clock that is late by `delay` [s], in the log only: columns whose names match the pattern, such as `sensor.*`."""
+
+    def after(columns: Columns, t: FloatArray, step: float) -> None:
+        for name in columns:
+            if fnmatchcase(name, pattern):
+                columns[name] = np.interp(t - delay, t, columns[name])
+
+    return Changes(after=after)
 
 
 OUTSIDE_BY_NAME: Mapping[str, Outside] = {o.name: o for o in OUTSIDE}

@@ -97,7 +97,9 @@ class Prediction:
     how_far: tuple[Mapping[str, Any], ...] = ()
     next_run: Mapping[str, Any] | None = None
     cpu: float | None = None
-    """Time that it took [s]."""
+    """CPU time that it took [s]."""
+    wall: float | None = None
+    """Wall time that it took [s]."""
 
     @staticmethod
     def read(content: Mapping[str, Any]) -> Prediction:
@@ -110,6 +112,7 @@ class Prediction:
             tuple(content.get("how_far") or ()),
             content.get("next_run"),
             (content.get("time") or {}).get("cpu"),
+            (content.get("time") or {}).get("wall"),
         )
 
     @property

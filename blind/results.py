@@ -1,4 +1,4 @@
-"""What comes out of scoring, and of diagnosing without the true effect: the records of score.json and withheld.json."""
+"""What comes out of scoring: the record of score.json."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robomill.blind.statistics import Figure
+from robomill.blind.statistics import Claim, Figure
 
 Figures = Mapping[str, Figure]
+ALL = "all"
+"""Key of the figures over the cases of both generators."""
 
 
 def _figures(content: Mapping[str, Mapping[str, Any]]) -> Figures:
@@ -17,7 +19,7 @@ def _figures(content: Mapping[str, Mapping[str, Any]]) -> Figures:
 
 @dataclass(frozen=True)
 class EffectCounts:
-    """Cases of a true effect (singles), and of how many this is true."""
+    """Cases of a true effect (singles and withheld ones), and of how many this is true."""
 
     cases: int
     detectable: int
@@ -32,10 +34,12 @@ class Score:
     """All of score.json."""
 
     schema: str
+    set: str
     tier: str
+    generator: str
     cases: int
     seed: int
-    version: int | None
+    version: int
     date: str
     commit: str
     predictions: int
@@ -43,46 +47,23 @@ class Score:
     kinds: Mapping[str, int]
     isolability: bool
     """Whether it was looked at."""
-    scores: Figures
+    scores: Mapping[str, Figures]
+    """Over all cases (`all`), and by generator."""
     strata: Mapping[str, Figures]
     per_effect: Mapping[str, EffectCounts]
     confusion: Mapping[str, Mapping[str, int]]
+    """True effect -> what was said first -> cases."""
+    components: Mapping[str, Mapping[str, int]]
+    """The same by component."""
+    claims: Sequence[Claim]
+    """Everything that is claimed in good logs: the calibration counts over all sets together."""
+    wall: float | None
+    """Mean wall time of a diagnosis in one process [s]."""
     baselines: Mapping[str, Figures]
 
     @staticmethod
     def read(content: Mapping[str, Any]) -> Score:
         """From the content of the file."""
-        tables: dict[str, Any] = {key: {name: _figures(f) for name, f in content[key].items()} for key in ("strata", "baselines")}
+        tables: dict[str, Any] = {key: {name: _figures(f) for name, f in content[key].items()} for key in ("scores", "strata", "baselines")}
         counts = {name: EffectCounts(**c) for name, c in content["per_effect"].items()}
-        return Score(**{**content, **tables, "scores": _figures(content["scores"]), "per_effect": counts})
-
-
-@dataclass(frozen=True)
-class WithheldCase:
-    """What was said of a case whose effect was not in the catalogue."""
-
-    case: str
-    effect: str
-    """The one that was taken out, as `component.effect`."""
-    verdict: str
-    said: str | None
-    """The candidate that came first, with its probability, if an effect was claimed."""
-    probability: float | None
-
-
-@dataclass(frozen=True)
-class Withheld:
-    """All of withheld.json."""
-
-    tier: str
-    seed: int
-    figures: Figures
-    """Share of each verdict."""
-    cases: Sequence[WithheldCase]
-    failed: Mapping[str, str]
-    """Case -> what went wrong."""
-
-    @staticmethod
-    def read(content: Mapping[str, Any]) -> Withheld:
-        """From the content of the file."""
-        return Withheld(**{**content, "figures": _figures(content["figures"]), "cases": [WithheldCase(**c) for c in content["cases"]]})
+        return Score(**{**content, **tables, "per_effect": counts, "claims": [Claim(**c) for c in content["claims"]]})

@@ -6,31 +6,44 @@ import subprocess
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
+
 from robomill.blind.baselines import baseline_guesses
 from robomill.blind.case import CASE_KINDS, Cases, load_cases
 from robomill.blind.figures import baseline_figures, figures
-from robomill.blind.oracle import oracle_confusable, oracle_gaps, oracle_separates
-from robomill.blind.results import Score
+from robomill.blind.oracle import oracle_confusable, oracle_equivalents, oracle_gaps, oracle_separates
+from robomill.blind.results import ALL, Score
 from robomill.blind.sealing import freeze_predictions, unseal
-from robomill.blind.tables import confusion, per_effect, strata
+from robomill.blind.set_figures import claims
+from robomill.blind.tables import by_component, confusion, per_effect, strata
 from robomill.blind.workers import Progress
 from robomill.files import FILES
 
+WITH_BASELINES = ("single", "mixed")
+"""Sets on which the baselines of DIAGNOSIS.md are run: they name one effect or none."""
+
 
 def score(folder: str | Path, *, isolability: bool = True, baselines: bool = True, progress: Progress | None = None) -> Score:
-    """Freeze the predictions, unseal, score. `isolability` and `baselines` need signatures: about 15 s for each of six conditions, once.
+    """Freeze the predictions, unseal, score. `isolability` and `baselines` need signatures: about 5 s for each way to measure, once.
 
-    BenchmarkError where the folder is not as it was made.
+    Without `isolability` a withheld effect has no equivalents. BenchmarkError where the folder is not as it was made.
     """
     folder = Path(folder)
     frozen, first = freeze_predictions(folder)
     head, truths = unseal(folder)
     tier = head.tier
     cases = Cases(load_cases(folder, truths), oracle_confusable(folder, truths, tier) if isolability else None)
-    guesses = baseline_guesses(folder, cases.all, tier, progress) if baselines else {}
+    equivalents = oracle_equivalents(folder, truths, tier) if isolability else lambda _: ()
+    gaps, separates = oracle_gaps(folder), oracle_separates(truths, tier)
+    makers = sorted({c.truth.generator for c in cases.all})
+    parts = {ALL: cases, **{name: cases.of_generator(name) for name in makers}}
+    guesses = baseline_guesses(folder, cases.all, tier, progress) if baselines and head.set in WITH_BASELINES else {}
+    walls = [c.prediction.wall for c in cases.all if c.prediction.wall is not None]
     return Score(
-        schema="robomill-blind-score/1",
+        schema="robomill-blind-score/2",
+        set=head.set,
         tier=tier,
+        generator=head.generator,
         cases=len(cases.all),
         seed=head.seed,
         version=head.version,
@@ -40,10 +53,13 @@ def score(folder: str | Path, *, isolability: bool = True, baselines: bool = Tru
         predictions_as_first_unsealed=first,
         kinds={k: len(cases.of(k)) for k in CASE_KINDS},
         isolability=isolability,
-        scores=figures(cases, tier, oracle_gaps(folder, truths, tier), oracle_separates(truths, tier)),
+        scores={name: figures(part, tier, gaps, separates, equivalents) for name, part in parts.items()},
         strata=strata(cases),
         per_effect=per_effect(cases),
         confusion=confusion(cases),
+        components=by_component(confusion(cases)),
+        claims=claims(cases, equivalents),
+        wall=float(np.mean(walls)) if walls else None,
         baselines={name: baseline_figures(cases, by_case) for name, by_case in guesses.items()},
     )
 

@@ -29,6 +29,10 @@ class Benchmark:
     cases: int
     seed: int
     tier: str
+    set: str
+    """One of `sets.SETS`."""
+    generator: str
+    """One of `sets.GENERATORS`."""
     truth: str
     """Hash of the manifest of the truth."""
     files: Mapping[str, str]

@@ -1,9 +1,10 @@
-"""What each catalogue effect does to the measured columns of a training condition, to first order: for oracle and baselines."""
+"""What each catalogue effect does to the measured columns of a situation, to first order: for the oracle."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -11,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from robomill.blind.conditions import Condition
 from robomill.blind.effects import EFFECTS, Instance
-from robomill.blind.world import MEASURED, STEP, TRACKER, nominal, simulate_nominal
+from robomill.blind.situation import Situation, nominal_run
+from robomill.blind.world import MEASURED, STEP, TRACKER, nominal_system
 from robomill.models.model.declaration import FloatArray
 from robomill.orchestration.runs.run import Run
 
@@ -33,8 +34,8 @@ FLOOR: Mapping[str, float] = {
     "milling.spindle_torque": 0.03,
 }
 """Rms, by array, of the mean of six repeats of a machine without effects minus the nominal run: 90 % of the elements of twelve such
-machines (two per training condition) are below.
-`correction_q` is not sent in the training conditions; its value is that of 7 um at 1.4 m."""
+machines, cutting slots of 3 to 5 mm, are below.
+`correction_q` is not sent there; its value is that of 7 um at 1.4 m."""
 CLOCK = 5e-5
 """Uncertainty of the timestamps [s] after averaging."""
 
@@ -44,7 +45,7 @@ LATEST = 0.12
 
 @dataclass(frozen=True)
 class Library:
-    """Whitened signatures of all candidates at one training condition."""
+    """Whitened signatures of all candidates in one situation; zero where it does not have their component."""
 
     candidates: tuple[Instance, ...]
     """Every effect at every element, at the middle (geometric) of its range."""
@@ -90,91 +91,95 @@ def floor(name: str, reference: FloatArray) -> FloatArray:
     return rows
 
 
-def feature_names() -> tuple[str, ...]:
-    """Measured elements but for those of the path."""
-    some = nominal(_any_condition()).columns
-    return tuple(n for a in ARRAYS for n in some if n.partition("[")[0] == a)
-
-
-def _any_condition() -> Condition:
-    from robomill.blind.conditions import _TRAINING
-
-    return _TRAINING[0]
-
-
 @lru_cache(maxsize=16)
-def library(c: Condition, cache: Path | None = None, progress: Callable[[int, int], object] | None = None) -> Library:
-    """The library of a condition (about 15 s); kept as a file in the folder `cache`, and in memory."""
-    every, names = candidates(), feature_names()
-    reference = nominal(c).columns
-    rows = len(nominal(c).t) // STRIDE
-    key = f"{c.turn:g}_{c.depth:g}_{c.feed:g}_{c.mirrored:d}_{'_'.join(f'{v:g}' for v in c.position)}"
-    key += "_" + hashlib.sha256(repr((sorted(FLOOR.items()), CLOCK, EFFECTS)).encode()).hexdigest()[:8]
+def library(s: Situation, cache: Path | None = None) -> Library:
+    """The library of a situation (about 5 s); kept as a file in the folder `cache`, and in memory."""
+    every, reference = candidates(), nominal_run(s).columns
+    names = tuple(n for a in ARRAYS for n in reference if n.partition("[")[0] == a)
+    rows = len(nominal_run(s).t) // STRIDE
+    key = hashlib.sha256(repr((s.key, sorted(FLOOR.items()), CLOCK, EFFECTS)).encode()).hexdigest()[:16]
     file = None if cache is None else cache / f"signatures_{key}.npy"
     if file is not None and file.is_file():
-        matrix = np.load(file).astype(np.float64)
-    else:
-        found = []
-        for i, instance in enumerate(every):
-            found.append(features(simulate_nominal(c, [instance]).columns, reference, names, rows))
-            if progress is not None:
-                progress(i + 1, len(every))
-        matrix = np.array(found)
-        if file is not None:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            np.save(file, matrix.astype(np.float32))
+        return Library(every, np.load(file).astype(np.float64), names)
+    matrix = np.zeros((len(every), len(names) * rows))
+    present = {c.name for c in nominal_system(s.system).components}
+    for i, e in enumerate(every):
+        if e.effect.component in present:
+            columns = s.simulate({e.effect.component: {e.parameter: e.value}}).columns
+            matrix[i] = features(columns, reference, names, rows)
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_name(f".{file.stem}-{os.getpid()}.npy")
+        np.save(part, matrix.astype(np.float32))
+        part.replace(file)
     return Library(every, matrix, names)
 
 
-def confusable(lib: Library, true: Instance, change: FloatArray, limit: float) -> list[str]:
-    """Candidates (`component.parameter`) that explain the whitened change of the true effect but for `limit`: at their best strength
+@dataclass(frozen=True)
+class Change:
+    """What a true effect changes in one situation."""
+
+    library: Library
+    reference: Run
+    whitened: FloatArray
+    """float64[features], as a row of the matrix of the library."""
+
+
+def confusable(changes: Sequence[Change], true: Instance, limit: float) -> list[str]:
+    """Candidates (`component.parameter`) that explain the changes in all situations together but for `limit`: at their best strength
 
     the largest rms of what is left, over columns and windows of 0.5 s, stays below it. The true element itself is left out.
     """
-    energy = np.einsum("ij,ij->i", lib.matrix, lib.matrix)
-    scale = np.divide(lib.matrix @ change, energy, out=np.zeros(len(energy)), where=energy > 0.0)
+    energy = np.sum([np.einsum("ij,ij->i", c.library.matrix, c.library.matrix) for c in changes], axis=0)
+    along = np.sum([c.library.matrix @ c.whitened for c in changes], axis=0)
+    scale = np.divide(along, energy, out=np.zeros(len(energy)), where=energy > 0.0)
     found = []
-    for i, c in enumerate(lib.candidates):
-        if (c.key, c.index) == (true.key, true.index):
+    for i, rival in enumerate(changes[0].library.candidates):
+        if (rival.key, rival.index) == (true.key, true.index):
             continue
-        left = (change - scale[i] * lib.matrix[i]).reshape(len(lib.columns), -1)
-        if _largest_window(left) < limit:
-            found.append(f"{c.effect.component}.{c.parameter}")
+        left = [(c.whitened - scale[i] * c.library.matrix[i]).reshape(len(c.library.columns), -1) for c in changes]
+        if max(map(_largest_window, left)) < limit:
+            found.append(f"{rival.effect.component}.{rival.parameter}")
     return found
 
 
-def clocks(lib: Library, reference: Run, change: FloatArray, limit: float) -> list[str]:
-    """Clocks of the log (`logging.lag COMPONENT`) that explain the whitened change but for `limit`, by a lag of up to `LATEST`."""
-    of_change = change.reshape(len(lib.columns), -1)
+def clocks(changes: Sequence[Change], limit: float) -> list[str]:
+    """Clocks of the log (`logging.lag COMPONENT`) that explain the changes but for `limit`, by one lag of up to `LATEST` everywhere."""
     found = []
-    for device in dict.fromkeys(name.partition(".")[0] for name in lib.columns):
-        late = [i for i, name in enumerate(lib.columns) if name.partition(".")[0] == device]
-        on_time = [i for i in range(len(lib.columns)) if i not in late]
-        if on_time and _largest_window(of_change[on_time]) >= limit:
-            continue
-        if _largest_window(_without_lag(of_change[late], reference, [lib.columns[i] for i in late])) < limit:
+    for device in dict.fromkeys(name.partition(".")[0] for c in changes for name in c.library.columns):
+        parts, others = [], []
+        for c in changes:
+            late = np.array([name.partition(".")[0] == device for name in c.library.columns])
+            rows = c.whitened.reshape(len(late), -1)
+            parts.append((rows[late], c.reference, [n for n, on in zip(c.library.columns, late, strict=True) if on]))
+            others.append(rows[~late])
+        if all(_largest_window(o) < limit for o in others) and max(map(_largest_window, _without_lag(parts))) < limit:
             found.append(f"logging.lag {device}")
     return found
 
 
-def _without_lag(change: FloatArray, reference: Run, names: Sequence[str]) -> FloatArray:
-    """What the best lag leaves of a whitened change, [names, rows]."""
-    rows = slice(0, change.shape[1] * STRIDE, STRIDE)
-    logged = [reference.columns[name] for name in names]
-    floors = [floor(name, y) for name, y in zip(names, logged, strict=True)]
+def _without_lag(parts: Sequence[tuple[FloatArray, Run, Sequence[str]]]) -> list[FloatArray]:
+    """What the best lag leaves of whitened changes, [names, rows] each."""
 
-    def left(lag: float) -> FloatArray:
-        shifted = [((np.interp(reference.t - lag, reference.t, y) - y) / f)[rows] for y, f in zip(logged, floors, strict=True)]
-        return change - np.array(shifted)
+    def left(lag: float) -> list[FloatArray]:
+        found = []
+        for change, reference, names in parts:
+            rows = slice(0, change.shape[1] * STRIDE, STRIDE)
+            logged = [reference.columns[name] for name in names]
+            late = [((np.interp(reference.t - lag, reference.t, y) - y) / floor(n, y))[rows] for n, y in zip(names, logged, strict=True)]
+            found.append(change - np.array(late).reshape(change.shape))
+        return found
 
     def misfit(lag: float) -> float:
-        return float(np.sum(left(lag) ** 2))
+        return float(sum(np.sum(x**2) for x in left(lag)))
 
     near = min(np.arange(-LATEST, LATEST + STEP, STEP), key=misfit)
     return left(minimize_scalar(misfit, bounds=(near - STEP, near + STEP), method="bounded", options={"xatol": 1e-6}).x)
 
 
 def _largest_window(values: FloatArray, rows: int = 25) -> float:
+    if not values.size:
+        return 0.0
     n = max(values.shape[1] // rows, 1)
     squares = [np.mean(values[:, k * rows : (k + 1) * rows] ** 2, axis=1).max() for k in range(n)]
     return float(np.sqrt(max(squares)))

@@ -24,6 +24,15 @@ class Figure:
     interval: Sequence[float] | None
 
 
+@dataclass(frozen=True)
+class Claim:
+    """What was claimed, how sure, and whether it was right."""
+
+    probability: float
+    right: bool
+    generator: str
+
+
 def wilson(hits: int, count: int, z: float = Z) -> tuple[float, float]:
     """95 % interval of a proportion (Wilson 1927); (0, 1) without cases."""
     if count == 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from robomill.blind.case import REAL, Case, Cases
 from robomill.blind.criteria import component_right, effect_in_top
@@ -33,18 +34,41 @@ def strata(cases: Cases) -> dict[str, dict[str, Figure]]:
 
 
 def confusion(cases: Cases) -> dict[str, dict[str, int]]:
-    """True effect (kind of the case where there is none) -> what was said first -> cases. Singles, nulls, unknowns, bad logs."""
+    """True effect (kind of the case where there is none) -> what was said first -> cases; each claim of a machine counts by itself."""
     table: dict[str, dict[str, int]] = {}
-    for c in cases.of("single", "null", "outside", "bad_log"):
-        row = table.setdefault(_true_label(c), {})
-        said = c.prediction.claimed[0].names[0].key if c.prediction.claimed else c.prediction.verdict
+
+    def count(true: str, said: str) -> None:
+        row = table.setdefault(true, {})
         row[said] = row.get(said, 0) + 1
+
+    for c in cases.of("single", "withheld", "null", "outside", "bad_log"):
+        count(_true_label(c), c.prediction.claimed[0].names[0].key if c.prediction.claimed else c.prediction.verdict)
+    for c in cases.of("machine"):
+        named = {n for e in c.prediction.claimed for n in e.names}
+        for true in c.effects:
+            count(true.key, true.key if true in named else "not named")
+        for said in sorted(n.key for n in named - set(c.effects)):
+            count("not there", said)
     return {name: dict(sorted(row.items(), key=lambda item: -item[1])) for name, row in sorted(table.items())}
 
 
+def by_component(table: Mapping[str, Mapping[str, int]]) -> dict[str, dict[str, int]]:
+    """A confusion matrix of components from one of effects; what is no effect stays as it is."""
+    found: dict[str, dict[str, int]] = {}
+    for true, row in table.items():
+        into = found.setdefault(_component(true), {})
+        for said, n in row.items():
+            into[_component(said)] = into.get(_component(said), 0) + n
+    return found
+
+
+def _component(label: str) -> str:
+    return label.partition(":")[0] if ":" in label else label.partition(".")[0]
+
+
 def _true_label(c: Case) -> str:
-    if c.kind == "single":
-        return c.effects[0].key
+    if c.effects and c.kind != "bad_log":
+        return f"withheld: {c.effects[0].key}" if c.kind == "withheld" else c.effects[0].key
     outside, fault = c.truth.outside, c.truth.bad_log
     return f"outside: {outside.name}" if outside else f"bad log: {fault.kind}" if fault else c.kind
 
@@ -52,7 +76,7 @@ def _true_label(c: Case) -> str:
 def per_effect(cases: Cases) -> dict[str, EffectCounts]:
     """By true effect."""
     table: dict[str, list[Case]] = {}
-    for c in cases.of("single"):
+    for c in cases.of("single", "withheld"):
         table.setdefault(c.effects[0].key, []).append(c)
     return {
         key: EffectCounts(

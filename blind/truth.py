@@ -8,7 +8,7 @@ from typing import Any
 
 from robomill.blind.conditions import Condition
 from robomill.blind.effects import BY_KEY, Instance
-from robomill.blind.prediction import Named
+from robomill.blind.prediction import LOGGING, Named
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class TrueEffect:
     value: float
     unit: str
     formulation: str = "parameter"
-    """How it is made: by its parameter, or as `bouc_wen` or `dahl`."""
+    """How it is made: by its parameter, or as something else, such as `bouc_wen`; `clock`: in the log."""
     detectability: float | None = None
     """Oracle ratio of this effect alone; None: not looked at."""
 
@@ -33,8 +33,13 @@ class TrueEffect:
         return Named.of(self.component, self.parameter)
 
     @property
+    def physical(self) -> bool:
+        """Whether it is in the machine, not in its log."""
+        return self.component != LOGGING
+
+    @property
     def instance(self) -> Instance:
-        """As it is switched on."""
+        """As it is switched on; of a clock there is none (KeyError)."""
         return Instance(BY_KEY[f"{self.component}.{self.effect}"], self.index, self.value)
 
 
@@ -71,10 +76,15 @@ class Truth:
     bad_log: TrueFault | None = None
     case: int = 0
     tier: str = "T1"
+    generator: str = "first"
+    repeats: int = 6
+    """Runs of each diagnosed condition."""
     machine: Mapping[str, Mapping[str, Any]] | None = None
-    """Perturbed parameters; None: version 1 of the generator did not keep them."""
+    """Perturbed parameters; None: the generator has none that the models know."""
+    hidden: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Constants that no two machines share, as far as the models have parameters for them."""
     conditions: tuple[Condition, ...] = ()
-    """The training condition, and the held-out ones."""
+    """What was measured, held-out conditions last; empty: the generator has conditions of its own."""
     detectability: float = 0.0
     """Oracle ratio of all that is in it, the largest over the measured arrays."""
     detectability_by_array: Mapping[str, float] = field(default_factory=dict)

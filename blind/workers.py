@@ -9,6 +9,8 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from typing import Any
 
+from robomill.orchestration.cluster import as_they_finish, connect
+
 Job = tuple[Any, ...]
 """Arguments of one call."""
 Progress = Callable[[str, int, int], object]
@@ -66,22 +68,10 @@ def _one_thread_each() -> Iterator[None]:
 
 
 def _dask(function: Callable[..., Any], jobs: Sequence[Job], scheduler: str) -> Iterator[tuple[int, Any]]:
-    try:
-        import distributed
-    except ImportError:
-        raise ValueError(f"--scheduler {scheduler}: needs Dask; install it with: pip install robomill[cluster]") from None
-    dask: Any = distributed  # it has no types
-    try:
-        client = dask.Client(scheduler, timeout=10)
-    except (OSError, ValueError) as error:
-        raise ValueError(
-            f"--scheduler {scheduler}: no Dask scheduler there ({error}); expected an address such as tcp://host:8786, "
-            "that of a running `dask scheduler`"
-        ) from None
-    with client:
+    with connect(scheduler) as client:
         numbers = {client.submit(function, *job, pure=False): i for i, job in enumerate(jobs)}
         try:
-            for future in dask.as_completed(list(numbers)):
+            for future in as_they_finish(list(numbers)):
                 yield numbers[future], future.result()
         finally:
             client.cancel([f for f in numbers if not f.done()])

@@ -1,15 +1,15 @@
 """The generator's world: the same components, but neither the integration nor the numbers that the diagnosis has.
 
 Against the inverse crime: the communication step is 2 ms (drive, sensor and controller keep their 4 ms cycle and see the mean force of
-it), all calibrated parameters are off by a little, noise is coloured and inside the loop, timestamps jitter, and some effects
-have another formulation than the catalogue's.
+it), all calibrated parameters are off by a little, hidden constants (phases, frequencies, damping) are the machine's own, noise is
+coloured and inside the loop, timestamps jitter, and some effects have another formulation than the catalogue's.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from robomill.blind.conditions import Condition, known, planned
+from robomill.blind.conditions import Condition, known, load_table, planned
 from robomill.blind.effects import Instance
 from robomill.blind.force_averaging import FINE, felt
 from robomill.blind.insert import Function, Insert, insert, resolver
@@ -36,6 +36,8 @@ from robomill.orchestration.system.definition import Connection, System
 
 STEP = 0.004
 SYSTEM = FILES / "scenarios" / "milling_cell.toml"
+LOADED = FILES / "scenarios" / "experiments" / "loaded_cell.toml"
+"""The same cell with an applied load in place of the cut."""
 MEASURED = (
     "path.p_BT_B",
     "path.quat_BT",
@@ -87,15 +89,23 @@ _ABSOLUTE = {
 
 @dataclass(frozen=True)
 class Machine:
-    """One machine as it really is: perturbed parameters, component -> parameter -> values."""
+    """One machine as it really is; component -> parameter -> values."""
 
     parameters: Mapping[str, Mapping[str, Any]]
+    """Calibrated ones, off by a little."""
+    hidden: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Constants of effects that no two machines share; they change nothing where the effect is off."""
 
 
 @cache
-def nominal_system() -> System:
+def nominal_system(file: Path = SYSTEM) -> System:
     """The cell as everybody knows it."""
-    return load_system(SYSTEM)
+    return load_system(file)
+
+
+def system_file(c: Condition) -> Path:
+    """The file of the system that makes a condition."""
+    return SYSTEM if c.cuts else LOADED
 
 
 @cache
@@ -129,16 +139,53 @@ def draw_machine(random: np.random.Generator) -> Machine:
     return Machine(found)
 
 
-def _segments(c: Condition, folder: Path) -> str:
-    file = folder / "segments.npy"
-    np.save(file, planned(c).table)
-    return str(file)
+def draw_hidden(random: np.random.Generator) -> dict[str, dict[str, Any]]:
+    """The hidden constants of a machine, for every effect whose model has a parameter for one."""
+    torque = _nominal_value("compliance", "hysteresis_torque")
+    direction = random.standard_normal(3)
+    return {
+        "compliance": {
+            "mode_frequency": _log_uniform(random, 5.0, 20.0),
+            "mode_damping": _log_uniform(random, 0.01, 0.06),
+            "mode_direction": [float(v) for v in direction / np.linalg.norm(direction)],
+            "hysteresis_torque": [float(v) * _log_uniform(random, 0.5, 2.0) for v in torque],
+            "friction_stiffness": _log_uniform(random, 0.3, 1.1),
+        },
+        "drive": {
+            "transmission_phase": [float(v) for v in random.uniform(-math.pi, math.pi, 6)],
+            "transmission_harmonic": [float(v) for v in random.integers(1, 3, 6)],
+            "stribeck_speed": _log_uniform(random, 0.01, 0.04),
+        },
+        "milling": {"runout_angle": float(random.uniform(0.0, 2.0 * math.pi))},
+        "sensor": {"zero_drift_time": _log_uniform(random, 300.0, 1200.0)},
+    }
+
+
+def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
+    return float(low * (high / low) ** random.random())
+
+
+def _tables(c: Condition, folder: Path) -> dict[str, dict[str, Any]]:
+    """What the experimenter sets, with the tables of program and load in a folder."""
+    segments, profile = folder / "segments.npy", folder / "profile.npy"
+    np.save(segments, planned(c).table)
+    if not c.cuts:
+        np.save(profile, load_table(c))
+    return known(c, str(segments), str(profile))
+
+
+def there(system: System, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """The parameters of components that a system has."""
+    names = {c.name for c in system.components}
+    return {k: v for k, v in parameters.items() if k in names}
 
 
 def with_effects(system: System, effects: Sequence[Instance]) -> System:
-    """The system with effects switched on by their parameters."""
+    """The system with effects switched on by their parameters; what is in components that it does not have has no effect."""
+    names = {c.name for c in system.components}
     for e in effects:
-        system = system.with_parameters(e.effect.component, {e.parameter: e.value})
+        if e.effect.component in names:
+            system = system.with_parameters(e.effect.component, {e.parameter: e.value})
     return system
 
 
@@ -148,21 +195,18 @@ def nominal(c: Condition) -> Run:
     return simulate_nominal(c, ())
 
 
-def simulate_nominal(c: Condition, effects: Sequence[Instance]) -> Run:
-    """What the nominal cell, coupled as its file says, does with effects switched on; no noise."""
-    adopted: dict[str, dict[str, float]] = {}
-    for e in effects:
-        adopted.setdefault(e.effect.component, {})[e.parameter] = e.value
-    return simulate_adopted(c, adopted)
-
-
-def simulate_adopted(c: Condition, adopted: Mapping[str, Mapping[str, float]]) -> Run:
-    """What the nominal cell, coupled as its file says, does with parameters set: component -> element -> value; no noise."""
+def simulate_nominal(c: Condition, effects: Sequence[Instance], hidden: Mapping[str, Mapping[str, Any]] | None = None) -> Run:
+    """What the nominal cell, coupled as its file says, does with effects switched on and hidden constants set; no noise."""
     with TemporaryDirectory() as folder:
-        system = with_parameters(nominal_system(), known(c, _segments(c, Path(folder))))
-        system = with_parameters(system, QUIET)
-        system = with_parameters(system, {k: v for k, v in adopted.items() if any(c.name == k for c in system.components)})
-        return run(system, None, resolver=resolve, convert=convert)
+        system = nominal_system(system_file(c))
+        return run_nominal(with_effects(with_parameters(system, there(system, hidden or {})), effects), _tables(c, Path(folder)), {})
+
+
+def run_nominal(system: System, parameters: Mapping[str, Mapping[str, Any]], adopted: Mapping[str, Mapping[str, Any]]) -> Run:
+    """A run of a system with what the experimenter sets and with parameters adopted: component -> element -> value; no noise."""
+    for table in (parameters, QUIET, adopted):
+        system = with_parameters(system, there(system, table))
+    return run(system, None, resolver=resolve, convert=convert)
 
 
 def simulate(
@@ -170,16 +214,18 @@ def simulate(
 ) -> tuple[FloatArray, Columns, Mapping[str, PortData]]:
     """True times [s], columns and their ports every 4 ms. Without `random`: no noise, nothing that varies from run to run."""
     with TemporaryDirectory() as folder:
-        system = with_parameters(nominal_system(), known(c, _segments(c, Path(folder))))
-        system = with_parameters(system, machine.parameters)
-        if random is None:
-            noise = QUIET
-        else:
+        system = nominal_system(system_file(c))
+        varies: Mapping[str, Mapping[str, Any]] = QUIET
+        if random is not None:
             place = [v + 5e-6 * float(random.standard_normal()) for v in c.position]
-            noise = {"sensor": {"seed": int(random.integers(1, 2**31))}, "controller": {"seed": int(random.integers(1, 2**31))}}
-            system = with_parameters(system, {"milling": {"p_BP_B": place}})
-        system = with_effects(with_parameters(system, noise), effects)
-        return _simulate(system, changes, random)
+            varies = {
+                "sensor": {"seed": int(random.integers(1, 2**31))},
+                "controller": {"seed": int(random.integers(1, 2**31))},
+                "milling": {"p_BP_B": place, "spindle_start_angle": float(random.uniform(0.0, 2.0 * math.pi))},
+            }
+        for table in (_tables(c, Path(folder)), machine.parameters, machine.hidden, varies):
+            system = with_parameters(system, there(system, table))
+        return _simulate(with_effects(system, effects), changes, random)
 
 
 def simulate_menu(
@@ -190,12 +236,9 @@ def simulate_menu(
     What is in components that the run does not have has no effect. LookupError: no such run.
     """
     with TemporaryDirectory() as folder:
-        made = prepare(with_parameters(nominal_system(), machine.parameters), kind, Path(folder))
-        system = with_parameters(with_parameters(made.system, made.parameters), QUIET)
-        there = {c.name for c in system.components}
-        system = with_effects(system, [e for e in effects if e.effect.component in there])
-        system = with_parameters(system, {k: v for k, v in adopted.items() if k in there})
-        t, columns, _ = _simulate(system, changes, None)
+        made = prepare(with_parameters(with_parameters(nominal_system(), machine.parameters), machine.hidden), kind, Path(folder))
+        system = with_effects(with_parameters(with_parameters(made.system, made.parameters), QUIET), effects)
+        t, columns, _ = _simulate(with_parameters(system, there(system, adopted)), changes, None)
         return t, columns
 
 

@@ -11,6 +11,7 @@ An experiment file is a scenario of kind "experiment"::
     [experiment]
     kind = "static load"            # label of the runs
     repeats = 3                     # of each condition, each with noise of its own
+    columns = ["path.*", "drive.q_motor"]   # what is measured (default: what the system records)
 
     [parameters]                    # known to the experimenter, for all conditions
     controller.mode = 0
@@ -93,9 +94,9 @@ class RepeatSummary:
     condition: str
     repeat: int
     duration_s: float
-    max_displacement_m: float
-    max_force_n: float
-    """As measured."""
+    max_displacement_m: float | None
+    max_force_n: float | None
+    """As measured; None where that is not recorded."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,8 @@ class Experiment:
     conditions: tuple[ExperimentCondition, ...]
     equipment: Mapping[str, Entry] = field(default_factory=dict)
     """Robot, tool, material and sensor, where they are others than those of the system."""
+    columns: tuple[str, ...] = ()
+    """Patterns of what is recorded; none: what the system records."""
 
 
 def is_experiment(file: Path) -> bool:
@@ -128,7 +131,7 @@ def load_experiment(path: str | Path) -> Experiment:
     file = Path(path).resolve()
     top = Entry.load(file, ScenarioError, convert).keys({"scenario", "experiment", "condition"}, _TOP)
     head = top["scenario"].keys({"name", "system"}, {"kind", "title"})
-    about = top["experiment"].keys({"kind"}, {"repeats"})
+    about = top["experiment"].keys({"kind"}, {"repeats", "columns"})
     conditions = tuple(_condition(entry) for entry in top["condition"].each())
     names = [c.name for c in conditions]
     folders = [folder_of(name) for name in names]
@@ -147,6 +150,7 @@ def load_experiment(path: str | Path) -> Experiment:
         top.get("machine", {}).parameters(),
         conditions,
         equipment(top),
+        about["columns"].texts() if "columns" in about else (),
     )
 
 
@@ -272,7 +276,8 @@ def run_condition(
     planned, known = prepare(experiment, c, system, folder)
     seed = {"sensor": {"seed": 1000 * (1 + experiment.conditions.index(c)) + repeat}}
     configured = with_parameters(with_parameters(with_parameters(system, seed), experiment.machine), in_folder(known, folder))
-    configured = replace(configured, name=experiment.name, recording=replace(configured.recording, csv=csv))
+    recording = replace(configured.recording, csv=csv, columns=experiment.columns or configured.recording.columns)
+    configured = replace(configured, name=experiment.name, recording=recording)
     if fmus is not None:
         configured = with_fmus(configured, fmus)
     labels = {
@@ -328,7 +333,10 @@ def run_experiment(
                 progress(experiment.name, i * experiment.repeats + repeat - 1, len(chosen) * experiment.repeats)
             place = _place(folder, c, repeat)
             result = run_condition(experiment, c, repeat, place, fmus, csv, overwrite=overwrite)
-            size = np.linalg.norm(result["compliance.d_T_B"], axis=1)
-            force = np.linalg.norm(result["sensor.f_T_T"], axis=1)
-            runs.append(RepeatSummary(place.name, c.name, repeat, float(result.t[-1]), float(size.max()), float(force.max())))
+            largest = (_largest(result, name) for name in ("compliance.d_T_B", "sensor.f_T_T"))
+            runs.append(RepeatSummary(place.name, c.name, repeat, float(result.t[-1]), *largest))
     return runs
+
+
+def _largest(result: Run, name: str) -> float | None:
+    return float(np.linalg.norm(result[name], axis=1).max()) if name in result else None

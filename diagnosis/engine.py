@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from robomill.diagnosis.catalogue import LOGGING, Catalogue, Nuisance
-from robomill.diagnosis.experiment.measured import Condition, DataError, in_units, sort_by_condition
-from robomill.diagnosis.experiment.simulation import Laboratory, Report, Setting, Simulator, decimate, setting
+from robomill.diagnosis.experiment.campaign import Campaign
+from robomill.diagnosis.experiment.preparation import prepared
+from robomill.diagnosis.experiment.simulation import Laboratory, Report, Setting, Simulator, setting
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.gate import phases, run_set
@@ -22,14 +22,12 @@ from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, curves_of
 from robomill.diagnosis.outcome.conclusion import Conclusion
 from robomill.diagnosis.outcome.how_far import CLOSING
 from robomill.diagnosis.outcome.verdict import UNEXPLAINED, UNKNOWN, over_noise, unexplained
-from robomill.orchestration.assembly import Resolver, assemble, run
+from robomill.orchestration.assembly import Resolver
 from robomill.orchestration.runs.run import Run
-from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
+from robomill.orchestration.slaves.protocol import FloatArray
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.parameters import Convert, same_unit_only
 
-ROWS = 1500
-"""Samples that a diagnosis works on, over all conditions: longer logs are averaged in blocks."""
 LITTLE = 0.02
 """Share of what is beyond noise that a model leaves which explains nearly all of a large gap."""
 EXPLAINABLE = ("constant", "unit", "sign", "rotation")
@@ -52,51 +50,56 @@ def diagnose(
     menu: Menu | None = None,
     repair: bool = False,
     store: Store | None = None,
+    scheduler: str | None = None,
 ) -> Diagnosis:
     """Where, which, how far. DataError where the runs do not fit the system; a bad log is an answer, not an error.
 
     `held_out` runs are only looked at to see whether the answer holds there, and to measure the closure; runs labelled `held_out`
     count as such. `repair`: a clock that is found to be late is corrected, and the rest is diagnosed. `store` keeps simulations, so
-    that a second call after an interruption goes on; the caller removes it when the answer is safe.
+    that a second call after an interruption goes on; the caller removes it when the answer is safe. `scheduler` (tcp://host:port): the
+    simulations run on the workers of that Dask cluster instead of `workers` processes.
+    """
+    return diagnose_campaign(
+        Campaign.of(system, runs, held_out),
+        catalogue,
+        resolver=resolver,
+        convert=convert,
+        workers=workers,
+        report=report,
+        menu=menu,
+        repair=repair,
+        store=store,
+        scheduler=scheduler,
+    )
+
+
+def diagnose_campaign(
+    campaign: Campaign,
+    catalogue: Catalogue,
+    *,
+    resolver: Resolver | None = None,
+    convert: Convert = same_unit_only,
+    workers: int = 1,
+    report: Report | None = None,
+    menu: Menu | None = None,
+    repair: bool = False,
+    store: Store | None = None,
+    scheduler: str | None = None,
+) -> Diagnosis:
+    """As `diagnose`, for conditions of several systems that share components by name.
+
+    A component that a system lacks has no effect there; a channel that a condition lacks says nothing there.
     """
     began = time.monotonic()
-    held = [*held_out, *(r for r in runs if r.info.get("labels", {}).get("held_out") is True)]
-    used = [r for r in runs if not any(r is h for h in held)]
-    if not used:
-        raise DataError("no run to diagnose: all of them are held out")
-    run_set.check_each(used, held)
-    conditions = [*sort_by_condition(used, system), *sort_by_condition(held, system, held_out=True)]
-    run_set.check_spans(conditions)
-    n = sum(not c.held_out for c in conditions)
-    with assemble(Laboratory(system, conditions, ()).configured(0), resolver, convert) as assembly:
-        parameters = {name: [p.name for p in slave.ports if p.causality == "parameter"] for name, slave in assembly.slaves.items()}
-    catalogue, skipped = catalogue.within(parameters)
-    ports = _ports(system, conditions, resolver, convert, catalogue)
-    conditions = [replace(c, runs=tuple(in_units(r, ports, convert) for r in c.runs)) for c in conditions]
-    channels = list(ports)
+    start = prepared(campaign, catalogue, resolver, convert)
+    laboratory, n, catalogue, nuisances, skipped = start.laboratory, start.n, start.catalogue, start.nuisances, start.skipped
+    ports, channels = laboratory.ports, laboratory.channels
     ranges = {c: (p.minimum, p.maximum) for c, p in ports.items()}
-    decimation = max(1, math.ceil(sum(len(c.grid) for c in conditions[:n]) / ROWS))
-    nuisances = _nuisances(system, conditions, resolver, convert, catalogue)
-    nominal = {u.address: u.nominal for u in nuisances if u.nominal}
-    laboratory = Laboratory(
-        system,
-        conditions,
-        channels,
-        resolver,
-        convert,
-        catalogue.quiet or {},
-        nominal,
-        decimation,
-        catalogue.seeds,
-        catalogue.refinement,
-        ports,
-    )
     turned = phases.aligned(laboratory, catalogue.candidates, n)
-    conditions = list(laboratory.conditions)
-    groups = [[decimate(c.matrix(r, channels), decimation) for r in c.runs] for c in conditions]
-    with Simulator(laboratory, workers, report, store) as simulator:
+    conditions, groups = laboratory.conditions, laboratory.measured()
+    with Simulator(laboratory, workers, report, store, scheduler) as simulator:
         simulator.expected = likely_count(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
-        findings = turned + _gate(laboratory, simulator, groups, n, channels, ranges)
+        findings = turned + _gate(laboratory, simulator, groups, n, ranges)
         findings += _other_programs(laboratory, simulator, groups, catalogue)
         fatal = [f for f in findings if f.fatal]
         if all(f.kind in EXPLAINABLE for f in fatal):
@@ -106,7 +109,7 @@ def diagnose(
                 before, after = over_noise(search, fits[0]), over_noise(search, best)
                 little = after < UNKNOWN or unexplained(before, after) < LITTLE
                 if little and not any(c.component == LOGGING for c in best.model):
-                    findings = turned + _gate(laboratory, simulator, groups, n, channels, ranges, setting(best.values))
+                    findings = turned + _gate(laboratory, simulator, groups, n, ranges, setting(best.values))
                     fatal = [f for f in findings if f.fatal]
             elif (finding := _wrong_channel(catalogue, search, fits, groups[:n], nuisances)) is not None:
                 findings.append(finding)
@@ -125,19 +128,26 @@ def _other_programs(
     laboratory: Laboratory, simulator: Simulator, groups: Sequence[Sequence[FloatArray]], catalogue: Catalogue
 ) -> list[gate.Finding]:
     """Recorded programs, held-out ones too, that are not what the nominal system plays."""
-    driven = {c.target.partition(".")[0] for c in laboratory.system.connections}
-    played = {c.name for c in laboratory.system.components} - driven - {c.component for c in catalogue.candidates}
-    channels, step = laboratory.channels, laboratory.system.step * laboratory.decimation
-    if not any(name.partition(".")[0] in played for name in channels):
+    channels, changing = laboratory.channels, {c.component for c in catalogue.candidates}
+    plays = [_playing(c.system or laboratory.system) - changing for c in laboratory.conditions]
+    if not any(name.partition(".")[0] in played for played in plays for name in channels):
         return []
     found: dict[str, gate.Finding] = {}
     base = simulator.repeated(range(len(groups)), (), NOMINAL, "the log")
-    for condition, group, simulated in zip(laboratory.conditions, groups, base, strict=True):
+    for i, (condition, group, simulated) in enumerate(zip(laboratory.conditions, groups, base, strict=True)):
+        at = laboratory.shown(i)
+        names = [laboratory.channels[k] for k in at]
         for r, x in zip(condition.runs, group, strict=True):
             if simulated is not None:
-                for f in run_set.other_program(r, x, np.mean(simulated, axis=0), channels, played, step):
+                mean, step = np.mean(simulated, axis=0)[:, at], condition.step * laboratory.factor(i)
+                for f in run_set.other_program(r, x[:, at], mean, names, plays[i], step):
                     found.setdefault(f.channel, f)
     return list(found.values())
+
+
+def _playing(system: System) -> set[str]:
+    """Components that nothing goes into."""
+    return {c.name for c in system.components} - {c.target.partition(".")[0] for c in system.connections}
 
 
 def _best(search: Search, fits: Sequence[Fit]) -> Fit:
@@ -175,49 +185,18 @@ def _wrong_channel(
 def _rest(search: Search, best: Fit, groups: Sequence[Sequence[FloatArray]], name: str) -> float:
     """The shortest time [s] for which a channel stands still in any of the runs, while the best model moves."""
     laboratory = search.simulator.laboratory
-    i, step = laboratory.channels.index(name), laboratory.system.step * laboratory.decimation
+    i = laboratory.channels.index(name)
     simulated = search.simulator.repeated(range(len(groups)), setting(best.values), NOMINAL, "the log")
     rests = []
-    for group, models in zip(groups, simulated, strict=True):
+    for k, (group, models) in enumerate(zip(groups, simulated, strict=True)):
+        if not laboratory.conditions[k].has(name):
+            continue
         if models is None:  # at the edge of what can run
             return 0.0
+        step = laboratory.conditions[k].step * laboratory.factor(k)
         noise = float(np.std(np.stack(group)[..., i] - np.mean(group, axis=0)[:, i])) if len(group) > 1 else 0.0
         rests += [gate.stopped(x[:, i], np.mean(models, axis=0)[:, i], step, noise) for x in group]
     return min(rests)
-
-
-def _ports(
-    system: System, conditions: Sequence[Condition], resolver: Resolver | None, convert: Convert, catalogue: Catalogue
-) -> dict[str, PortData]:
-    """Measured real outputs that the system has too, as the system has them."""
-    probe = Laboratory(system, conditions, (), resolver, convert, catalogue.quiet or {})
-    step = system.step
-    short = Condition("", conditions[0].parameters, conditions[0].runs, np.array([0.0, step]))
-    probe.conditions = [short]
-    simulated = run(probe.configured(0), None, stop=2 * step, resolver=resolver, convert=convert)
-    common = [c for c, p in simulated.ports.items() if p.type == "real" and all(c in r.columns for k in conditions for r in k.runs)]
-    if not common:
-        has = ", ".join(sorted({base_name(c) for k in conditions for r in k.runs for c in r.columns}))
-        outputs = ", ".join(dict.fromkeys(map(base_name, simulated.columns)))
-        raise DataError(f"no measured column is an output of the system; measured: {has}; outputs: {outputs}")
-    return {c: simulated.ports[c] for c in common}
-
-
-def _nuisances(
-    system: System, conditions: Sequence[Condition], resolver: Resolver | None, convert: Convert, catalogue: Catalogue
-) -> list[Nuisance]:
-    """The catalogue's tolerances about the values that the parameters have in the first condition; CatalogueError for units that differ."""
-    values: dict[str, dict[str, float]] = {}
-    configured = Laboratory(system, conditions, (), resolver, convert, catalogue.quiet or {}).configured(0)
-    with assemble(configured, resolver, convert) as assembly:
-        parameters = [(c, p) for c, slave in assembly.slaves.items() for p in slave.ports if p.causality == "parameter"]
-        catalogue.check_units({(c, p.name): p.unit or "1" for c, p in parameters})
-        for name, slave in assembly.slaves.items():
-            starts = {p.name: p.start for p in slave.ports if p.causality == "parameter" and p.type == "real"}
-            given = {**starts, **assembly.parameters.get(name, {})}
-            values[name] = {k: float(v) for k, v in given.items() if k in starts and isinstance(v, int | float)}
-    clocks = [Nuisance(t.address, t.size) for t in catalogue.tolerances if t.address[0] == LOGGING]
-    return clocks + [u for t in catalogue.tolerances if t.address[0] != LOGGING for u in t.nuisances(values[t.address[0]])]
 
 
 def _gate(
@@ -225,25 +204,25 @@ def _gate(
     simulator: Simulator,
     groups: Sequence[Sequence[FloatArray]],
     n: int,
-    channels: Sequence[str],
     ranges: Mapping[str, tuple[float | None, float | None]],
     changes: Setting = (),
 ) -> list[gate.Finding]:
     """What is wrong with the log where the system has these changes."""
     found: list[gate.Finding] = []
-    step = laboratory.system.step * laboratory.decimation
     base = simulator.repeated(range(n), changes, NOMINAL, "the log")
     for i in range(n):
         condition, group = laboratory.conditions[i], base[i]
         assert group is not None
-        simulated = np.mean(group, axis=0)
-        noise = np.std(np.stack(groups[i]) - np.mean(groups[i], axis=0), axis=(0, 1)) if len(groups[i]) > 1 else np.zeros(len(channels))
+        at = laboratory.shown(i)
+        names = [laboratory.channels[k] for k in at]
+        simulated, measured = np.mean(group, axis=0)[:, at], [x[:, at] for x in groups[i]]
+        noise = np.std(np.stack(measured) - np.mean(measured, axis=0), axis=(0, 1)) if len(measured) > 1 else np.zeros(len(names))
         noise = noise + 1e-9 * np.abs(simulated).max(axis=0)
-        for r, x in zip(condition.runs, groups[i], strict=True):
-            found += gate.raw(r, channels, ranges, laboratory.system.step)
-            found += gate.against_simulation(r, x, simulated, channels, step, noise)
-        found += gate.spikes(condition, channels)
-        found += gate.repeats(condition, groups[i], channels)
+        for r, x in zip(condition.runs, measured, strict=True):
+            found += gate.raw(r, names, ranges, condition.step)
+            found += gate.against_simulation(r, x, simulated, names, condition.step * laboratory.factor(i), noise)
+        found += gate.spikes(condition, names)
+        found += gate.repeats(condition, measured, names)
     unique: dict[tuple[str, str], gate.Finding] = {}
     for f in found:
         old = unique.get((f.channel, f.kind))

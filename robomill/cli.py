@@ -168,9 +168,12 @@ def parser() -> argparse.ArgumentParser:
         "say where measured runs depart from their simulation, why, and how far that can be mended",
         "robomill diagnose scenarios/milling_cell.toml runs/slot-* --held-out runs/pocket-*",
     )
-    diagnose.add_argument("system", type=Path, metavar="SYSTEM.toml", help="the nominal simulation")
+    diagnose.add_argument("system", type=Path, nargs="?", metavar="SYSTEM.toml", help="the nominal simulation")
     diagnose.add_argument(
-        "runs", type=Path, nargs="+", metavar="RUN", help="folders of measured runs; repeats of one condition belong together"
+        "runs", type=Path, nargs="*", metavar="RUN", help="folders of measured runs; repeats of one condition belong together"
+    )
+    diagnose.add_argument(
+        "--campaign", type=Path, metavar="FILE.toml", help="in place of these: conditions of several systems (docs/campaigns.md)"
     )
     diagnose.add_argument(
         "--held-out",
@@ -189,6 +192,7 @@ def parser() -> argparse.ArgumentParser:
     diagnose.add_argument("--out", type=Path, default=Path("results") / "diagnosis", metavar="DIR", help="folder for the answer")
     diagnose.add_argument("--repair", action="store_true", help="correct a clock that is late, and diagnose the rest")
     diagnose.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
+    diagnose.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="simulate on the workers of this Dask cluster instead")
 
     blind = _command(
         commands, "blind", "the benchmark of withheld effects: make, run, score, page", "robomill blind make results/blind --cases 24"

@@ -149,7 +149,9 @@ def _run_experiment(options: Namespace) -> int:
     for heading in ("condition", "repeat", "duration\ns", "largest displacement\nmm", "largest force\nN"):
         table.add_column(heading, justify="left" if heading == "condition" else "right")
     for r in runs:
-        table.add_row(r.condition, str(r.repeat), f"{r.duration_s:.1f}", f"{1e3 * r.max_displacement_m:.3f}", f"{r.max_force_n:.0f}")
+        moved = "" if r.max_displacement_m is None else f"{1e3 * r.max_displacement_m:.3f}"
+        force = "" if r.max_force_n is None else f"{r.max_force_n:.0f}"
+        table.add_row(r.condition, str(r.repeat), f"{r.duration_s:.1f}", moved, force)
     console = _console()
     console.print(table)
     for text in notes:

@@ -14,7 +14,8 @@ from robomill.cell import next_runs
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
 from robomill.diagnosis.catalogue import LOGGING, Catalogue
-from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.engine import diagnose_campaign
+from robomill.diagnosis.experiment.campaign import Campaign, load_campaign
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.outcome import adopt
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, as_json
@@ -50,10 +51,11 @@ def run(options: Namespace) -> int:
     """Exit status 0: answered; 1: the log is not usable."""
     from robomill.progress import progress_bar
 
-    system = load_system(options.system)
-    catalogue = catalogue_of(system, catalogue_file(options))
-    runs, held = [Run.load(f) for f in options.runs], [Run.load(f) for f in options.held_out]
-    store = Store(options.out / SIMULATIONS, sources(system))
+    campaign = campaign_of(options)
+    system = campaign.system
+    systems = [system, *(p.system for p in campaign.parts if p.system is not system)]
+    catalogue = catalogue_of(*systems, file=catalogue_file(options))
+    store = Store(options.out / SIMULATIONS, sources(*systems))
     if len(store) and not options.json:
         print(
             f"{len(store)} simulations of an interrupted diagnosis are in {store.folder}/; those that still hold are taken over",
@@ -61,11 +63,9 @@ def run(options: Namespace) -> int:
         )
     with progress_bar(options.json) as progress, TemporaryDirectory() as folder:
         try:
-            found = diagnose(
-                system,
-                runs,
+            found = diagnose_campaign(
+                campaign,
                 catalogue,
-                held_out=held,
                 resolver=resolve,
                 convert=convert,
                 workers=max(1, options.jobs),
@@ -73,12 +73,13 @@ def run(options: Namespace) -> int:
                 menu=menu(system, Path(folder)),
                 repair=options.repair,
                 store=store,
+                scheduler=options.scheduler,
             )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"interrupted; {len(store)} simulations are kept in {store.folder}/: the same command goes on"
             ) from None
-    page = write(found, system, [*runs, *held], catalogue, options.out)
+    page = write(found, system, [*campaign.runs, *campaign.held_out], catalogue, options.out)
     store.remove()
     if options.json:
         print(as_json(found.result))
@@ -88,31 +89,46 @@ def run(options: Namespace) -> int:
     return 1 if found.answer.verdict == "bad_log" else 0
 
 
+def campaign_of(options: Namespace) -> Campaign:
+    """The campaign that is named, or that of a system and its runs. ValueError where both are given, or neither."""
+    if options.campaign is None:
+        if options.system is None or not options.runs:
+            raise ValueError("expected SYSTEM.toml RUN..., or --campaign FILE.toml: nothing to diagnose is named")
+        return Campaign.of(load_system(options.system), [Run.load(f) for f in options.runs], [Run.load(f) for f in options.held_out])
+    if given := [str(f) for f in (options.system, *options.runs, *options.held_out) if f is not None]:
+        raise ValueError(f"--campaign {options.campaign} names systems and runs itself; {given[0]} is one more: put it into the file")
+    return load_campaign(options.campaign, load_system)
+
+
 def catalogue_file(options: Namespace) -> Path:
-    """The catalogue that is named, or that beside the system, or the milling cell's. FileNotFoundError where the named one is not there."""
+    """The catalogue that is named, or that beside the system or campaign, or the milling cell's.
+
+    FileNotFoundError where the named one is not there.
+    """
     named: Path | None = options.catalogue
     if named is not None and not named.is_file():
         raise FileNotFoundError(f"no catalogue {named}; without --catalogue it is {CATALOGUE} beside the system, or the milling cell's")
-    beside: Path = options.system.parent / CATALOGUE
+    beside: Path = (options.campaign or options.system).parent / CATALOGUE
     return named or (beside if beside.is_file() else FILES / "scenarios" / CATALOGUE)
 
 
-def catalogue_of(system: System, file: Path) -> Catalogue:
+def catalogue_of(*systems: System, file: Path) -> Catalogue:
     """The catalogue in `file`, and the effects that components from outside bring: `catalogue.toml` beside the module of their model.
 
     There the component goes by the name of its model.
     """
     catalogue = Catalogue.load(file)
-    for c, model in _from_outside(system):
+    for c, model in _from_outside(*systems):
         own = companion(model, CATALOGUE)
         if own.is_file():
             catalogue = catalogue.joined(Catalogue.load(own).about(model.name, c.name))
     return catalogue
 
 
-def _from_outside(system: System) -> list[tuple[Component, Model]]:
-    """Components that run in process and are none of this project, with their models."""
-    return [(c, component(c.source)) for c in system.components if c.source not in NAMES and is_component(c.source)]
+def _from_outside(*systems: System) -> list[tuple[Component, Model]]:
+    """Components that run in process and are none of this project, with their models; each name once."""
+    found = {c.name: c for s in reversed(systems) for c in s.components if c.source not in NAMES and is_component(c.source)}
+    return [(c, component(c.source)) for c in found.values()]
 
 
 def write(found: Diagnosis, system: System, runs: Sequence[Run], catalogue: Catalogue, folder: Path) -> Path:
@@ -128,10 +144,10 @@ def write(found: Diagnosis, system: System, runs: Sequence[Run], catalogue: Cata
     return report.write(report.Subject(found, system, runs, catalogue), folder)
 
 
-def sources(system: System) -> str:
+def sources(*systems: System) -> str:
     """Hash of all that a simulation is computed with: simulations kept on disk are those of this program and these components."""
     digest = hashlib.sha256(_own_sources())
-    for _, model in _from_outside(system):
+    for _, model in _from_outside(*systems):
         for name, file in source_files(home(model)[0]).items():
             if not name.startswith("robomill."):
                 digest.update(file.read_bytes())

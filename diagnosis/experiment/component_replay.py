@@ -83,8 +83,9 @@ class ComponentReplay:
     # Simulations
 
     def _changed(self, changes: Setting, seed: int = 1) -> System:
-        system, nominal = self.system, self.laboratory.nominal
-        seeded = {**physical(dict(changes)), **dict.fromkeys(self.laboratory.seeds, float(seed))}
+        system, nominal = self.system, self.laboratory.nominal_of(self.index)
+        seeds = tuple((a, float(seed)) for a in self.laboratory.seeds)
+        seeded = physical(dict(self.laboratory.effective(self.index, (*changes, *seeds))))
         for (component, parameter), value in seeded.items():
             system = system.with_parameters(component, {parameter: value + nominal.get((component, parameter), 0.0)})
         return system

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from robomill.diagnosis.catalogue import Address
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray, PortData
 from robomill.orchestration.system.definition import System
@@ -40,12 +41,33 @@ class Condition:
     held_out: bool = False
     system: System | None = None
     """What makes it, where that is another system than the one that is diagnosed."""
+    channels: frozenset[str] | None = None
+    """Channels that its system and all its runs have: the others say nothing here. None: all that its system has."""
+    settable: frozenset[Address] | None = None
+    """Parameters of its system, elements and whole arrays. None: all of the components that it has."""
+    nominal: Mapping[Address, float] | None = None
+    """Values of parameters that changes are added to, where its system has others than the one that is diagnosed."""
+
+    def has(self, channel: str) -> bool:
+        """Whether a channel says anything here."""
+        return self.channels is None or channel in self.channels
+
+    @property
+    def step(self) -> float:
+        """Time between the points of the grid [s]."""
+        return float(self.grid[1] - self.grid[0])
 
     def matrix(self, run: Run, channels: Sequence[str]) -> FloatArray:
-        """The channels of a repeat at the grid, float64[n, channels]; samples that are not finite are bridged linearly."""
+        """The channels of a repeat at the grid, float64[n, channels]; samples that are not finite are bridged linearly.
+
+        Channels that say nothing here are zero, as they are in the simulation.
+        """
         columns = []
-        t = _without_jitter(run.t, float(self.grid[1] - self.grid[0]))
+        t = _without_jitter(run.t, self.step)
         for name in channels:
+            if not self.has(name):
+                columns.append(np.zeros(len(self.grid)))
+                continue
             values = run.columns[name]
             good = np.isfinite(values)
             columns.append(np.interp(self.grid, t[good], values[good]) if good.any() else np.zeros(len(self.grid)))

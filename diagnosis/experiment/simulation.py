@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
-import signal
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.signal import lfilter
 
 from robomill.diagnosis.catalogue import LOGGING, Address, Refinement, physical, selects
 from robomill.diagnosis.experiment.measured import Condition
+from robomill.diagnosis.experiment.pool import pool
 from robomill.diagnosis.experiment.store import Store
 from robomill.orchestration.assembly import Resolver, run
 from robomill.orchestration.errors import OrchestrationError
@@ -56,21 +55,59 @@ class Laboratory:
     refinement: Refinement | None = None
     ports: Mapping[str, PortData] = field(default_factory=dict)
     """The channels, as the system has them."""
-    _logged: dict[tuple[int, Setting], FloatArray | None] = field(default_factory=dict, repr=False)
+    _logged: tuple[tuple[int, Setting], FloatArray | None] | None = field(default=None, repr=False)
     """The simulation to which faults of the log were last applied."""
+
+    def factor(self, index: int) -> int:
+        """Points of the grid of condition `index` in a block: as long as `decimation` communication steps of the system, or nearly."""
+        return max(1, round(self.decimation * self.system.step / self.conditions[index].step))
+
+    def there(self, name: str) -> npt.NDArray[np.bool_]:
+        """Which channels say anything in the condition of that name, [channels]."""
+        condition = next(c for c in self.conditions if c.name == name)
+        return np.array([condition.has(c) for c in self.channels])
+
+    def shown(self, index: int) -> list[int]:
+        """Indices of the channels that say anything in condition `index`."""
+        return [k for k, c in enumerate(self.channels) if self.conditions[index].has(c)]
+
+    def measured(self) -> list[list[FloatArray]]:
+        """The repeats of every condition as its simulations are, [samples, channels]."""
+        return [[decimate(c.matrix(r, self.channels), self.factor(i)) for r in c.runs] for i, c in enumerate(self.conditions)]
+
+    def effective(self, index: int, changes: Setting) -> Setting:
+        """Those of the changes that condition `index` has parameters or channels for: the others do nothing there."""
+        return tuple(c for c in changes if self._is_there(index, c[0]))
+
+    def _is_there(self, index: int, address: Address) -> bool:
+        condition, (component, parameter) = self.conditions[index], address
+        if component == LOGGING:
+            pattern = parameter.partition(" ")[2]
+            return condition.channels is None or any(selects(pattern, c) for c in condition.channels)
+        if condition.settable is not None:
+            return condition.settable.issuperset(physical({address: 1.0}))
+        return condition.system is None or any(c.name == component for c in condition.system.components)
 
     def signature(self, index: int) -> tuple[Any, ...]:
         """All that a simulation of condition `index` depends on, except for the changes."""
         sampled = self.refinement.sampled if self.refinement is not None else ()
-        return (self.configured(index), self.conditions[index].grid, self.channels, self.nominal, self.decimation, sampled)
+        c = self.conditions[index]
+        channels = [name for name in self.channels if c.has(name)]
+        return (self.configured(index), c.grid, self.channels, channels, self.nominal_of(index), self.factor(index), sampled)
 
     def configured(self, index: int) -> System:
         """The nominal system of condition `index`, without noise."""
         system = self.conditions[index].system or self.system
-        for component, values in [*self.conditions[index].parameters.items(), *self.quiet.items()]:
+        quiet = {c: {k: v for k, v in values.items() if self._is_there(index, (c, k))} for c, values in self.quiet.items()}
+        for component, values in [*self.conditions[index].parameters.items(), *quiet.items()]:
             if any(c.name == component for c in system.components):
                 system = system.with_parameters(component, values)
         return system
+
+    def nominal_of(self, index: int) -> Mapping[Address, float]:
+        """Values that changes of condition `index` are added to [unit], where they are not zero."""
+        own = self.conditions[index].nominal
+        return self.nominal if own is None else own
 
     def simulate(self, index: int, changes: Setting) -> FloatArray | None:
         """The channels of condition `index`, block means over `decimation` steps, [n, channels]; None where the system cannot run."""
@@ -79,17 +116,18 @@ class Laboratory:
         if not observed:
             full = self._simulate(index, physical)
         else:  # many faults of the log are tried on the same simulation
-            if (index, physical) not in self._logged:
-                self._logged.clear()
-                self._logged[index, physical] = self._simulate(index, physical)
-            full = self._logged[index, physical]
+            logged = self._logged
+            if logged is None or logged[0] != (index, physical):
+                logged = self._logged = (index, physical), self._simulate(index, physical)
+            full = logged[1]
         if full is None:
             return None
         if observed:
             full = full.copy()
             for parameter, value in observed:
                 _observe(full, self.conditions[index].grid, self.channels, parameter, value)
-        return decimate(full, self.decimation)
+            full[:, [not self.conditions[index].has(name) for name in self.channels]] = 0.0
+        return decimate(full, self.factor(index))
 
     def sampled(self, index: int, changes: Setting) -> FloatArray | None:
         """All samples of the channels, [n, channels]; None where the system cannot run. Faults of the log are not in it."""
@@ -98,18 +136,17 @@ class Laboratory:
     def _simulate(self, index: int, changes: Setting) -> FloatArray | None:
         """All samples of the channels, [n, channels]."""
         condition = self.conditions[index]
-        system = self.configured(index)
-        for (component, parameter), value in physical(dict(changes)).items():
-            if condition.system is None or any(c.name == component for c in system.components):
-                system = system.with_parameters(component, {parameter: value + self.nominal.get((component, parameter), 0.0)})
+        system, nominal = self.configured(index), self.nominal_of(index)
+        for (component, parameter), value in physical(dict(self.effective(index, changes))).items():
+            system = system.with_parameters(component, {parameter: value + nominal.get((component, parameter), 0.0)})
         try:
             result = run(system, None, stop=float(condition.grid[-1]), resolver=self.resolver, convert=self.convert)
         except OrchestrationError:
             if not changes:
                 raise
             return None
-        # a channel that another system does not have says nothing
-        columns = [result.columns.get(name, np.zeros(len(result.t))) for name in self.channels]
+        nothing = np.zeros(len(result.t))
+        columns = [result.columns.get(name, nothing) if condition.has(name) else nothing for name in self.channels]
         return np.stack([np.interp(condition.grid, result.t, column) for column in columns], axis=1)
 
 
@@ -143,32 +180,27 @@ def _observe(full: FloatArray, t: FloatArray, channels: Sequence[str], parameter
             full[:, i] += value
 
 
-_LABORATORY: Laboratory | None = None
-
-
-def _enter(laboratory: Laboratory) -> None:
-    global _LABORATORY  # noqa: PLW0603 - a worker process has one laboratory, given when it starts
-    _LABORATORY = laboratory
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
-    for name in ("SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_DFL)  # forked, it would do what the parent does then
-
-
-def _work(task: tuple[int, Setting]) -> FloatArray | None:
-    assert _LABORATORY is not None
-    return _LABORATORY.simulate(*task)
-
-
 class Simulator:
-    """Simulates the conditions of a laboratory on `workers` processes, each setting once, and keeps the results. Use it in `with`."""
+    """Simulates the conditions of a laboratory, each setting once, and keeps the results. Use it in `with`.
 
-    def __init__(self, laboratory: Laboratory, workers: int = 1, report: Report | None = None, store: Store | None = None) -> None:
-        self.laboratory, self._store = laboratory, store
+    On `workers` processes, or with a `scheduler` (tcp://host:port) on the workers of that Dask cluster, which must see the same files.
+    """
+
+    def __init__(
+        self,
+        laboratory: Laboratory,
+        workers: int = 1,
+        report: Report | None = None,
+        store: Store | None = None,
+        scheduler: str | None = None,
+    ) -> None:
+        self.laboratory, self._store, self._scheduler = laboratory, store, scheduler
         self._keys: dict[int, str] = {}
         self._known: dict[tuple[int, Setting], FloatArray | None] = {}
         self._workers, self._report = workers, report
-        self._pool: ProcessPoolExecutor | None = None
+        # measured samples are not simulated with
+        work = replace(laboratory, conditions=[replace(c, runs=()) for c in laboratory.conditions]) if scheduler else laboratory
+        self._pool = pool(work.simulate, workers, scheduler)
         self.count = 0
         """Simulations that were run."""
         self.found = 0
@@ -181,23 +213,17 @@ class Simulator:
 
     def __exit__(self, *_: object) -> None:
         if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+            self._pool.close()
 
     def beside(self, laboratory: Laboratory) -> Simulator:
         """Another one for another laboratory; what it simulates is counted there."""
-        return Simulator(laboratory, self._workers, self._report, self._store)
+        return Simulator(laboratory, self._workers, self._report, self._store, self._scheduler)
 
     def many(self, tasks: Sequence[tuple[int, Setting]], what: str = "simulations") -> list[FloatArray | None]:
         """Channels [n, channels] of each task (condition, setting), in the order of the tasks; None where the system cannot run."""
+        tasks = [(i, self.laboratory.effective(i, changes)) for i, changes in tasks]
         new = [t for t in dict.fromkeys(tasks) if t not in self._known and not self._stored(t)]
-        if self._workers > 1 and len(new) > 1:
-            if self._pool is None:
-                # forked workers have the compiled models already; other platforms compile anew
-                method = "fork" if "fork" in multiprocessing.get_all_start_methods() else "spawn"
-                self._pool = ProcessPoolExecutor(self._workers, multiprocessing.get_context(method), _enter, (self.laboratory,))
-            results = self._pool.map(_work, new, chunksize=max(1, min(4, len(new) // (2 * self._workers))))
-        else:
-            results = (self.laboratory.simulate(*t) for t in new)
+        results = self._pool.map(new) if self._pool is not None and new else (self.laboratory.simulate(*t) for t in new)
         for done, (task, result) in enumerate(zip(new, results, strict=True), 1):
             self._known[task] = result
             self.count += 1

@@ -64,6 +64,8 @@ class Evidence:
     """Variance of a whitened run that is not repeated, by channel."""
     late: frozenset[Address]
     """Latenesses that are no nuisance here: they would have to be larger than what the catalogue calls a late clock."""
+    there: list[npt.NDArray[np.bool_]]
+    """Which of the active channels a condition has: those that it lacks are zero in all that is whitened, and say nothing."""
     halves: list[tuple[FloatArray, FloatArray]]
     """What two independent means of nominal simulations are away from the mean of all, whitened."""
 
@@ -81,10 +83,10 @@ class Evidence:
 
     def _white(self, results: Sequence[FloatArray | None], base: Sequence[FloatArray]) -> FloatArray | None:
         parts = []
-        for r, b, n, s in zip(results, base, self.repeats, self.sudden, strict=True):
+        for r, b, n, s, on in zip(results, base, self.repeats, self.sudden, self.there, strict=True):
             if r is None:
                 return None
-            parts.append(self.whitening.apply(r[:, self.active] - b, n, s))
+            parts.append(self.whitening.apply(r[:, self.active] - b, n, s, on))
         return np.concatenate(parts)
 
 
@@ -116,22 +118,23 @@ def gather(
     begin = min(math.ceil(BEGINNING / laboratory.decimation), int(SETTLING * min(len(x) for g in groups for x in g)))
     means = [np.asarray(np.mean(group, axis=0)) for group in nominals]
     over = [[x[:, active] for x in g] for g in left] or [[x - m for x in g] for g, m in zip(groups, means, strict=True)]
-    w = _whitening(groups, nominals, changes, begin, over) if like is None else like.whitening
+    there = [laboratory.there(name)[active] for name in conditions]
+    w = _whitening(groups, nominals, changes, begin, over, there) if like is None else like.whitening
     # the mean of so many simulations scatters too
     counts = [len(g) * len(m) / (len(g) + len(m)) if len(m) > 1 else float(len(g)) for g, m in zip(groups, nominals, strict=True)]
     # change of each channel in a communication step
     rates = [np.gradient(m, axis=0) / laboratory.decimation for m in means]
     span = max(1, round(AROUND / laboratory.decimation))
     sudden = [SUDDEN / laboratory.decimation * _bend(m, span) * np.sqrt(n) for m, n in zip(means, counts, strict=True)]
-    residuals = [[w.apply(x - m, 1.0, s) for x in g] for g, m, s in zip(groups, means, sudden, strict=True)]
+    residuals = [[w.apply(x - m, 1.0, s, on) for x in g] for g, m, s, on in zip(groups, means, sudden, there, strict=True)]
     halves = [
-        (w.apply(np.mean(g[::2], axis=0) - m, 1.0, s), w.apply(np.mean(g[1::2] or g, axis=0) - m, 1.0, s))
-        for g, m, s in zip(nominals, means, sudden, strict=True)
+        (w.apply(np.mean(g[::2], axis=0) - m, 1.0, s, on), w.apply(np.mean(g[1::2] or g, axis=0) - m, 1.0, s, on))
+        for g, m, s, on in zip(nominals, means, sudden, there, strict=True)
     ]
     counts = [n / DEPENDENCE for n in counts]
 
     def white(change: Sequence[FloatArray]) -> FloatArray:
-        return np.concatenate([w.apply(c, n, s) for c, n, s in zip(change, counts, sudden, strict=True)])
+        return np.concatenate([w.apply(c, n, s, on) for c, n, s, on in zip(change, counts, sudden, there, strict=True)])
 
     y = np.concatenate([np.sqrt(n) * np.mean(r, axis=0) for n, r in zip(counts, residuals, strict=True)])
     blocks, start = {}, 0
@@ -147,14 +150,15 @@ def gather(
         nuisances[LOGGING, f"lag {component}.*"] = white([-LATENESS * rate * here for rate in rates])
     # of a single run, the whitened fast part says how much of the noise is floor, which is not seen
     alone = [
-        _variance([w.apply(fast(x), 1.0, s) for x in g], len(names)) if w.guessed else np.ones(len(names))
-        for g, s in zip(over, sudden, strict=True)
+        _variance([w.apply(fast(x), 1.0, s, on) for x in g], len(names)) if w.guessed else 1.0 * on
+        for g, s, on in zip(over, sudden, there, strict=True)
     ]
+    scatter = np.sum(alone, axis=0) / np.maximum(np.sum(there, axis=0), 1)
     spell = max(1, round(SPELL / laboratory.decimation))
     own, expected = [], np.zeros(y.size)
     for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
-        simulated = [w.apply(x - means[i], 1.0, sudden[i]) for x in nominals[i]]
-        single = alone[i] if like is None else like.scatter
+        simulated = [w.apply(x - means[i], 1.0, sudden[i], there[i]) for x in nominals[i]]
+        single = alone[i] if like is None else like.scatter * there[i]
         level = counts[i] * (
             (_scatter(group, len(names)) if len(group) > 1 else single) + (_scatter(simulated, len(names)) if len(simulated) > 1 else 0.0)
         )
@@ -167,7 +171,7 @@ def gather(
     late = _late(space, clocks, names, LATENESS * laboratory.system.step) if like is None else like.late
     space = space.less(late)
     space.find_alike(sensitivities, scales)
-    return Evidence(space, w, active, nominals, sudden, residuals, sensitivities, counts, expected, np.mean(alone, axis=0), late, halves)
+    return Evidence(space, w, active, nominals, sudden, residuals, sensitivities, counts, expected, scatter, late, there, halves)
 
 
 def _late(space: Space, clocks: Sequence[Candidate], channels: Sequence[str], size: float) -> frozenset[Address]:
@@ -215,12 +219,14 @@ def _whitening(
     changes: Changes,
     begin: int,
     left: Sequence[Sequence[FloatArray]],
+    there: Sequence[npt.NDArray[np.bool_]],
 ) -> Whitening:
-    """From the repeats, above a floor of TRUST of what effects of typical size do to a channel."""
-    rms = np.array([np.sqrt(np.mean(np.concatenate([c * c for c in change]), axis=0)) for change in changes.values()])
+    """From the repeats, above a floor of TRUST of what effects of typical size do to a channel, over the conditions that have it."""
+    samples = np.maximum(np.sum([len(n[0]) * on for n, on in zip(nominals, there, strict=True)], axis=0), 1)
+    rms = np.array([np.sqrt(sum((c * c).sum(axis=0) for c in change) / samples) for change in changes.values()])
     floor = np.array([TRUST * np.median(r[r > 1e-3 * r.max()]) if r.max() > 0.0 else 0.0 for r in rms.T])
     least = np.where(floor > 0.0, 0.0, 1e-9 + 1e-6 * np.abs(np.concatenate([n[0] for n in nominals])).max(axis=0))
-    return whitening(groups, floor + least, begin, left)
+    return whitening(groups, floor + least, begin, left, there)
 
 
 def _scatter(group: Sequence[FloatArray], channels: int) -> FloatArray:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.fft import dct
 from scipy.linalg import solve_toeplitz, solve_triangular
 from scipy.ndimage import uniform_filter1d
@@ -46,10 +47,17 @@ class Whitening:
     begin: int = ORDER
     """Samples at the beginning of each run that do not count."""
 
-    def apply(self, residual: FloatArray, repeats: float = 1.0, sudden: FloatArray | None = None) -> FloatArray:
+    def apply(
+        self,
+        residual: FloatArray,
+        repeats: float = 1.0,
+        sudden: FloatArray | None = None,
+        there: npt.NDArray[np.bool_] | None = None,
+    ) -> FloatArray:
         """White, flat; `residual` [samples, channels] is a mean over so many repeats.
 
-        `sudden` [samples, channels]: standard deviation, in the unit of the channel, that single runs have beyond the noise.
+        `sudden` [samples, channels]: standard deviation, in the unit of the channel, that single runs have beyond the noise. `there`:
+        which channels were measured, [channels]; the others stay zero, and say nothing of those that were.
         """
         e = residual.copy()
         for k in range(self.coefficients.shape[1]):
@@ -58,7 +66,13 @@ class Whitening:
         if sudden is not None:
             own = np.sqrt((self.factor**2).sum(axis=1))
             e /= np.hypot(1.0, sudden / own)
-        white: FloatArray = solve_triangular(self.factor, e.T, lower=True, check_finite=False).T * np.sqrt(repeats)
+        if there is None or there.all():
+            white: FloatArray = solve_triangular(self.factor, e.T, lower=True, check_finite=False).T * np.sqrt(repeats)
+            return white.ravel()
+        rows = self.factor[there]
+        white = np.zeros_like(e)
+        factor = np.linalg.cholesky(rows @ rows.T)
+        white[:, there] = solve_triangular(factor, e[:, there].T, lower=True, check_finite=False).T * np.sqrt(repeats)
         return white.ravel()
 
 
@@ -67,32 +81,40 @@ def whitening(
     floor: FloatArray,
     begin: int = ORDER,
     left: Sequence[Sequence[FloatArray]] = (),
+    there: Sequence[npt.NDArray[np.bool_]] = (),
 ) -> Whitening:
     """The whitening from the repeats [samples, channels] of each condition; `floor` [unit] per channel is added as white noise.
 
     The first `begin` samples of a run do not count, nor the first ORDER ones: what comes before these is not known. Without repeats the
-    noise is the fast part of what a model leaves of each run (`left`; `groups` are that, if it is not given).
+    noise is the fast part of what a model leaves of each run (`left`; `groups` are that, if it is not given). `there`: which channels each
+    condition has, [channels]; one that no condition with repeats has is guessed, the others are not.
     """
-    deviations, freedom, total = [], 0.0, 0
-    guessed = all(len(g) <= 1 for g in groups)
-    for group in left if guessed and left else groups:
-        if guessed:
-            deviations += [fast(x) for x in group]
-            freedom += sum(len(x) for x in group)
-        elif len(group) > 1:
-            mean = np.mean(group, axis=0)
-            deviations += [x - mean for x in group]
-            freedom += (len(group) - 1) * len(mean)
-        total += sum(len(x) for x in group) if guessed or len(group) > 1 else 0
-    scale = total / freedom
     channels = len(floor)
+    there = there or [np.ones(channels, dtype=np.bool_)] * len(groups)
+    repeated = np.any([on & (len(g) > 1) for g, on in zip(groups, there, strict=True)], axis=0)
+    deviations, shown = [], []
+    freedom, total = np.zeros(channels), np.zeros(channels)
+    for group, rest, on in zip(groups, left or groups, there, strict=True):
+        if len(group) > 1:
+            mean = np.mean(group, axis=0)
+            deviations += [(x - mean) * on for x in group]
+            shown += [on] * len(group)
+            freedom += (len(group) - 1) * len(mean) * on
+            total += len(group) * len(mean) * on
+        if guess := [fast(x) * (on & ~repeated) for x in rest if np.any(on & ~repeated)]:
+            deviations += guess
+            shown += [on & ~repeated] * len(guess)
+            freedom += sum(len(x) for x in guess) * (on & ~repeated)
+            total += sum(len(x) for x in guess) * (on & ~repeated)
+    freedom = np.maximum(freedom, 1.0)
+    scale = np.sqrt(np.maximum(total, 1.0) / freedom)
     covariance = np.array([sum((d[k:] * d[: len(d) - k]).sum(axis=0) for d in deviations) for k in range(ORDER + 1)]) / freedom
     deviation = np.sqrt(covariance[0])
-    if guessed:  # the fast part of white noise goes with itself: that is not the noise's own
-        alone = np.zeros(8 * FAST)
-        alone[4 * FAST] = 1.0
-        part = fast(alone[:, None])[:, 0]
-        covariance[1:] -= covariance[0] * np.array([[part[k:] @ part[:-k]] for k in range(1, ORDER + 1)])
+    # the fast part of white noise goes with itself: that is not the noise's own
+    alone = np.zeros(8 * FAST)
+    alone[4 * FAST] = 1.0
+    part = fast(alone[:, None])[:, 0]
+    covariance[1:] -= covariance[0] * np.array([[part[k:] @ part[:-k]] for k in range(1, ORDER + 1)]) * ~repeated
     covariance[0] += floor**2 + 1e-30
     coefficients = np.zeros((channels, ORDER))
     for c in range(channels):
@@ -104,12 +126,14 @@ def whitening(
             e[k + 1 :] -= coefficients[:, k] * d[: -k - 1]
         innovations.append(e[ORDER:])
     joined = np.concatenate(innovations)
-    s = joined.T @ joined / len(joined) * scale
+    # of two channels, what those have in common that were measured together: a little less where one was measured more often
+    rows = np.sqrt(np.maximum(np.sum([len(e) * on for e, on in zip(innovations, shown, strict=True)], axis=0), 1.0))
+    s = joined.T @ joined * np.outer(scale / rows, scale / rows)
     s *= 1.0 - SHRINKAGE * (1.0 - np.eye(channels))
     s += np.diag(floor**2 * (1.0 + (coefficients**2).sum(axis=1)) + 1e-30)
     size = np.sqrt(np.diag(s))
     factor = np.linalg.cholesky(s / np.outer(size, size) + 1e-9 * np.eye(channels)) * size[:, None]
-    return Whitening(coefficients, factor, deviation, guessed, max(begin, ORDER))
+    return Whitening(coefficients, factor, deviation, not repeated.any(), max(begin, ORDER))
 
 
 def fast(left: FloatArray) -> FloatArray:

@@ -319,7 +319,7 @@ class Search:
         e = self.evidence
         for (_, block), residuals, weight, (one, other) in zip(space.blocks.items(), e.residuals, e.repeats, e.halves, strict=True):
             left = np.stack(residuals) - explained[block] / np.sqrt(weight)
-            n, size = left.shape
+            n, size = len(left), int(np.count_nonzero(e.expected[block]))  # of channels that are not measured there, nothing is expected
             a, b = left - one, left - other  # independent simulations on both sides: their scatter does not count as a gap
             products, same = float(a.sum(axis=0) @ b.sum(axis=0)), float((a * b).sum())
             total += (products - same) / (n * (n - 1)) if n > 1 else same - size

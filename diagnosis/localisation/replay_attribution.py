@@ -97,7 +97,7 @@ class Replay:
         self.nuisances = set(self.scales)
         self.scales |= {a: c.prior.scale for c in catalogue.candidates for a in c.addresses if a[0] != LOGGING}
         names = {c.name for c in laboratory.system.components}
-        self.scales = {a: s for a, s in self.scales.items() if a[0] in names}
+        self.scales = {a: s for a, s in self.scales.items() if a[0] in names and laboratory.effective(conditions[0], ((a, s),))}
         self.components = [c.name for c in laboratory.system.components if any(a[0] == c.name for a in self.scales)]
         direct = {a: m for a in self.scales if (m := self._moved(a)) is not None}
         seen = {a: [b.observed(x) for b, x in zip(self.replayed, m, strict=True)] for a, m in direct.items()}

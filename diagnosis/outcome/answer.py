@@ -256,7 +256,7 @@ def curves_of(
             continue
         c, repeats = laboratory.conditions[i], np.stack(groups[i])
         found = curves[f"{c.name}{' (held out)' if c.held_out else ''}"] = {
-            "t": decimate(c.grid[:, None], laboratory.decimation)[:, 0],
+            "t": decimate(c.grid[:, None], laboratory.factor(i))[:, 0],
             "measured": repeats.mean(axis=0),
             "spread": np.sqrt(repeats.var(axis=0, ddof=min(1, len(repeats) - 1)).mean(axis=0)),
             "nominal": np.mean(before, axis=0),

@@ -50,15 +50,16 @@ def how_far(search: Search, groups: Groups, adopted: Mapping[Address, float], ti
     scale[active] = 1.0 / np.sqrt(np.diag(whitening.factor @ whitening.factor.T))
     figures = [("all channels, whitened", "1", active, scale)]
     for name, members in metrics(search, titles).items():
-        figures.append((name, conditions[0].runs[0].unit(name), np.array(members), np.ones(len(scale))))
+        figures.append((name, laboratory.ports[laboratory.channels[members[0]]].unit or "", np.array(members), np.ones(len(scale))))
     predicted = _predicted(before, groups, n, search.evidence.active)
     listed = []
     for kind, members in kinds.items():
-        for name, unit, index, weight in figures:
+        for name, unit, chosen, weight in figures:
             parts = []
             for i in members:
                 b, a = before[i], after[i]
-                if b is None or a is None:
+                index = np.intersect1d(chosen, laboratory.shown(i))
+                if b is None or a is None or not len(index):
                     continue
                 repeats = groups[seen[conditions[i].name]] if kind == "held-out repeat" else ()
                 parts.append(

@@ -29,9 +29,10 @@ def said(verdict, *which, **more):
     return Prediction.read({"verdict": verdict, "which": list(which), **more})
 
 
-def benchmark(tier="T1", seed=1, truth="", files=None):
+def benchmark(tier="T1", seed=1, truth="", files=None, name="mixed"):
     """The content of benchmark.json."""
-    return {"schema": "robomill-blind/1", "version": 2, "cases": 1, "seed": seed, "tier": tier, "truth": truth, "files": files or {}}
+    head = {"schema": "robomill-blind/2", "version": 3, "cases": 1, "seed": seed, "tier": tier, "set": name, "generator": "first"}
+    return {**head, "truth": truth, "files": files or {}}
 
 
 def cases(*pairs, **more):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from robomill.blind.baselines import BASELINES
 from robomill.blind.effects import BY_KEY, Instance
-from robomill.blind.signatures import FLOOR, STRIDE, Library, clocks, confusable, features, floor
+from robomill.blind.signatures import FLOOR, STRIDE, Change, Library, clocks, confusable, features, floor
 from robomill.blind.world import STEP
 from robomill.orchestration.runs.run import Run
 from tests.tolerances import ROUNDOFF
@@ -52,21 +53,39 @@ def test_none_names_an_effect_where_there_is_nothing_but_a_flat_offset_as_small_
     assert guess.key is None or name == "aic"
 
 
+def change(library, whitened, reference=None):
+    return Change(library, reference, whitened)
+
+
 def test_signatures_of_one_direction_are_confusable_and_others_are_not(library):
     gain, tool = library.candidates[1], library.candidates[2]
-    assert confusable(library, gain, library.matrix[1], limit=1.0) == []
+    assert confusable([change(library, library.matrix[1])], gain, limit=1.0) == []
     weak = 0.05 * library.matrix[2]  # what the other column shows of it is below the limit
-    assert confusable(library, tool, weak, limit=1.0) == ["drive.backlash[1]", "sensor.sensor_gain_error"]
+    assert confusable([change(library, weak)], tool, limit=1.0) == ["drive.backlash[1]", "sensor.sensor_gain_error"]
+
+
+def test_a_second_situation_tells_apart_what_looks_alike_in_one(library):
+    gain, tool = library.candidates[1], library.candidates[2]
+    alike = replace(library, matrix=np.stack([library.matrix[0], library.matrix[1], library.matrix[1]]))
+    both = [change(alike, alike.matrix[1]), change(library, library.matrix[1])]
+    assert confusable(both[:1], gain, limit=1.0) == ["compliance.tool_compliance"]
+    assert confusable(both, gain, limit=1.0) == []
+    assert confusable([change(alike, alike.matrix[2])] * 2, tool, limit=1.0) == ["sensor.sensor_gain_error"]
 
 
 def test_a_clock_explains_what_looks_like_a_late_device_and_nothing_that_others_show(library):
     t = np.arange(ROWS * STRIDE) * STEP
     reference = Run(Path(), t, {name: 0.2 * np.cos(3.0 * t) for name in COLUMNS}, {}, {})
-    late = {**reference.columns, "drive.q_motor[1]": 0.2 * np.cos(3.0 * np.maximum(t - 0.021, 0.0))}
-    change = features(late, reference.columns, COLUMNS, ROWS)
-    assert clocks(library, reference, change, 3.0) == ["logging.lag drive"]
-    both = {**late, "compliance.p_BT_B[1]": reference.columns["compliance.p_BT_B[1]"] + 1e-3}
-    assert clocks(library, reference, features(both, reference.columns, COLUMNS, ROWS), 3.0) == []
+
+    def late(delay):
+        shifted = {**reference.columns, "drive.q_motor[1]": 0.2 * np.cos(3.0 * np.maximum(t - delay, 0.0))}
+        return change(library, features(shifted, reference.columns, COLUMNS, ROWS), reference)
+
+    assert clocks([late(0.021)], 3.0) == ["logging.lag drive"]
+    assert clocks([late(0.021), late(0.021)], 3.0) == ["logging.lag drive"]
+    assert clocks([late(0.021), late(-0.04)], 3.0) == []
+    both = late(0.021).whitened + 100.0 * (np.arange(len(COLUMNS) * ROWS) >= 2 * ROWS)
+    assert clocks([change(library, both, reference)], 3.0) == []
 
 
 def test_tier_t0_has_no_tracker(library):

@@ -97,7 +97,7 @@ def test_closure_is_that_of_the_claimed_parameters_over_that_of_the_true_ones():
 
     def closures(number, adopted):
         seen[number] = adopted
-        return {"other cut": (100.0, 28.0), "other place": (100.0, 90.0)}
+        return {"other cut": {"tool tip": (100.0, 28.0)}, "other place": {"tool tip": (100.0, 90.0)}}
 
     ceiling = {"other cut": {"tool tip": 0.9, "force": 0.1}, "other place": {"tool tip": 0.2, "force": 0.1}}
     claim = [

@@ -1,32 +1,35 @@
-"""The generator: what is in a benchmark, and that it is what it says."""
+"""The first generator: conditions, effects, machines, logs."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections import Counter
 
 import numpy as np
 import pytest
 
-from robomill.blind import bad_logs, generate, outside
-from robomill.blind.conditions import _TRAINING as TRAINING
-from robomill.blind.conditions import Condition, draw, planned
-from robomill.blind.effects import BY_KEY, EFFECTS
+from robomill.blind import bad_logs, outside
+from robomill.blind.conditions import GRAVITY, MIDDLE_DEPTH, POOL, SHAPES, Condition, draw, known, load_table, planned
+from robomill.blind.effects import BY_KEY, EFFECTS, Instance
 from robomill.blind.effects import draw as draw_effect
 from robomill.blind.force_averaging import felt
-from robomill.blind.generate import PROPORTIONS, closure, detectability, difference, make, make_case, plans
+from robomill.blind.generate import closure, detectability, difference
 from robomill.blind.outside import Changes
-from robomill.blind.run import run_cases
-from robomill.blind.score import score
-from robomill.blind.sealing import BenchmarkError, hashes
-from robomill.blind.world import MEASURED, TRACKER, Machine, coloured, draw_machine, jittered, measure, nominal, simulate
+from robomill.blind.world import (
+    MEASURED,
+    TRACKER,
+    Machine,
+    coloured,
+    draw_hidden,
+    draw_machine,
+    jittered,
+    measure,
+    nominal,
+    simulate,
+)
 from robomill.fmus.components import COMPONENTS
 from robomill.fmus.instance import ComponentError
 from robomill.models.model.declaration import Model, record
 from robomill.models.robot.kinematics import ROBOT_VARIABLES, jacobian
-from robomill.orchestration.errors import RunError
-from robomill.orchestration.runs.run import Run
 from tests.tolerances import ROUNDOFF, chance, discretisation, of_mean, of_variance
 
 SOURCES = {
@@ -36,6 +39,7 @@ SOURCES = {
     "sensor": "sensor_chain",
     "controller": "compensation_controller",
 }
+TRAINING = Condition("training", (1.3, 0.0, 1.2), 180.0, 4e-3, 0.04)
 SHORT = Condition("short", (1.3, 0.0, 1.2), 180.0, 0.004, 0.06, reversals=False)
 
 
@@ -73,47 +77,44 @@ class TestEffects:
         assert [effect.factor(i) for i in range(1, 7)] == [1.0, 1.0, 1.0, 0.3, 0.3, 0.3]  # ARM
 
 
-class TestPlans:
-    def test_proportions(self):
-        counts = Counter(p.kind for p in plans(240, 1))
-        assert counts.total() == 240
-        assert all(abs(counts[kind] - share * 240) < 1.0 for kind, share in PROPORTIONS.items())
-
-    def test_every_effect_comes_about_as_often_as_any_other(self):
-        counts = Counter(p.subject[0] for p in plans(240, 1) if p.kind == "single")
-        assert set(counts) == set(BY_KEY)
-        assert max(counts.values()) - min(counts.values()) <= 1
-
-    def test_every_kind_of_unknown_and_of_bad_log_comes(self):
-        made = plans(240, 1)
-        assert {p.subject[0] for p in made if p.kind == "outside"} == set(outside.OUTSIDE_BY_NAME)
-        assert {p.subject[0] for p in made if p.kind == "bad_log"} == set(bad_logs.LOG_FAULTS)
-
-    def test_the_number_of_a_case_says_nothing_and_the_seed_all(self):
-        assert plans(60, 3) == plans(60, 3)
-        assert [p.kind for p in plans(60, 3)] != [p.kind for p in plans(60, 4)]
-        with pytest.raises(ValueError, match="expected at least 1"):
-            plans(0, 1)
-
-    def test_at_least_eight_kinds_lie_outside_of_the_catalogue(self):
-        assert len(outside.OUTSIDE_BY_NAME) >= 8
-        assert not set(outside.OUTSIDE_BY_NAME) & {e.name for e in EFFECTS}
-
-
 class TestConditions:
-    @pytest.mark.parametrize("number", range(len(TRAINING)))
-    def test_held_out_conditions_differ_and_all_take_seconds(self, number):
-        class Fixed:
-            def integers(self, _):
-                return number
+    @pytest.mark.parametrize("shape", SHAPES)
+    def test_conditions_belong_to_the_seed_and_all_take_seconds(self, shape):
+        for number in range(POOL):
+            found = draw(3, shape, number)
+            assert found == draw(3, shape, number + POOL)
+            assert all(3.0 < planned(c).duration < 15.0 for c in found)
+            assert [c.held_out for c in found] == sorted(c.held_out for c in found)
+            assert len({c.name for c in found}) == len(found)
+            assert sum(not c.held_out for c in found) in (2, 3, 7)
+        assert draw(3, shape, 0) != draw(4, shape, 0)
 
-        main, other_cut, other_place = draw(Fixed())
-        assert other_cut.depth != main.depth
-        assert min(c.depth for c in TRAINING) <= other_cut.depth <= max(c.depth for c in TRAINING)  # MIDDLE_DEPTH
-        assert other_cut.feed != main.feed
-        assert other_cut.turn != main.turn
-        assert other_place.position != main.position
-        assert all(3.0 < planned(c).duration < 10.0 for c in (main, other_cut, other_place))
+    def test_the_other_cut_is_at_the_same_place_and_differs_in_depth_turn_and_side(self):
+        for number in range(POOL):
+            main, second, other, third = draw(5, "cuts", number)
+            assert other.position == main.position
+            assert (other.depth, other.turn, other.mirrored) != (main.depth, main.turn, main.mirrored)
+            assert abs(other.depth - main.depth) == pytest.approx(1e-3, abs=ROUNDOFF)  # MIDDLE_DEPTH
+            assert (other.depth > main.depth) is (main.depth < MIDDLE_DEPTH)
+            assert second.position != main.position != third.position
+            assert (third.mode, third.held_out) == (0, True)
+
+    def test_a_campaign_pushes_in_three_directions_at_three_places_hangs_a_weight_cuts_air_and_a_deep_slot(self):
+        found = {c.name: c for c in draw(6, "campaign", 0)}
+        pushed = [c for c in found.values() if c.push and not c.held_out]
+        assert len({c.position for c in pushed}) == 3
+        for c in pushed:
+            table = load_table(c)
+            assert np.all(np.diff(table[:, 0]) > 0.0)
+            np.testing.assert_allclose(np.abs(table[:, 1:4]).max(axis=0), 750.0)
+            np.testing.assert_allclose(table[:, 1:4].max(axis=0), -table[:, 1:4].min(axis=0))
+            assert planned(c).duration >= table[-1, 0]
+        weight = found["hanging weight"]
+        np.testing.assert_allclose(load_table(weight)[:, 3], -GRAVITY * weight.weight)
+        assert found["deep slot"].depth >= 8e-3
+        assert not found["air cut"].cuts
+        assert "milling" not in known(found["air cut"], "a", "b")
+        assert known(found["air cut"], "a", "b")["load"] == {"profile": "b"}
 
 
 class TestWorld:
@@ -126,6 +127,19 @@ class TestWorld:
         _, columns, _ = simulate(SHORT, Machine({}), (), Changes(), None)
         gap = difference(columns, nominal(SHORT).columns)[:, 1]
         assert 1e-7 < np.sqrt(np.mean(gap**2)) < 10e-6
+
+    def test_hidden_constants_change_nothing_without_their_effect(self):
+        hidden = draw_hidden(np.random.default_rng(8))
+        del hidden["milling"]["runout_angle"], hidden["sensor"]["zero_drift_time"]
+        _, columns, _ = simulate(SHORT, Machine({}, hidden), (), Changes(), None)
+        _, usual, _ = simulate(SHORT, Machine({}), (), Changes(), None)
+        np.testing.assert_allclose(difference(columns, usual), 0.0, atol=1e3 * ROUNDOFF)
+
+    def test_the_phase_of_a_gear_error_is_that_of_the_machine(self):
+        effect = [Instance(BY_KEY["drive.transmission_error"], 2, 50e-6)]
+        _, one, _ = simulate(SHORT, Machine({}), effect, Changes(), None)
+        _, other, _ = simulate(SHORT, Machine({}, draw_hidden(np.random.default_rng(8))), effect, Changes(), None)
+        assert np.abs(difference(one, other)[:, :3]).max() > 10e-6
 
     def test_tier_t0_is_t1_without_the_tracker(self):
         t, columns, _ = simulate(SHORT, Machine({}), (), Changes(), None)
@@ -181,7 +195,7 @@ class TestFelt:
 class TestOutside:
     @pytest.mark.parametrize("kind", outside.OUTSIDE, ids=lambda k: k.name)
     def test_each_changes_what_is_measured_clearly_at_the_middle_of_its_range(self, kind):
-        c = TRAINING[0]
+        c = TRAINING
         changes = kind.make(math.sqrt(kind.low * kind.high), np.random.default_rng(7))
         _, with_it, _ = simulate(c, Machine({}), (), changes, None)
         _, without, _ = simulate(c, Machine({}), (), Changes(), None)
@@ -231,9 +245,22 @@ class TestOutside:
         changes.after(columns, t, 0.004)
         assert columns["drive.torque_motor[2]"][-1] * outside.GEAR[1] == pytest.approx(300.0, rel=ROUNDOFF)
 
-    def test_two_inserts_at_one_place_are_refused(self):
-        with pytest.raises(ValueError, match="two inserts at 'link'"):
-            outside.merged([outside.bouc_wen(0, 1e-4, 94.0), outside.bouc_wen(1, 1e-4, 94.0)])
+    def test_two_inserts_at_one_place_act_one_behind_the_other(self):
+        both = outside.merged([outside.bouc_wen(0, 1e-4, 94.0), outside.bouc_wen(1, 2e-4, 94.0)]).link()
+        alone = [outside.bouc_wen(0, 1e-4, 94.0).link(), outside.bouc_wen(1, 2e-4, 94.0).link()]
+        u = np.array([0.0, -1.6, 2.0, 0.0, -0.4, 0.0, 50.0, 300.0, -200.0])
+        moved = both(0.0, 0.002, u)
+        assert moved.shape == (6,)
+        np.testing.assert_allclose(moved[0], alone[0](0.0, 0.002, u)[0], rtol=ROUNDOFF)
+        # the second one sees the axes that the first has moved by 1e-4 rad: its torque, hundreds of N m, by less than 0.1
+        np.testing.assert_allclose(moved[1] - u[1], alone[1](0.0, 0.002, u)[1] - u[1], rtol=1e-3)
+
+    def test_a_late_clock_shifts_the_columns_of_its_device_and_no_other(self):
+        t = np.arange(100) * 0.004
+        columns = {"sensor.f_T_T[1]": t.copy(), "drive.q_motor[1]": t.copy()}
+        outside.late_clock("sensor.*", 0.01).after(columns, t, 0.004)
+        np.testing.assert_allclose(columns["sensor.f_T_T[1]"][3:], t[3:] - 0.01, atol=ROUNDOFF)
+        np.testing.assert_array_equal(columns["drive.q_motor[1]"], t)
 
 
 class TestBadLogs:
@@ -255,77 +282,6 @@ class TestBadLogs:
         assert all(not bad_logs.draw(kind, "T0", random).channel.startswith(TRACKER) for kind in bad_logs.LOG_FAULTS for _ in range(20))
 
 
-def test_a_machine_that_cannot_run_is_drawn_five_times(monkeypatch, tmp_path):
-    """ATTEMPTS"""
-    tried = []
-
-    def fails(*_):
-        tried.append(1)
-        raise RunError("out of reach", "drive", 0.0)
-
-    monkeypatch.setattr(generate, "_attempt", fails)
-    with pytest.raises(RunError, match="out of reach"):
-        make_case(tmp_path, generate.Plan(1, "null"), 1, "T1")
-    assert len(tried) == 5
-
-
 def test_closure_is_one_minus_the_ratio_of_mean_squares():
     assert closure(np.array([2.0, -2.0]), np.array([1.0, 1.0])) == 0.75
     assert closure(np.zeros(3), np.zeros(3)) == 0.0
-
-
-def test_a_folder_of_another_benchmark_and_an_unknown_tier_are_refused(tmp_path):
-    (tmp_path / "request.json").write_text(json.dumps({"seed": 1}))
-    with pytest.raises(ValueError, match="holds another benchmark"):
-        make(tmp_path, 2, 1, "T1")
-    with pytest.raises(ValueError, match="'T2': expected one of T0, T1"):
-        make(tmp_path, 2, 1, "T2")
-
-
-@pytest.mark.slow
-def test_a_benchmark_from_making_to_score_and_the_same_bits_again(tmp_path):
-    first, again = tmp_path / "a", tmp_path / "b"
-    made = make(first, 2, 11, "T1")
-    for plan in plans(2, 11):
-        make_case(again, plan, 11, "T1")
-    assert hashes(again / "cases") == made.files
-    assert hashes(again / "sealed") == json.loads((first / "sealed" / "manifest.json").read_text())
-
-    case = first / "cases" / "0001"
-    runs = [Run.load(f) for f in sorted((case / "runs").iterdir())]
-    assert Counter((r.info["labels"]["condition"], r.info["labels"]["held_out"]) for r in runs) == {
-        ("training", False): 6,
-        ("training", True): 2,
-        ("other cut", True): 2,
-        ("other place", True): 2,
-    }
-    assert not any("sealed" in f.name or "effect" in f.read_text() for f in case.rglob("*.toml"))
-
-    report = run_cases(first, say_none, workers=1)
-    assert (report["done"], report["failed"]) == (2, {})
-    assert run_cases(first, say_none, workers=1)["before"] == 2
-    result = score(first, isolability=False, baselines=False)
-    assert result.predictions_as_first_unsealed
-    assert result.cases == 2
-    with pytest.raises(BenchmarkError, match="has been unsealed"):
-        run_cases(first, say_none)
-
-
-def say_none(case, out):
-    """A diagnosis that never finds anything."""
-    assert (case / "system.toml").is_file()
-    (out / "diagnosis.json").write_text(json.dumps({"verdict": "none", "which": []}))
-
-
-def test_a_diagnosis_that_fails_is_reported_and_tried_again(tmp_path):
-    (tmp_path / "cases" / "0001").mkdir(parents=True)
-    (tmp_path / "benchmark.json").write_text("{}")
-    for _ in range(2):
-        report = run_cases(tmp_path, fail, workers=1)
-        assert report["failed"] == {"0001": "RuntimeError: no idea"}
-        assert "Traceback" in (tmp_path / "predictions" / "0001" / "error.txt").read_text()
-
-
-def fail(case, out):
-    """A diagnosis that raises."""
-    raise RuntimeError("no idea")

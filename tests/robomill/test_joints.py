@@ -14,9 +14,8 @@ from robomill.blind.effects import BY_KEY, Instance
 from robomill.blind.world import MEASURED, NOISE, TRACKER, nominal_system, simulate_nominal
 from robomill.cell.binding import convert, resolve
 from robomill.diagnosis.catalogue import Catalogue
-from robomill.diagnosis.engine import _nuisances
-from robomill.diagnosis.experiment.measured import sort_by_condition
-from robomill.diagnosis.experiment.simulation import Laboratory
+from robomill.diagnosis.experiment.campaign import Campaign
+from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.localisation.localise import alignment
 from robomill.diagnosis.localisation.replay_attribution import Replay
 from robomill.diagnosis.localisation.where import locate
@@ -82,15 +81,11 @@ def measure(folder: Path, effects: Sequence[Instance]) -> list[Run]:
 
 def located(folder: Path, effects: Sequence[Instance], hidden: Sequence[str] = ()) -> list[list[str]]:
     """Components named by replay and swaps, each with its alternatives; the effects `hidden` are in no catalogue."""
-    runs, system, catalogue = measure(folder, effects), nominal_system(), Catalogue.load(CATALOGUE)
+    runs, catalogue = measure(folder, effects), Catalogue.load(CATALOGUE)
     kept = [c for c in catalogue.candidates if c.effect not in hidden and c.location not in ("joint 4", "joint 5", "joint 6")]
-    conditions = sort_by_condition(runs, system)
-    nuisances = _nuisances(system, conditions, resolve, convert, catalogue)
-    given = {u.address: u.nominal for u in nuisances if u.nominal}
-    laboratory = Laboratory(
-        system, conditions, list(runs[0].columns), resolve, convert, catalogue.quiet or {}, given, 4, catalogue.seeds, catalogue.refinement
-    )
-    replay = Replay(laboratory, [0], replace(catalogue, candidates=tuple(kept)), nuisances)
+    start = prepared(Campaign.of(nominal_system(), runs), replace(catalogue, candidates=tuple(kept)), resolve, convert)
+    laboratory = replace(start.laboratory, decimation=4)
+    replay = Replay(laboratory, [0], start.catalogue, start.nuisances)
     tip = np.array([float(base_name(c) == TOOL_TIP) for c in laboratory.channels])
     entries = locate(replay, {TOOL_TIP: tip}, projections(nominal_system())).where
     return [[w.component, *(w.alternatives or ())] for w in entries]

@@ -234,3 +234,38 @@ def test_a_jump_may_come_early_or_late_and_counts_for_less_around() -> None:
     assert white is not None
     plain = 1.0 / TRUST * math.sqrt(repeats / DEPENDENCE)
     assert white[BEGINNING:] == pytest.approx((plain / np.hypot(1.0, expected / TRUST))[BEGINNING:], rel=1e2 * RIDGE)
+
+
+class TestChannelsThatAConditionLacks:
+    """Two conditions, of which the second lacks the second channel."""
+
+    SHAPE = np.sin(0.05 * np.arange(ROWS))
+
+    def evidence(self, repeats: int = 3, noise: float = 0.1) -> Evidence:
+        rng = np.random.default_rng(8)
+        there = np.array([[True, True], [True, False]])
+        shape = self.SHAPE[:, None] * np.array([1.0, 0.5])
+        groups = [[(0.2 * shape + noise * rng.normal(size=(ROWS, 2))) * on for _ in range(repeats)] for on in there]
+        laboratory = Calculated(lambda *_: None, ROWS, CHANNELS[:2], 2)
+        laboratory.conditions = [
+            replace(c, channels=frozenset(np.array(CHANNELS[:2])[on])) for c, on in zip(laboratory.conditions, there, strict=True)
+        ]
+        names = [c.name for c in laboratory.conditions]
+        return gather(
+            laboratory, names, groups, [[0.0 * shape]] * 2, {P: [shape * on for on in there]}, {P: 1.0}, {P: 1.0}, {}, left=groups
+        )
+
+    @pytest.mark.parametrize("repeats", [1, 3])
+    def test_it_leaves_nothing_there_and_nothing_is_expected_of_it(self, repeats: int) -> None:
+        found = self.evidence(repeats)
+        for values in (found.space.y, found.expected, found.sensitivities[P]):
+            table = values.reshape(2, ROWS, 2)
+            assert np.all(table[1, :, 1] == 0.0)
+            assert np.any(table[0, :, 1] != 0.0)
+            assert np.any(table[1, :, 0] != 0.0)
+
+    def test_the_floor_of_a_channel_is_that_of_the_conditions_that_have_it(self) -> None:
+        """Repeats without noise leave the floor alone. Of zeros in the other condition it would be less by the root of two."""
+        found = self.evidence(noise=0.0)
+        floor = TRUST * 0.5 * float(np.sqrt((self.SHAPE**2).mean()))
+        assert found.whitening.factor[1, 1] == pytest.approx(floor, rel=RIDGE)

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from robomill.diagnosis.inference.noise import ORDER, RARE, SHRINKAGE, fast, own_noise, whitening
+from robomill.diagnosis.inference.noise import ORDER, RARE, SHRINKAGE, Whitening, fast, own_noise, whitening
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import EXACT, ROUNDOFF, chance, of_mean, of_variance
 
@@ -216,3 +216,43 @@ class TestOwnNoise:
     def test_repeats_that_scatter_less_than_noise_have_none(self) -> None:
         quiet = [0.1 * np.random.default_rng(k).normal(size=300) for k in range(5)]
         assert own_noise([quiet], 1, 30).shape == (300, 0)
+
+
+class TestChannelsThatAConditionLacks:
+    BOTH, FIRST = np.array([True, True]), np.array([True, False])
+
+    def groups(self, seed: int = 3) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Repeats of two conditions with noise that both channels share; the second condition lacks the second channel."""
+        rng = np.random.default_rng(seed)
+        mixed = np.array([[1.0, 0.0], [0.9, 0.4]])
+        one = [rng.normal(size=(2000, 2)) @ mixed.T for _ in range(4)]
+        return one, [rng.normal(size=(2000, 2)) @ mixed.T * self.FIRST for _ in range(4)]
+
+    def test_noise_is_that_of_the_conditions_that_have_the_channel(self) -> None:
+        one, other = self.groups()
+        floor = np.full(2, 1e-6)
+        found = whitening([one, other], floor, there=[self.BOTH, self.FIRST])
+        alone = whitening([one], floor)
+        assert found.deviation[1] == pytest.approx(alone.deviation[1], rel=ROUNDOFF)
+        own = [np.sqrt((w.factor @ w.factor.T)[1, 1]) for w in (found, alone)]
+        assert own[0] == pytest.approx(own[1], rel=ROUNDOFF)
+
+    def test_what_is_not_measured_says_nothing_of_what_is(self) -> None:
+        """As if the other channel were alone: zero is no measured value that goes against what both have in common."""
+        one, other = self.groups()
+        both = whitening([one, other], np.full(2, 1e-6), there=[self.BOTH, self.FIRST])
+        single = Whitening(both.coefficients[:1], np.sqrt((both.factor @ both.factor.T)[:1, :1]), both.deviation[:1], False)
+        white = both.apply(other[0], 1.0, there=self.FIRST).reshape(-1, 2)
+        assert np.all(white[:, 1] == 0.0)
+        assert white[:, 0] == pytest.approx(single.apply(other[0][:, :1]), rel=1e3 * ROUNDOFF, abs=1e3 * ROUNDOFF)
+
+    def test_a_channel_that_was_never_repeated_is_guessed_and_the_others_are_not(self) -> None:
+        rng = np.random.default_rng(4)
+        repeated = [rng.normal(size=(3000, 2)) * self.FIRST for _ in range(4)]
+        once = [np.stack([rng.normal(size=3000), 3.0 * rng.normal(size=3000)], axis=1)]
+        found = whitening([repeated, once], np.full(2, 1e-6), there=[self.FIRST, self.BOTH])
+        assert not found.guessed
+        # a deviation from n samples scatters by 1 / sqrt(2 n); of fast parts a few more
+        assert found.deviation == pytest.approx([1.0, 3.0], rel=5.0 / math.sqrt(3000))
+        without = whitening([repeated], np.full(2, 1e-6), there=[self.FIRST])
+        assert found.deviation[0] == pytest.approx(without.deviation[0], rel=ROUNDOFF)

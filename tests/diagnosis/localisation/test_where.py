@@ -11,10 +11,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from robomill.diagnosis.engine import _nuisances, diagnose
-from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.experiment.campaign import Campaign
+from robomill.diagnosis.experiment.measured import DataError
+from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.experiment.segments import Segment, Structure, segments, sets_alike, structure
-from robomill.diagnosis.experiment.simulation import Laboratory
 from robomill.diagnosis.localisation.localise import alignment, bands, dependences, discoveries, variables
 from robomill.diagnosis.localisation.replay_attribution import Replay
 from robomill.diagnosis.localisation.swap import shapley
@@ -47,11 +48,8 @@ def measure(
 
 
 def replay(folder: Path, runs: Sequence[Run]) -> Replay:
-    conditions, entries = sort_by_condition(runs, SYSTEM), catalogue(folder)
-    nuisances = _nuisances(SYSTEM, conditions, resolve, same_unit_only, entries)
-    nominal = {u.address: u.nominal for u in nuisances if u.nominal}
-    laboratory = Laboratory(SYSTEM, conditions, list(runs[0].columns), resolve, same_unit_only, {}, nominal)
-    return Replay(laboratory, range(len(conditions)), entries, nuisances)
+    start = prepared(Campaign.of(SYSTEM, runs), catalogue(folder), resolve, same_unit_only)
+    return Replay(start.laboratory, range(start.n), start.catalogue, start.nuisances)
 
 
 class TestSegments:
@@ -214,7 +212,7 @@ class TestReplay:
 
     def test_nothing_to_replay_is_said(self, tmp_path: Path) -> None:
         runs = measure(arrays=["masses.x"])
-        only = [Run(r.folder, r.t, {"force.f": np.interp(r.t, r.t, np.zeros(len(r.t)))}, r.ports, r.info) for r in runs]
+        only = [Run(r.folder, r.t, {"force.f": np.zeros(len(r.t))}, {"force.f": real("f", "output", "N")}, r.info) for r in runs[:1]]
         with pytest.raises(DataError, match="nothing to replay"):
             replay(tmp_path, only)
 

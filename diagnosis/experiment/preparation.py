@@ -1,0 +1,154 @@
+"""From runs to a laboratory: which channels say something in which condition, which parameters there are, what is believed of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from robomill.diagnosis.catalogue import LOGGING, Address, Catalogue, Nuisance
+from robomill.diagnosis.experiment.campaign import Campaign
+from robomill.diagnosis.experiment.measured import Condition, DataError, in_units
+from robomill.diagnosis.experiment.simulation import Laboratory
+from robomill.diagnosis.gate import run_set
+from robomill.orchestration.assembly import Resolver, assemble, run
+from robomill.orchestration.slaves.protocol import PortData, base_name
+from robomill.orchestration.system.definition import System
+from robomill.orchestration.system.parameters import Convert
+
+ROWS = 1500
+"""Samples that a diagnosis works on, over all conditions: longer logs are averaged in blocks."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What a diagnosis starts from."""
+
+    laboratory: Laboratory
+    """Its first `n` conditions are diagnosed, the others are held out."""
+    n: int
+    catalogue: Catalogue
+    """What of the catalogue any of the systems has."""
+    nuisances: tuple[Nuisance, ...]
+    skipped: tuple[str, ...]
+    """What of the catalogue none of the systems has, in words."""
+
+
+@dataclass(frozen=True)
+class _Settable:
+    """The parameters of a system as it is in one condition."""
+
+    units: dict[Address, str]
+    """Of each element."""
+    values: dict[Address, float]
+    """Of each real element [unit]."""
+
+    @property
+    def names(self) -> frozenset[Address]:
+        """Elements, and arrays as a whole."""
+        return frozenset((c, name) for c, p in self.units for name in (p, p.partition("[")[0]))
+
+
+def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None, convert: Convert) -> Prepared:
+    """The laboratory of a campaign. DataError where the runs do not fit their systems, CatalogueError for units that differ."""
+    run_set.check_each(campaign.runs, campaign.held_out)
+    conditions = campaign.conditions()
+    run_set.check_spans(conditions)
+    system, n = campaign.system, sum(not c.held_out for c in conditions)
+    bare = Laboratory(system, conditions, (), resolver, convert)
+    settable = [_settable(bare.configured(i), resolver, convert) for i in range(len(conditions))]
+    first: dict[Address, float] = {}
+    units: dict[Address, str] = {}
+    for s in settable:
+        first, units = s.values | first, s.units | units
+    within: dict[str, list[str]] = {component: [] for c in conditions for component in _components(c.system or system)}
+    for component, name in units:
+        within[component].append(name)
+    catalogue, skipped = catalogue.within(within)
+    catalogue.check_units(units)
+    nuisances = _nuisances(catalogue, first)
+    addresses = [u.address for u in nuisances]
+    conditions = [
+        replace(c, settable=s.names, nominal={a: s.values[a] for a in addresses if s.values.get(a)})
+        for c, s in zip(conditions, settable, strict=True)
+    ]
+    laboratory = Laboratory(
+        system,
+        conditions,
+        (),
+        resolver,
+        convert,
+        catalogue.quiet or {},
+        {u.address: u.nominal for u in nuisances if u.nominal},
+        seeds=catalogue.seeds,
+        refinement=catalogue.refinement,
+    )
+    laboratory.conditions, laboratory.ports = _with_channels(laboratory, n)
+    laboratory.channels, laboratory.decimation = list(laboratory.ports), _decimation(system, conditions, n)
+    return Prepared(laboratory, n, catalogue, nuisances, skipped)
+
+
+def _components(system: System) -> list[str]:
+    return [c.name for c in system.components]
+
+
+def _settable(system: System, resolver: Resolver | None, convert: Convert) -> _Settable:
+    units: dict[Address, str] = {}
+    values: dict[Address, float] = {}
+    with assemble(system, resolver, convert) as assembly:
+        for name, slave in assembly.slaves.items():
+            parameters = [p for p in slave.ports if p.causality == "parameter"]
+            units |= {(name, p.name): p.unit or "1" for p in parameters}
+            starts = {p.name: p.start for p in parameters if p.type == "real"}
+            given = {**starts, **assembly.parameters.get(name, {})}
+            values |= {(name, k): float(v) for k, v in given.items() if k in starts and isinstance(v, int | float)}
+    return _Settable(units, values)
+
+
+def _nuisances(catalogue: Catalogue, values: Mapping[Address, float]) -> tuple[Nuisance, ...]:
+    """The catalogue's tolerances about the values that the parameters have in the first condition that has them."""
+    of: dict[str, dict[str, float]] = {}
+    for (component, name), value in values.items():
+        of.setdefault(component, {})[name] = value
+    clocks = [Nuisance(t.address, t.size) for t in catalogue.tolerances if t.address[0] == LOGGING]
+    return (*clocks, *(u for t in catalogue.tolerances if t.address[0] != LOGGING for u in t.nuisances(of.get(t.address[0], {}))))
+
+
+def _with_channels(laboratory: Laboratory, n: int) -> tuple[list[Condition], dict[str, PortData]]:
+    """The conditions with the channels that say something there, in the units of the ports; all such channels of the first `n` conditions.
+
+    A channel is a real output of the system of a condition that all its runs have. DataError where there is none.
+    """
+    outputs: dict[int, dict[str, PortData]] = {}
+    ports: dict[str, PortData] = {}
+    made = []
+    for i, c in enumerate(laboratory.conditions):
+        system = c.system or laboratory.system
+        if id(system) not in outputs:
+            simulated = run(laboratory.configured(i), None, stop=2 * system.step, resolver=laboratory.resolver, convert=laboratory.convert)
+            outputs[id(system)] = {name: p for name, p in simulated.ports.items() if p.type == "real"}
+        shown = {name: p for name, p in outputs[id(system)].items() if all(name in r.columns for r in c.runs)}
+        if not shown:
+            has = ", ".join(sorted({base_name(name) for r in c.runs for name in r.columns}))
+            known = ", ".join(dict.fromkeys(map(base_name, outputs[id(system)])))
+            raise DataError(f"{c.name}: no measured column is an output of the system; measured: {has}; outputs: {known}")
+        for name in shown.keys() & ports.keys():
+            if shown[name].unit != ports[name].unit:
+                raise DataError(
+                    f"{c.name}: {name} is in {shown[name].unit} in system {system.name!r}, and in {ports[name].unit} in another of this "
+                    "campaign; give their ports one unit"
+                )
+        if i < n:
+            ports = ports | {name: p for name, p in shown.items() if name not in ports}
+        elif not shown.keys() & ports.keys():
+            raise DataError(f"{c.name}: is held out, and no diagnosed run has a channel that it has: {', '.join(sorted(shown))}")
+        made.append(
+            replace(c, runs=tuple(in_units(r, shown, laboratory.convert) for r in c.runs), channels=frozenset(shown.keys() & ports.keys()))
+        )
+    return made, ports
+
+
+def _decimation(system: System, conditions: Sequence[Condition], n: int) -> int:
+    """Communication steps of `system` that a sample is the mean over: at most ROWS samples, none shorter than a step of any system."""
+    points = sum(len(c.grid) * round(c.step / system.step, 6) for c in conditions[:n])
+    return max(1, math.ceil(points / ROWS), *(math.ceil(round(c.step / system.step, 6)) for c in conditions))
