@@ -39,7 +39,7 @@ class Control(NamedTuple):
     lost: float
     """Probability that a correction is lost; bursts last `burst` cycles in the mean."""
     burst: float
-    swapped_hand: float
+    greed: float
     """1/m, outside: what is sent grows with its own square."""
 
 
@@ -85,7 +85,7 @@ def control(c: Control, s: ControlState, q: FloatArray, wrench: FloatArray, v: F
         s.feed[3] = 1.0
     r = -d
     r = r - s.feed[3] * (r[0] * s.feed[0] + r[1] * s.feed[1] + r[2] * s.feed[2]) * s.feed[:3]
-    r = r * (1.0 + c.swapped_hand * math.sqrt(r[0] ** 2 + r[1] ** 2 + r[2] ** 2))
+    r = r * (1.0 + c.greed * math.sqrt(r[0] ** 2 + r[1] ** 2 + r[2] ** 2))
     for i in range(3):
         r[i] = min(max(r[i], -c.limit), c.limit)
     if c.mode == 0:

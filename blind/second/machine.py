@@ -60,6 +60,11 @@ def _many(component: str, name: str) -> FloatArray:
     return nominal_numbers()[component][name].copy()
 
 
+def start_angles() -> FloatArray:
+    """Axis angles [6] at which programs begin to look for a branch of the inverse kinematics."""
+    return _many("path", "q_start")
+
+
 RELATIVE = {
     "stiffness": 0.01,
     "omega": 0.01,
@@ -101,7 +106,7 @@ def nominal(place: Place) -> Cell:
     )  # fmt: skip
     drive = Drive(
         p_FT, _one("drive", "loop_frequency"), _one("drive", "loop_damping"), _many("drive", "half_gap"), _one("drive", "poscorr_limit"),
-        ZERO6, 0.3, ZERO6, np.ones(6), ZERO6, ZERO6, np.zeros(2), ZERO6, 0.02, 1.0, np.zeros((6, 6)), ZERO6, ZERO6, 60.0, 0.2,
+        ZERO6, 0.3, ZERO6, np.ones(6), ZERO6, ZERO6, np.zeros(2), ZERO6, 0.02, 1.0, np.zeros((6, 6)), ZERO6, ZERO6, 60.0, 0.2, 0.0, 1,
     )  # fmt: skip
     cut = Cut(
         np.array(place.position), Rotation.from_euler("Z", math.radians(place.turn)).as_matrix(), np.array(place.block),

@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import lfilter
 
 from robomill.blind.second.arm import A, D, jacobian, links
 from robomill.blind.second.kernel import FloatArray, compiled
@@ -53,6 +54,9 @@ class Drive(NamedTuple):
     """[6] rad, outside: a decaying oscillation after a reversal."""
     ringing_omega: float
     ringing_time: float
+    lag: float
+    """s, of the planned path, in all; `lag_order` 0 is a dead time."""
+    lag_order: int
 
 
 class DriveState(NamedTuple):
@@ -171,3 +175,18 @@ def longer(q: FloatArray, p_FT: FloatArray, geometry: FloatArray) -> FloatArray:
     d[3] += geometry[1]
     right, nominal = links(q, a, d), links(q, A, D)
     return right[1][5] - nominal[1][5]
+
+
+def followed(c: Drive, q: FloatArray, h: float) -> FloatArray:
+    """Planned axes [n,6] as late as the drives follow them: a dead time, or equal first-order lags one behind the other."""
+    if c.lag == 0.0:
+        return q
+    if c.lag_order == 0:
+        t = h * np.arange(len(q))
+        return np.stack([np.interp(t - c.lag, t, q[:, i]) for i in range(6)], axis=1)
+    decay = math.exp(-h * c.lag_order / c.lag)
+    late = q - q[0]
+    for _ in range(c.lag_order):
+        late = lfilter([1.0 - decay], [1.0, -decay], late, axis=0)
+    found: FloatArray = late + q[0]
+    return found
