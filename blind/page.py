@@ -17,7 +17,7 @@ from robomill.blind.statistics import Figure
 
 Reasons = Mapping[tuple[str, str, str], str]
 """(set, tier, figure) -> why its bound is missed, and what was tried."""
-TOGETHER = "all sets"
+EVERY_SET = "all sets"
 """What stands in place of a set where all of them count."""
 _MAKERS = GENERATORS[:2]
 _REASON = {"set", "tier", "figure", "reason", "tried"}
@@ -81,7 +81,7 @@ def _together(scores: Sequence[Score]) -> list[list[str]]:
     for tier in dict.fromkeys(s.tier for s in scores):
         claims = [c for s in scores if s.tier == tier for c in s.claims]
         makers = [calibration([c for c in claims if c.generator == m]) for m in _MAKERS]
-        rows.append(_line("ece", TOGETHER, tier, calibration(claims), makers))
+        rows.append(_line("ece", EVERY_SET, tier, calibration(claims), makers))
     return rows
 
 
