@@ -18,6 +18,10 @@ from tests.diagnosis.test_masquerade import TRUTHS
 STIFF = {"masses": {"stiffness_error[2]": -0.08}}
 SMALL = {"sensors": {"gain_error[1]": 0.004}}
 """Of which noise and tolerances, not the form of the effect, say how well it is known."""
+FLOOR = 0.05
+"""Part of an interval: the floor of the noise is TRUST of the median of what all effects do, which six more move by a few per cent."""
+INDIFFERENT = 0.01
+"""Probability: what is below it is not even listed."""
 _ENTRY = """
 [[effect]]
 name = "{name}"
@@ -83,11 +87,11 @@ def test_candidates_that_are_not_there_do_not_change_the_answer(tmp_path: Path, 
     assert many["verdict"] == few["verdict"] == ("none" if truth is None else "identified")
     assert [(w["effect"], w["location"]) for w in many["which"]] == [(w["effect"], w["location"]) for w in few["which"]]
     for one, other in zip(few["which"], many["which"], strict=True):
-        assert other["probability"] == pytest.approx(one["probability"], abs=0.01)
+        assert other["probability"] == pytest.approx(one["probability"], abs=INDIFFERENT)
     if truth is not None:
         (value, half), (other_value, other_half) = first(few), first(many)
-        assert other_value == pytest.approx(value, abs=0.05 * half)
-        assert other_half == pytest.approx(half, rel=0.05)
+        assert other_value == pytest.approx(value, abs=FLOOR * half)
+        assert other_half == pytest.approx(half, rel=2.0 * FLOOR)
 
 
 def test_the_more_repeats_the_narrower_the_interval_and_one_is_wider_than_three(tmp_path: Path) -> None:
@@ -100,10 +104,14 @@ def test_the_more_repeats_the_narrower_the_interval_and_one_is_wider_than_three(
     assert known[6][1] > known[3][1] / 2.0**0.5
 
 
-def test_twice_as_long_a_run_narrows_the_interval(tmp_path: Path) -> None:
-    short, long = (first(answer(measure(SMALL, seconds=seconds), catalogue(tmp_path))) for seconds in (8.0, 16.0))
-    assert long[1] < 0.9 * short[1]
-    assert abs(long[0] - 0.004) < long[1]
+@pytest.mark.parametrize(("seconds", "least"), [(7.0, 0.75), (8.0, 0.96)], ids=["all samples", "averaged in blocks"])
+def test_twice_the_data_narrows_the_interval(tmp_path: Path, seconds: float, least: float) -> None:
+    """A second condition that is nearly the first: by the root of two; two of 8 s have more than ROWS samples, and gain less."""
+    one = measure(SMALL, seconds=seconds)
+    two = [*one, *measure(SMALL, seconds=seconds, amplitude=1.001, seed=2)]
+    (value, half), (_, before) = first(answer(two, catalogue(tmp_path))), first(answer(one, catalogue(tmp_path)))
+    assert before / 2.0**0.5 < half < least * before
+    assert abs(value - 0.004) < half
 
 
 def without_the_truth(folder: Path, true: str, held: float | None) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -120,7 +128,7 @@ def without_the_truth(folder: Path, true: str, held: float | None) -> tuple[dict
 
 def never_surer(whole: Mapping[str, Any], rest: Mapping[str, Any]) -> None:
     assert whole["verdict"] == "identified"
-    assert rest["verdict"] in ("unknown", "bad_log")
+    assert rest["verdict"] == "unknown"
     assert rest["tests"]["p_fit"] < whole["tests"]["p_fit"]
     assert max((w["probability"] for w in rest["which"]), default=0.0) < whole["which"][0]["probability"]
 

@@ -322,7 +322,7 @@ class TestForm:
         assert form is not None
         expected = [c for k in (0, 1) for c in self.parts(found, slopes[:, k] * x[k]) if c @ c > 1.0]
         assert len(expected) == 5  # Q does nothing in the second condition, and nothing to the first array
-        assert form == pytest.approx(np.stack(expected, axis=1), rel=RIDGE, abs=1e-9)
+        assert form == pytest.approx(np.stack(expected, axis=1), rel=RIDGE, abs=RIDGE)
 
     def test_what_is_too_small_to_be_seen_has_none(self) -> None:
         """A column of less than one deviation in all changes nothing; the number of columns would grow with that of the effects."""
