@@ -59,6 +59,8 @@ class Score:
     """Everything that is claimed in good logs: the calibration counts over all sets together."""
     wall: float | None
     """Mean wall time of a diagnosis in one process [s]."""
+    cpu: float | None
+    """Mean CPU time of it [s]."""
     baselines: Mapping[str, Figures]
 
     @staticmethod
