@@ -1,10 +1,12 @@
-"""Constants: each name means one thing; what lies just beyond one of gate, noise and phases is found, and would not be if it were twice as
-large.
+"""Constants: each name means one thing, and there are not too many; what lies just beyond one of gate, noise and phases is found, and would
+not be if it were twice as large; priors, adequacy and verdict say something else if one of theirs is twice as large.
 """
 
 from __future__ import annotations
 
 import ast
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,17 +15,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import COS, SIN, Candidate, Prior
+from robomill.diagnosis.catalogue import COS, LOGGING, SIN, Candidate, Prior
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import Setting
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.gate import phases
 from robomill.diagnosis.gate.checks import Finding
-from robomill.diagnosis.inference import search
+from robomill.diagnosis.inference import adequacy, evidence, machines, priors, search, transfer
+from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.noise import fast, own_noise
+from robomill.diagnosis.outcome import verdict
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import measure
+from tests.diagnosis.formula import candidate
+from tests.tolerances import ROUNDOFF
 
 STEP = 0.01
 CHANNEL = "sensors.y[1]"
@@ -43,6 +49,50 @@ def test_the_name_of_a_constant_means_one_thing_in_diagnosis_and_benchmark() -> 
                 places.setdefault(name, []).append(str(path.relative_to(ROOT)))
     assert len(places) > 100
     assert {name: files for name, files in places.items() if len(files) > 1 and name not in SHARED} == {}
+
+
+AT_MOST = 138
+"""Named constants of diagnosis/. Each one more is one more thing that somebody must set."""
+
+
+def numbers(node: ast.expr | None) -> bool:
+    """Whether a value is a number or a tuple of numbers, written out."""
+    match node:
+        case ast.Constant(value=int() | float() as value):
+            return not isinstance(value, bool)
+        case ast.UnaryOp(operand=operand):
+            return numbers(operand)
+        case ast.BinOp(left=left, right=right):
+            return numbers(left) and numbers(right)
+        case ast.Tuple(elts=elements) | ast.List(elts=elements):
+            return bool(elements) and all(map(numbers, elements))
+    return False
+
+
+def constants(source: str) -> list[str]:
+    """Names in capitals that a module gives to numbers."""
+    found = []
+    for node in ast.parse(source).body:
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+        if not isinstance(node, ast.Assign | ast.AnnAssign):
+            continue
+        for target in targets:
+            pairs = [(target, node.value)]
+            if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple) and len(target.elts) == len(node.value.elts):
+                pairs = list(zip(target.elts, node.value.elts, strict=True))
+            found += [x.id for x, value in pairs if isinstance(x, ast.Name) and x.id.isupper() and numbers(value)]
+    return found
+
+
+def test_what_counts_as_a_constant() -> None:
+    source = "A, B = 1.0, -2\nC = 1 / 32, 1 / 4\nD: float = 2.0 * 3\nE = ('x', 1)\nF = True\ng = 3.0\nH = abs(-1)\n"
+    assert constants(source) == ["A", "B", "C", "D"]
+
+
+def test_there_are_no_more_constants_than_there_were() -> None:
+    names = [name for path in sorted((ROOT / "diagnosis").rglob("*.py")) for name in constants(path.read_text(encoding="utf-8"))]
+    assert {"DEPENDENCE", "MISFIT", "KEEPS", "OUTSIDE"} <= set(names)
+    assert len(names) <= AT_MOST
 
 
 def recorded(x: FloatArray, t: FloatArray = T) -> Run:
@@ -173,3 +223,70 @@ class TestPhases:
     def test_the_amplitude_takes_three_simulations_of_each_part(self) -> None:
         """PHASE_ROUNDS, and the nominal one."""
         assert self.looked_at(1.0)[1] == 1 + 3 * 2
+
+
+EFFECT, CLOCK = candidate("p"), replace(candidate("lag a.*"), component=LOGGING)
+AROUND_NOISE: Any = SimpleNamespace(candidates=(EFFECT,), evidence=SimpleNamespace(expected=np.ones(1000)))
+
+
+def fitted(left: float, *model: Candidate) -> Fit:
+    """A model that leaves so many times what noise does."""
+    return Fit(model, {}, {}, 0.0, 1000.0 * left)
+
+
+def form() -> float:
+    """Length of what the law of an effect may miss that is 100 deviations long."""
+    space = Space(np.zeros(1), {"all": slice(0, 1)}, np.zeros((1, 0)))
+    made: Any = SimpleNamespace(space=space, arrays=np.array([0]))
+    found = evidence.Evidence.form(made, (EFFECT,), np.array([100.0]), np.zeros((1, 1)), np.zeros(1))
+    assert found is not None
+    return float(found[0, 0])
+
+
+def rank() -> float:
+    """That of odds which no simulated machine has."""
+    space = Space(np.zeros(1), {"all": slice(0, 1)}, np.zeros((1, 0)))
+    a = EFFECT.addresses[0]
+    of: Any = SimpleNamespace(candidates=(EFFECT,), starts={}, evidence=SimpleNamespace(space=space, sensitivities={a: np.ones(1)}))
+    return machines.p_none(of, math.inf)
+
+
+def fits(before: float, after: float, *model: Candidate) -> float:
+    return verdict.tested(AROUND_NOISE, fitted(before), fitted(after, *model), 0.0, 0.0, None, 0.02).p_fit
+
+
+def judged(before: float, probability: float, p_none: float) -> str:
+    tests = verdict.Tests(0.02, p_none, 0.99, 0.0)
+    return verdict.judged(AROUND_NOISE, tests, fitted(before), fitted(1.0, EFFECT), None, {EFFECT: probability}, False)
+
+
+NOTICED: list[tuple[Any, str, float, Callable[[], Any], Any, Any]] = [
+    (priors, "NOTHING", 2.0, lambda: math.exp(priors.log_priors([()], (EFFECT,))[0]), 0.3, 0.6),
+    # a probability that cannot be doubled: twice the odds
+    (priors, "ANOTHER", 4 / 3, lambda: math.exp(priors.log_priors([(EFFECT,)], (EFFECT,))[0]), 0.7 * 0.25, 0.7 / 9.0),
+    (adequacy, "LEVEL", 2.0, lambda: adequacy.unexplained(11.1, 3.2), 0.21, 1.0 / 8.9),
+    (adequacy, "SPREAD", 2.0, lambda: adequacy.left_by(5.0, 1.8, 0.05) > -0.2, False, True),
+    (adequacy, "MISFIT", 2.0, lambda: adequacy.misfit((EFFECT,)), 0.05, 0.1),
+    (adequacy, "MISFIT", 2.0, lambda: fits(50.0, 15.0, EFFECT) > 0.5, False, True),
+    (adequacy, "EXACT", 2.0, lambda: adequacy.misfit((EFFECT, CLOCK)), 0.005, 0.01),
+    (adequacy, "EXACT", 2.0, lambda: fits(50.0, 3.0, CLOCK) > 0.5, False, True),
+    (evidence, "FORM", 2.0, form, 4.0, 8.0),
+    (machines, "MACHINES", 2, rank, 1.0 / 2001.0, 1.0 / 4001.0),
+    (transfer, "KEEPS", 2.0, lambda: transfer.Transfer(5.0, 1.1, 1.0, 1.0, 0.0, 0.8, 0.1).promise > 0.0, False, True),
+    (verdict, "OUTSIDE", 2.0, lambda: fits(1.0, 1.0, EFFECT) > 0.7, True, False),
+    (verdict, "UNKNOWN", 2.0, lambda: judged(1.5, 0.9, 0.5), "unknown", "none"),
+    (verdict, "IDENTIFIED", 1.2, lambda: judged(9.0, 0.9, 0.001), "identified", "ambiguous"),
+]
+"""Module, constant, times what, what depends on it, before and after."""
+
+
+@pytest.mark.parametrize(("module", "name", "times", "figure", "before", "after"), NOTICED, ids=[n[1] for n in NOTICED])
+def test_a_constant_of_the_tests_that_is_twice_as_large_is_noticed(
+    module: Any, name: str, times: float, figure: Callable[[], Any], before: Any, after: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def same(found: Any, expected: Any) -> bool:
+        return bool(found == (pytest.approx(expected, rel=1e2 * ROUNDOFF) if isinstance(expected, float) else expected))
+
+    assert same(figure(), before)
+    monkeypatch.setattr(module, name, times * getattr(module, name))
+    assert same(figure(), after)

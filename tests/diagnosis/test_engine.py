@@ -16,7 +16,6 @@ from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.outcome.answer import Diagnosis
-from robomill.diagnosis.outcome.conclusion import ELSE
 from robomill.orchestration.runs.run import Run
 from tests.diagnosis.demo import NOISE, NOISE_PART, RANGE, SYSTEM, WELL, catalogue, changed, measure, resolve
 from tests.tolerances import ROUNDOFF
@@ -107,7 +106,7 @@ class TestVerdict:
         assert {w["effect"] for w in result["which"][:2]} == {"gain", "scale"}
         one, other = (w["probability"] for w in result["which"][:2])
         assert one == pytest.approx(other, rel=ROUNDOFF)
-        assert one + other > 0.99 * (1.0 - ELSE)
+        assert one + other > 0.99 * result["tests"]["p_fit"]
         assert result["which"][0]["confusable_with"]
         assert result["isolability"][0] == {"pair": ["gain @ sensor 1", "scale @ sensor 1"], "distance": 0.0, "confusable": True}
         assert result["next_run"] is None  # there is no menu

@@ -14,7 +14,8 @@ from robomill.diagnosis.catalogue import Candidate
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
-from robomill.diagnosis.inference.estimation import Fit, probabilities
+from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.priors import probabilities
 from robomill.diagnosis.inference.search import Search
 from robomill.orchestration.runs.run import Run
 from tests.diagnosis.demo import SYSTEM, WELL, catalogue, changed, measure, resolve

@@ -11,7 +11,7 @@ import pytest
 
 from robomill.diagnosis.catalogue import LOGGING, Address
 from robomill.diagnosis.experiment.measured import DataError
-from robomill.diagnosis.inference.evidence import BEGINNING, DEPENDENCE, LATENESS, SETTLING, SUDDEN, TRUST, Evidence, gather
+from robomill.diagnosis.inference.evidence import BEGINNING, DEPENDENCE, FORM, LATENESS, SETTLING, SUDDEN, TRUST, Evidence, gather
 from robomill.diagnosis.inference.noise import SPELL, own_noise
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import STEP
@@ -132,7 +132,7 @@ class TestScales:
         assert slopes(found)[P] == pytest.approx(self.counted(8.0 * 0.1 / 4.0, -8.0 * 0.1 / 4.0, 2), rel=RIDGE)
         assert slopes(found)[Q] == pytest.approx(self.counted(2.0, 2.0, 2), rel=RIDGE)
         assert slopes(found).keys() == {P, Q}
-        column = found.space.nuisances[:, found.space.names.index(CALIBRATED)]
+        column = found.space.nuisances.toarray()[:, found.space.names.index(CALIBRATED)]
         assert column == pytest.approx(self.counted(6.0 * 0.5 / 1.5, 0.0, 2), rel=RIDGE)
 
     def test_the_residual_is_measured_minus_nominal_and_its_blocks_are_the_conditions(self) -> None:
@@ -176,7 +176,7 @@ class TestScales:
         single = own_noise([runs], 1, SPELL)
         assert single.shape[1] > 0
         assert [name for _, name in found.space.names[-single.shape[1] :]] == [f"noise {i + 1}" for i in range(single.shape[1])]
-        columns = found.space.nuisances[:, -single.shape[1] :]
+        columns = found.space.nuisances.toarray()[:, -single.shape[1] :]
         assert not columns[:ROWS].any()
         assert columns[ROWS:] == pytest.approx(single / math.sqrt(DEPENDENCE), rel=ROUNDOFF)
 
@@ -192,7 +192,7 @@ class TestLateness:
         found = gathered([[x, x]], [[x]], changes, {P: 1.0}, {P: 1.0}, {}, decimation)
         begin = math.ceil(BEGINNING / decimation)
         for component, here in (("a", [True, True, False]), ("b", [False, False, True])):
-            column = found.space.nuisances[:, found.space.names.index((LOGGING, f"lag {component}.*"))].reshape(ROWS, 3)
+            column = found.space.nuisances.toarray()[:, found.space.names.index((LOGGING, f"lag {component}.*"))].reshape(ROWS, 3)
             shifted = np.stack([np.interp(t - LATENESS * STEP, t, channel) for channel in x.T], axis=1)
             expected = (shifted - x) * here / floor * math.sqrt(2.0 / DEPENDENCE)
             assert column[begin:] == pytest.approx(expected[begin:], rel=1e3 * RIDGE, abs=RIDGE)
@@ -203,7 +203,7 @@ class TestLateness:
         t = STEP * np.arange(ROWS)
         x = np.sin(2.0 * t)[:, None]
         found = gathered([[x, x]], [[x]], {P: [still(1e3)]}, {P: 1.0}, {P: 1.0}, {})
-        column = found.space.nuisances[:, 0]
+        column = found.space.nuisances.toarray()[:, 0]
         expected = -LATENESS * STEP * 2.0 * np.cos(2.0 * t) / (TRUST * 1e3) * math.sqrt(2.0 / DEPENDENCE)
         inside = slice(BEGINNING, -1)
         # (w h)^2 / 6 of the rate, which passes zero; SUDDEN of the curvature is far below so high a floor
@@ -269,3 +269,67 @@ class TestChannelsThatAConditionLacks:
         found = self.evidence(noise=0.0)
         floor = TRUST * 0.5 * float(np.sqrt((self.SHAPE**2).mean()))
         assert found.whitening.factor[1, 1] == pytest.approx(floor, rel=RIDGE)
+
+    def test_the_noise_of_a_channel_is_that_of_the_conditions_that_have_it(self) -> None:
+        """Of zeros in the other condition it would be less by the root of two."""
+        found = self.evidence(repeats=6)
+        samples = ROWS * 5
+        noise = found.whitening.deviation[1]
+        assert noise == pytest.approx(0.1, rel=chance(0.5 * of_variance(samples)))
+
+
+class TestForm:
+    """Two conditions, three channels of two arrays; P changes all of them, Q the second array only."""
+
+    NAMES = ("a.x[1]", "a.x[2]", "b.z")
+    P_DOES, Q_DOES = np.array([1.0, -2.0, 0.5]), np.array([0.0, 0.0, 3.0])
+
+    def evidence(self, size: float = 100.0) -> Evidence:
+        """Noise of 1 in each channel; an effect of one scale is so many times as large."""
+        rng = np.random.default_rng(9)
+        laboratory = Calculated(lambda *_: None, ROWS, self.NAMES, 2)
+        groups = [[rng.normal(size=(ROWS, 3)) for _ in range(4)] for _ in range(2)]
+        changes = {P: [size * np.tile(self.P_DOES, (ROWS, 1))] * 2, Q: [size * np.tile(self.Q_DOES, (ROWS, 1)), still(0.0, 3)]}
+        names = [c.name for c in laboratory.conditions]
+        ones = {P: 1.0, Q: 1.0}
+        return gather(laboratory, names, groups, [[still(0.0, 3)]] * 2, changes, ones, ones, {})
+
+    def parts(self, found: Evidence, does: FloatArray) -> list[FloatArray]:
+        """Directly: a column of FORM times what an effect does, for each condition and array."""
+        columns = []
+        for block in (slice(0, 3 * ROWS), slice(3 * ROWS, 6 * ROWS)):
+            for channels in ([0, 1], [2]):
+                column = np.zeros((2 * ROWS, 3))
+                rows = slice(block.start // 3, block.stop // 3)
+                column[rows, channels] = FORM * does.reshape(-1, 3)[rows][:, channels]
+                columns.append(column.ravel())
+        return columns
+
+    def test_one_column_per_condition_and_array_of_a_part_of_what_the_effect_does(self) -> None:
+        found = self.evidence()
+        x = np.array([0.7])
+        does = found.sensitivities[P] * 0.7
+        form = found.form((candidate("p"),), does, found.sensitivities[P][:, None], x)
+        assert form is not None
+        expected = np.stack(self.parts(found, does), axis=1)
+        assert form == pytest.approx(expected, rel=RIDGE, abs=EXACT)
+        assert form.sum(axis=1) == pytest.approx(FORM * does, rel=RIDGE)
+
+    def test_of_several_effects_each_has_its_own_by_its_slopes(self) -> None:
+        found = self.evidence()
+        slopes, x = np.stack([found.sensitivities[P], found.sensitivities[Q]], axis=1), np.array([0.7, -2.0])
+        form = found.form((candidate("p"), candidate("q")), slopes @ x, slopes, x)
+        assert form is not None
+        expected = [c for k in (0, 1) for c in self.parts(found, slopes[:, k] * x[k]) if c @ c > 1.0]
+        assert len(expected) == 5  # Q does nothing in the second condition, and nothing to the first array
+        assert form == pytest.approx(np.stack(expected, axis=1), rel=RIDGE, abs=RIDGE)
+
+    def test_what_is_too_small_to_be_seen_has_none(self) -> None:
+        """A column of less than one deviation in all changes nothing; the number of columns would grow with that of the effects."""
+        found = self.evidence()
+        model, slopes = (candidate("p"),), found.sensitivities[P][:, None]
+        norms = [math.sqrt(float(c @ c)) for c in self.parts(found, slopes[:, 0])]
+        for x, count in ((1.01 / max(norms), 2), (0.99 / max(norms), 0), (1.01 / min(norms), 4)):
+            form = found.form(model, slopes[:, 0] * x, slopes, np.array([x]))
+            assert (0 if form is None else form.shape[1]) == count
+        assert found.form((), 0.0 * found.space.y, np.zeros((found.space.y.size, 0)), np.zeros(0)) is None

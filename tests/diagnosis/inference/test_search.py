@@ -143,3 +143,16 @@ def test_an_effect_that_a_tolerance_hides_is_looked_at_by_what_it_leaves_without
         assert s._hidden(fit(s, {GAIN: 0.01, CLOCK: 0.006}, left=0.05 * without))
         assert not s._hidden(fit(s, {CLOCK: 0.006, GAIN: 0.01}, left=0.05 * without))  # what is added last: no tolerance is like a gain
         assert not s._hidden(fit(s, {GAIN: 0.01}))
+
+
+def test_the_law_of_a_strong_effect_may_be_off_in_every_fit_of_it(tmp_path: Path) -> None:
+    """Simulations here have no noise of their own: nothing is said again as a mean, and the form counts all the same."""
+    with search(tmp_path, measure({"sensors": {"gain_error[1]": 0.04}})) as s:
+        best = max(s.run(), key=lambda f: f.log_evidence)
+        assert [c.addresses for c in best.model] == [(GAIN,)]
+        assert best.signature is not None
+        assert best.sensitivities is not None
+        form = s.evidence.form(best.model, best.signature, best.sensitivities, np.array([best.values[GAIN] / 0.05]))
+        assert form is not None
+        assert best.form is not None
+        assert best.form == pytest.approx(form, rel=WELL, abs=WELL)

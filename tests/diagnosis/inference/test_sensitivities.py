@@ -73,7 +73,7 @@ class TestLinear:
         found = Screened(linear, 0.5, candidate("p"), nuisances=(calibrated,))
         assert setting({calibrated.address: TOLERANCES * 0.2}) in found.laboratory.asked
         space = found.evidence.space
-        column = space.nuisances[:, space.names.index(calibrated.address)]
+        column = space.nuisances.toarray()[:, space.names.index(calibrated.address)]
         assert column == pytest.approx(found.white(0.1 * 0.2 * ONE), rel=SAME, abs=SAME)
         assert space.alike[P][calibrated.address] == pytest.approx(0.1 * 0.2, rel=SAME)
 

@@ -9,6 +9,7 @@ from robomill.diagnosis.inference.transfer import Transfer
 from robomill.diagnosis.localisation.localise import Dependence
 from robomill.diagnosis.localisation.swap import Share
 from robomill.diagnosis.localisation.where import Replayed, Where
+from robomill.diagnosis.outcome import verdict
 from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Unknown, Which, as_json, to_json
 from robomill.diagnosis.outcome.closure import HowFar
 
@@ -43,7 +44,8 @@ def test_numbers_that_there_are_none_of_are_null() -> None:
         where=(replace(REPLAYED, shares=shares, dependence=[Dependence("frequency 1 .. 2 Hz", 0.5, None)]),),
         which=(Which("backlash", "drive", "joint 3", 0.9, {"backlash[3]": Estimate(8e-5, [7e-5, 9e-5], "rad")}, []),),
         how_far=(HowFar("all", "all", "1", "diagnosed runs", 1.0, 0.9, 0.1, measurable=False, why_no_ceiling="small"),),
-        transfer=Transfer(4.0, 1.0, 100.0, 100.0),
+        transfer=(moved := Transfer(4.0, 1.0, 100.0, 100.0, 0.1, 0.9, 0.05)),
+        tests=verdict.Tests(0.02, 0.0005, 0.97, 0.001),
         unknown=Unknown({"drive.q": 0.7, "sensor.f": 0.3}, "drive", "drive.q", [], "nominal"),
     )
     data = json.loads(as_json(to_json(answer)))
@@ -52,6 +54,19 @@ def test_numbers_that_there_are_none_of_are_null() -> None:
     assert data["which"][0]["parameters"] == {"backlash[3]": {"value": 8e-5, "interval": [7e-5, 9e-5], "unit": "rad"}}
     nothing = dict.fromkeys(["closure", "interval", "ceiling", "ceiling_by", "ratio"])
     assert data["how_far"][0].items() >= (nothing | {"measurable": False, "why_no_ceiling": "small"}).items()
-    assert data["transfer"]["stands"] is True
+    assert list(data["transfer"]) == [
+        "before",
+        "after",
+        "gain",
+        "expected_gain",
+        "doubt",
+        "amplitude",
+        "deviation",
+        "misfit",
+        "promise",
+        "worth",
+    ]
+    assert (data["transfer"]["promise"], data["transfer"]["worth"]) == (moved.promise, moved.worth)
+    assert data["tests"] == {"false_alarm": 0.02, "p_none": 0.0005, "p_fit": 0.97, "nothing": 0.001}
     assert data["unknown"]["channels"] == [{"channel": "drive.q", "share": 0.7}, {"channel": "sensor.f", "share": 0.3}]
     assert "changes" not in data["unknown"]

@@ -1,73 +1,130 @@
-"""Whether an effect is believed to be there."""
+"""Two tests and the posterior: which of the answers it is."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.special import expit
 
+from robomill.diagnosis.catalogue import LOGGING, Candidate
+from robomill.diagnosis.inference.adequacy import EXACT, LEVEL, MISFIT, left_by
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
-from robomill.diagnosis.outcome.verdict import believed, changes
+from robomill.diagnosis.outcome import verdict
+from robomill.diagnosis.outcome.verdict import FALSE_ALARM, OUTSIDE, UNKNOWN, believed, changes, judged
 from tests.diagnosis.demo import catalogue
+from tests.tolerances import ROUNDOFF
+
+EXPECTED = 1000.0
+SURE = verdict.Tests(0.02, 0.001, 0.98, 0.001)
+
+
+def search(candidates: tuple[Candidate, ...] = ()) -> Any:
+    return cast(Any, SimpleNamespace(candidates=candidates, evidence=SimpleNamespace(expected=np.full(1000, EXPECTED / 1000))))
+
+
+def fit(left: float, model: tuple[Candidate, ...] = ()) -> Fit:
+    """A model that leaves so many times what noise does."""
+    return Fit(model, {}, {}, 0.0, EXPECTED * left)
+
+
+class TestTested:
+    @pytest.mark.parametrize("nothing", [0.5, 0.02, 1e-9])
+    @pytest.mark.parametrize(("before", "after"), [(9.0, 1.2), (1.3, 1.1), (9.0, 5.0)])
+    def test_without_new_conditions_they_are_those_of_the_diagnosed_runs(
+        self, tmp_path: Path, nothing: float, before: float, after: float
+    ) -> None:
+        effect = catalogue(tmp_path).candidates[:1]
+        found = verdict.tested(search(), fit(before), fit(after, effect), nothing, 0.3, None, 0.05)
+        assert (found.false_alarm, found.p_none) == (0.05, 0.3)
+        assert found.p_fit == pytest.approx(expit(math.log((1.0 - OUTSIDE) / OUTSIDE) + left_by(before, after)), rel=ROUNDOFF)
+        assert found.nothing == pytest.approx(nothing, rel=1e3 * ROUNDOFF)
+
+    def test_new_conditions_add_their_gain_to_the_odds_and_their_worth_to_the_fit(self, tmp_path: Path) -> None:
+        effect = catalogue(tmp_path).candidates[:1]
+        moved = Transfer(4.0, 1.5, -3.0, 20.0, 0.1, 0.6, 0.1)
+        found = verdict.tested(search(), fit(9.0), fit(1.3, effect), 0.02, 0.01, moved, 0.02)
+        assert found.nothing == pytest.approx(expit(-(math.log(0.98 / 0.02) - 3.0)), rel=1e2 * ROUNDOFF)
+        odds = math.log((1.0 - OUTSIDE) / OUTSIDE) + left_by(9.0, 1.3) + moved.worth
+        assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
+
+    def test_a_fault_of_the_log_must_leave_less(self, tmp_path: Path) -> None:
+        clock = tuple(c for c in catalogue(tmp_path).candidates if c.component == LOGGING)[:1]
+        effect = catalogue(tmp_path).candidates[:1]
+        exact, other = (verdict.tested(search(), fit(50.0), fit(3.0, model), 0.0, 0.001, None, 0.02).p_fit for model in (clock, effect))
+        assert exact == pytest.approx(expit(math.log((1.0 - OUTSIDE) / OUTSIDE) + left_by(50.0, 3.0, EXACT)), rel=1e2 * ROUNDOFF)
+        assert exact < other
+
+    @pytest.mark.parametrize(("nothing", "says"), [(0.0, 0.0), (1.0, 1.0)])
+    def test_a_probability_that_is_none_or_all_stays_that(self, nothing: float, says: float) -> None:
+        for moved in (None, Transfer(1.0, 1.0, 5.0, 5.0)):
+            assert verdict.tested(search(), fit(1.0), fit(1.0), nothing, 1.0, moved, 0.02).nothing == says
 
 
 @pytest.mark.parametrize(
-    ("nothing", "gain", "there"),
-    [
-        (0.2, None, False),  # four to one
-        (0.04, None, True),  # twenty to one, and no new condition
-        (0.0, None, True),
-        (0.2, 4.0, True),  # new conditions add what is missing
-        (0.2, 1.0, False),
-        (0.02, -3.0, False),  # or take it away
-        (1e-5, -50.0, True),  # where there is much evidence they cannot say that there is nothing: only that it is something else
-    ],
+    ("p_none", "nothing", "there"),
+    [(0.001, 0.001, True), (0.02, 0.02, True), (0.021, 0.001, False), (0.001, 0.021, False), (1.0, 1.0, False)],
 )
-def test_by_the_odds_and_by_new_conditions_where_these_are_low(nothing: float, gain: float | None, there: bool) -> None:
-    moved = None if gain is None else Transfer(1.0, 1.0, gain, 5.0)
-    assert believed(nothing, moved) is there
+def test_an_effect_is_believed_where_both_are_at_most_the_false_alarm_rate(p_none: float, nothing: float, there: bool) -> None:
+    assert believed(verdict.Tests(0.02, p_none, 0.9, nothing)) is there
 
 
-def test_what_little_evidence_there_is_must_not_fall_short_of_its_expected_gain_either() -> None:
-    """A machine without effects (case 0214 of seed 2037): half of an expected gain is as far from it as from none."""
-    assert believed(0.04, Transfer(1.0, 1.0, 20.0, 31.0))
-    assert not believed(0.04, Transfer(1.0, 1.0, 2.0, 31.0))
+def test_the_false_alarm_rate_is_the_users() -> None:
+    faint = verdict.Tests(0.02, 0.04, 0.9, 0.04)
+    assert not believed(faint)
+    assert believed(replace(faint, false_alarm=0.05))
+    assert not believed(replace(SURE, false_alarm=1e-4))
 
 
-@pytest.mark.parametrize(
-    ("nothing", "gain", "expected_gain", "there"),
-    [
-        (0.04, 3.0, 12.0, False),  # machines without effects (cases 0037, 0055 and 0235 of seed 2035) have up to 0.23 of an expected gain
-        (0.04, 6.0, 12.0, True),
-        (0.04, 2.0, 7.0, True),  # an expected gain that is as small is had or not by chance
-        (1e-5, 3.0, 12.0, True),  # an answer that does not need it
-    ],
-)
-def test_a_faint_answer_must_have_a_part_of_its_expected_gain(nothing: float, gain: float, expected_gain: float, there: bool) -> None:
-    assert believed(nothing, Transfer(1.0, 1.0, gain, expected_gain)) is there
+class TestJudged:
+    def judged(self, tests: verdict.Tests = SURE, before: float = 9.0, *, p: float = 0.95, faulty: bool = False, folder: Path) -> str:
+        model = catalogue(folder).candidates[:2]
+        return judged(search(), tests, fit(before), fit(1.1, model), None, {model[0]: 0.95, model[1]: p}, faulty)
+
+    def test_an_effect_that_is_not_believed_is_none_or_a_gap_that_no_candidate_explains(self, tmp_path: Path) -> None:
+        for tests in (replace(SURE, p_none=0.5), replace(SURE, nothing=0.5)):
+            assert self.judged(tests, 0.99 * UNKNOWN, folder=tmp_path) == "none"
+            assert self.judged(tests, 1.01 * UNKNOWN, folder=tmp_path) == "unknown"
+        assert judged(search(), SURE, fit(1.0), fit(1.0), None, {}, False) == "none"
+        assert judged(search(), SURE, fit(2.0), fit(2.0), None, {}, False) == "unknown"
+
+    def test_a_model_that_is_rather_a_stand_in_is_unknown_be_it_as_likely_as_it_may(self, tmp_path: Path) -> None:
+        assert self.judged(replace(SURE, p_fit=0.49), folder=tmp_path) == "unknown"
+        assert self.judged(replace(SURE, p_fit=0.49), faulty=True, folder=tmp_path) == "unknown"
+        assert self.judged(replace(SURE, p_fit=0.51), folder=tmp_path) == "identified"
+
+    def test_one_answer_is_given_where_each_of_its_effects_is_likely(self, tmp_path: Path) -> None:
+        assert self.judged(p=0.81, folder=tmp_path) == "identified"
+        assert self.judged(p=0.79, folder=tmp_path) == "ambiguous"
+        assert self.judged(faulty=True, folder=tmp_path) == "bad_log"
 
 
 @pytest.mark.parametrize(
     ("by_change", "odds", "left", "there"),
     [
-        (20.0, -2.0, 1.1, True),  # creep that looks like hysteresis
-        (9.0, 5.0, 1.1, False),  # too little to be believed
-        (20.0, -4.0, 1.1, False),  # the best model is likelier
-        (62.0, 40.0, 20.0, False),  # a runout leaves much at this step, and a part of it goes with time (case 0168 of seed 2039)
+        (20.0, 2.0, LEVEL, True),  # creep that looks like hysteresis
+        (20.0, 1.0, LEVEL, False),  # what is in no catalogue has the odds OUTSIDE before the data, which is -1.4 nats
+        (62.0, 40.0, 20.0, False),  # a runout leaves much at this step, and a part of it goes with time
         (600.0, 40.0, 20.0, True),
     ],
 )
-def test_what_changes_with_time_must_be_likely_and_a_good_part_of_what_is_left(
+def test_what_changes_with_time_must_be_likelier_and_a_good_part_of_what_is_left(
     tmp_path: Path, by_change: float, odds: float, left: float, there: bool
 ) -> None:
-    search = cast(Any, SimpleNamespace(candidates=catalogue(tmp_path).candidates, evidence=SimpleNamespace(expected=np.full(1000, 1.0))))
-    best = Fit((), {}, {}, 0.0, 1000.0 * left)
+    """Of 18.9 times the noise beyond that of a machine without effects MISFIT is 945, of which half: 472 nats."""
+    of = search(catalogue(tmp_path).candidates)
     prior = math.log(0.3)  # of no effect
-    other = Changing(search.candidates[0], "grows", odds + prior, by_change)
-    assert changes(search, best, other) is there
+    other = Changing(of.candidates[0], "grows", odds + prior, by_change)
+    assert changes(of, fit(left), other) is there
+    assert 62.0 < 0.5 * MISFIT * (20.0 - LEVEL) * EXPECTED < 600.0
+
+
+def test_the_rate_that_is_used_unless_the_user_says_otherwise() -> None:
+    assert FALSE_ALARM == 0.02

@@ -1,0 +1,81 @@
+"""A right model against a stand-in, by what it leaves: against integrals."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import beta, norm
+
+from robomill.diagnosis.catalogue import LOGGING
+from robomill.diagnosis.inference.adequacy import EXACT, LEVEL, MISFIT, SPREAD, left_by, misfit, unexplained
+from tests.diagnosis.inference.test_estimation import candidate
+from tests.tolerances import ROUNDOFF
+
+QUADRATURE = 0.05
+"""nats: a twentieth of what counts as anything; the trapezoidal rule with 25 points per deviation and 201 on the whole is far below."""
+GAPS = (1.3, 2.0, 5.0, 50.0, 5000.0)
+
+
+def integrated(before: float, after: float, share: float) -> float:
+    """Log of the ratio of the integrals over the share that is left, of Beta(1, 1 / share - 1) and of any between 0 and 1."""
+    gap = before - LEVEL
+    centre, width = (after - LEVEL) / gap, SPREAD / gap
+    about = np.clip(centre + width * np.array([-8.0, -4.0, -1.0, 0.0, 1.0, 4.0, 8.0]), 0.0, 1.0)
+    points = sorted({0.0, 1.0, 0.5 * share, share, 2.0 * share, 5.0 * share, *about.tolist()})
+    # of both the largest likelihood, so that none is too small a number
+    best = norm.logpdf(np.clip(centre, 0.0, 1.0), centre, width)
+
+    def whole(density: float) -> float:
+        def at(u: float) -> float:
+            return math.exp(norm.logpdf(u, centre, width) - best) * (beta.pdf(u, 1.0, 1.0 / share - 1.0) if density else 1.0)
+
+        return sum(quad(at, low, high, epsabs=0.0, epsrel=1e-9)[0] for low, high in itertools.pairwise(points))
+
+    return math.log(whole(1.0)) - math.log(whole(0.0))
+
+
+@pytest.mark.parametrize("share", [MISFIT, EXACT])
+@pytest.mark.parametrize("before", GAPS)
+@pytest.mark.parametrize("part", [0.0, 0.01, 0.05, 0.2, 0.5, 0.9])
+def test_it_is_the_ratio_of_the_integrals_over_what_may_be_left(share: float, before: float, part: float) -> None:
+    after = LEVEL + part * (before - LEVEL)
+    assert left_by(before, after, share) == pytest.approx(integrated(before, after, share), abs=QUADRATURE)
+
+
+@pytest.mark.parametrize("share", [MISFIT, EXACT])
+@pytest.mark.parametrize("after", [0.9, LEVEL, 1.3])
+def test_where_there_is_no_gap_it_says_nothing(share: float, after: float) -> None:
+    assert left_by(LEVEL, after, share) == pytest.approx(0.0, abs=QUADRATURE)
+    assert left_by(0.9, after, share) == pytest.approx(0.0, abs=QUADRATURE)
+
+
+@pytest.mark.parametrize("share", [MISFIT, EXACT])
+@pytest.mark.parametrize("before", GAPS)
+def test_the_more_is_left_the_less_it_speaks_for_the_model(share: float, before: float) -> None:
+    found = [left_by(before, after, share) for after in np.linspace(0.9, before, 40)]
+    assert all(b <= a for a, b in itertools.pairwise(found))
+    assert found[0] > 0.0 > found[-1]
+
+
+def test_a_model_that_leaves_nothing_of_a_large_gap_gains_at_most_the_odds_of_the_densities_there() -> None:
+    """Beta(1, b) has the density b at 0, where any share has 1."""
+    assert left_by(1e4, LEVEL) == pytest.approx(math.log(1.0 / MISFIT - 1.0), abs=QUADRATURE)
+    assert left_by(1e5, LEVEL, EXACT) == pytest.approx(math.log(1.0 / EXACT - 1.0), abs=QUADRATURE)
+
+
+def test_a_fault_of_the_log_is_exact_and_an_effect_is_not() -> None:
+    effect, clock = candidate("p"), replace(candidate("lag a.*"), component=LOGGING)
+    assert [misfit(m) for m in ((), (effect,), (clock,), (effect, clock))] == [MISFIT, MISFIT, EXACT, EXACT]
+    assert left_by(50.0, 4.0, misfit((clock,))) < left_by(50.0, 4.0, misfit((effect,)))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "share"), [(11.1, 2.1, 0.1), (11.1, 11.1, 1.0), (11.1, LEVEL, 0.0), (11.1, 0.9, 0.0), (2.1, 3.1, 2.0)]
+)
+def test_the_share_that_is_left_is_that_beyond_a_machine_without_effects(before: float, after: float, share: float) -> None:
+    assert unexplained(before, after) == pytest.approx(share, rel=1e1 * ROUNDOFF)
