@@ -15,6 +15,10 @@ A TOML file::
     locations = [{name = "joint 1", parameters = ["backlash[1]"]}, ...]
                                         # an amplitude whose phase is another on every machine: phase = "transmission_phase[1]" beside it;
                                         # and in every run: per = "run", too
+    shape = [{name = "frequency", parameter = "mode_frequency", unit = "Hz", values = [5.0, 12.0, 30.0]}]
+                                        # optional: what else differs between machines, its values growing; per = "machine".
+                                        # Of an array the element of the location is meant: "hysteresis_torque[*]"
+    family = "compliance {location}"    # optional: what effects are called together that are twins there
 
     [[nuisance]]                        # calibrated numbers, believed to a standard deviation
     component = "drive"
@@ -44,9 +48,10 @@ Parameters of "logging" are `lag PATTERN` [s], `smooth PATTERN` (time constant o
 from __future__ import annotations
 
 import cmath
+import itertools
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -62,11 +67,15 @@ OBSERVATIONS = ("lag", "smooth", "gain", "offset")
 Address = tuple[str, str]
 """(component, parameter element)."""
 
+_FURTHER = {"shape", "family"}
+_SHAPE = {"name", "parameter", "values"}
 _EFFECT = {"name", "component", "description", "source", "locations", "minimum", "maximum", "prior", "unit", "sign"}
 _LOCATION = {"name", "parameters"}
 _PHASE, _PER = "phase", "per"
 COS, SIN = " cos ", " sin "
 """Between an amplitude and its phase, in the name of its part that is in phase, and of that a quarter of a turn ahead."""
+AT, AND = " at ", " and "
+"""Between a parameter and the values `PARAMETER=VALUE` of its shape parameters, and between these, in the name of a variant's number."""
 _QUIET = {"component", "parameters"}
 _SEED = {"component", "parameter"}
 
@@ -78,10 +87,14 @@ def selects(pattern: str, channel: str) -> bool:
 
 
 def physical(values: Mapping[Address, float]) -> dict[Address, float]:
-    """Amplitude [its unit] and phase [rad] of every pair of such parts; the rest as it is."""
+    """Amplitude [its unit] and phase [rad] of every pair of such parts, the fixed values of variants; the rest as it is."""
     found: dict[Address, float] = {}
     turned: dict[tuple[str, str, str], complex] = {}
-    for (component, name), value in values.items():
+    for (component, text), value in values.items():
+        name, _, fixed = text.partition(AT)
+        for part in fixed.split(AND) if fixed else ():
+            parameter, _, number = part.partition("=")
+            found[component, parameter] = float(number)
         for between, turn in ((COS, 1.0), (SIN, 1.0j)):
             amplitude, is_part, phase = name.partition(between)
             if is_part:
@@ -118,6 +131,29 @@ class Prior:
 
 
 @dataclass(frozen=True)
+class Shape:
+    """A number that is another one on every machine, beside the size of an effect: a frequency, a share of dead time, a speed."""
+
+    name: str
+    parameter: str
+    unit: str
+    values: tuple[float, ...]
+    """Those that are tried, growing: the first and the last are the bounds."""
+    spacing: float
+    """From one value to the next: of their logarithms where all are positive, else of themselves."""
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether values are compared by their ratios."""
+        return self.values[0] > 0.0
+
+    def beside(self, value: float, spacings: float) -> float:
+        """The value so many spacings above `value` (below, where negative), within the bounds."""
+        far = spacings * self.spacing
+        return min(max(value * math.exp(far) if self.logarithmic else value + far, self.values[0]), self.values[-1])
+
+
+@dataclass(frozen=True)
 class Candidate:
     """An effect at a location: what is fitted and ranked."""
 
@@ -130,12 +166,19 @@ class Candidate:
     prior: Prior
     unit: str
     both_signs: bool
-    locations: int
-    """How many locations the effect has: its prior probability is shared among them."""
+    locations: int = field(compare=False)
+    """How many locations the effect has, times the variants of each: its prior probability is shared among them."""
     place: str = field(default="", compare=False)
     """Where its unit stands: `catalogue.toml:12`."""
     phase_per_run: bool = False
     """Whether its phase is another one in every run."""
+    fixed: tuple[tuple[Address, float], ...] = ()
+    """Values of its shape parameters, of a variant; empty where they are those of the nominal system."""
+    variants: tuple[Candidate, ...] = field(default=(), compare=False)
+    """Candidates of this effect and place that have other values of the shape parameters."""
+    shapes: tuple[Shape, ...] = field(default=(), compare=False)
+    family: str = field(default="", compare=False)
+    """What it is called together with its twins."""
 
     @property
     def name(self) -> str:
@@ -155,7 +198,35 @@ class Candidate:
     @property
     def named(self) -> tuple[str, ...]:
         """Parameters of the component that switch it on."""
-        return (*self.parameters[0].split(COS),) if self.has_phase else self.parameters
+        plain = tuple(p.partition(AT)[0] for p in self.parameters)
+        return (*plain[0].split(COS),) if self.has_phase else plain
+
+    @property
+    def per_run(self) -> bool:
+        """Whether something of it is another one in every run: the mean over repeats is not what one of them shows."""
+        return self.phase_per_run
+
+    def with_shapes(self, values: Sequence[float]) -> Candidate:
+        """The variant whose shape parameters have these values."""
+        fixed = tuple(((self.component, s.parameter), v) for s, v in zip(self.shapes, values, strict=True))
+        text = AT + AND.join(f"{parameter}={v!r}" for (_, parameter), v in fixed)
+        return replace(self, parameters=tuple(p.partition(AT)[0] + text for p in self.parameters), fixed=fixed, variants=())
+
+    def excludes(self, other: Candidate) -> bool:
+        """Whether the two cannot be in one model: variants of one effect, the same number, or two values of a shape parameter."""
+        if self.name == other.name or set(self.addresses) & set(other.addresses):
+            return True
+        mine, its = self._shaped(), other._shaped()
+        return any(mine[a] != its[a] for a in mine.keys() & its.keys())
+
+    def _shaped(self) -> dict[Address, float | None]:
+        return {(self.component, s.parameter): None for s in self.shapes} | dict(self.fixed)
+
+    def bracket(self, address: Address) -> tuple[float, float]:
+        """Between which values a shape parameter of a variant is taken to be: half way to those that were tried beside it."""
+        value = dict(self.fixed)[address]
+        shape = next(s for s in self.shapes if (self.component, s.parameter) == address)
+        return shape.beside(value, -0.5), shape.beside(value, 0.5)
 
     def sizes(self, values: Mapping[Address, float]) -> dict[Address, float]:
         """Size [unit] of what each of its numbers belongs to: itself, or the amplitude that it is a part of."""
@@ -172,6 +243,24 @@ class Candidate:
         """Least and largest value of the parameters [unit]; both parts of an amplitude at their largest are the largest amplitude."""
         largest = self.maximum / math.sqrt(2.0) if self.has_phase else self.maximum
         return (-largest if self.both_signs else 0.0), largest
+
+
+def zoomed(candidate: Candidate, around: Candidate) -> tuple[Candidate, ...]:
+    """Variants of `candidate` about one of them, `around`, on a grid of half its spacing: one shape parameter moves at a time.
+
+    Again about one of these, the spacing is halved again. Nothing for a candidate whose shape parameters are those of the nominal system.
+    """
+    if not around.fixed:
+        return ()
+    finer = replace(candidate, shapes=tuple(replace(s, spacing=0.5 * s.spacing) for s in around.shapes))
+    centre = [v for _, v in around.fixed]
+    found: dict[tuple[float, ...], Candidate] = {}
+    for i, shape in enumerate(finer.shapes):
+        for side in (-1.0, 1.0):
+            values = (*centre[:i], shape.beside(centre[i], side), *centre[i + 1 :])
+            if list(values) != centre:
+                found[values] = finer.with_shapes(values)
+    return tuple(found.values())
 
 
 @dataclass(frozen=True)
@@ -264,6 +353,10 @@ class Catalogue:
             return fits
 
         candidates = tuple(c for c in self.candidates if there("effects", c.effect, c.component, *c.named))
+        candidates = tuple(
+            c if there("shapes of", c.effect, c.component, *(s.parameter for s in c.shapes)) else replace(c, variants=(), shapes=())
+            for c in candidates
+        )
         tolerances = tuple(t for t in self.tolerances if there("tolerances of", t.address[1], *t.address))
         quiet = {c: {k: v for k, v in values.items() if there("quiet", k, c, k)} for c, values in (self.quiet or {}).items()}
         kept = {c: Written(values, getattr((self.quiet or {})[c], "places", {})) for c, values in quiet.items() if values}
@@ -309,7 +402,7 @@ class Catalogue:
         refinement = self.refinement and replace(self.refinement, sampled=tuple(map(named, self.refinement.sampled)))
         return replace(
             self,
-            candidates=tuple(replace(c, component=named(c.component)) for c in self.candidates),
+            candidates=tuple(_of_component(c, named(c.component)) for c in self.candidates),
             tolerances=tuple(replace(t, address=(named(t.address[0]), t.address[1])) for t in self.tolerances),
             quiet={named(c): values for c, values in (self.quiet or {}).items()},
             seeds=tuple((named(c), name) for c, name in self.seeds),
@@ -319,6 +412,11 @@ class Catalogue:
     def check_units(self, units: Mapping[Address, str]) -> None:
         """CatalogueError for an effect or a tolerance whose unit is not that of its parameter; `units` by component and element."""
         stated = [(c.place, f"effect {c.effect!r}", a, c.unit) for c in self.candidates for a in c.addresses]
+        stated += [
+            (c.place, f"effect {c.effect!r}: shape {s.name!r}", (c.component, s.parameter), s.unit)
+            for c in self.candidates
+            for s in c.shapes
+        ]
         stated += [(t.place, "nuisance", t.address, t.unit) for t in self.tolerances if not t.relative]
         for place, what, (component, name), unit in stated:
             wanted = (
@@ -328,6 +426,17 @@ class Catalogue:
                 raise CatalogueError(
                     f"{place}: {what}: its unit is {unit!r}, that of {component}.{name} is {wanted!r}: give the sizes in that unit"
                 )
+
+
+def _of_component(candidate: Candidate, component: str) -> Candidate:
+    return _with_variants(replace(candidate, component=component, variants=()), candidate.shapes)
+
+
+def _with_variants(candidate: Candidate, shapes: tuple[Shape, ...]) -> Candidate:
+    """The candidate, and one variant for each combination of the values of its shape parameters."""
+    shaped = replace(candidate, shapes=shapes)
+    grid = itertools.product(*(s.values for s in shapes)) if shapes else ()
+    return replace(shaped, variants=tuple(shaped.with_shapes(values) for values in grid))
 
 
 def _read(top: Entry, file: Path) -> Catalogue:
@@ -356,7 +465,7 @@ def _read(top: Entry, file: Path) -> Catalogue:
 
 
 def _effect(entry: Entry) -> list[Candidate]:
-    entry.keys(_EFFECT)
+    entry.keys(_EFFECT, _FURTHER)
     name, component, unit = (entry[key].text() for key in ("name", "component", "unit"))
     low, high = entry["minimum"].positive(), entry["maximum"].positive()
     if low >= high:
@@ -367,6 +476,7 @@ def _effect(entry: Entry) -> list[Candidate]:
     locations = entry["locations"].each()
     if not locations:
         raise entry["locations"].expected("at least one location")
+    family = entry["family"].text() if "family" in entry else name
     made: dict[str, Candidate] = {}
     for spot in locations:
         called = spot.keys(_LOCATION, {_PHASE, _PER})["name"].text()
@@ -381,8 +491,29 @@ def _effect(entry: Entry) -> list[Candidate]:
         if _PER in spot and spot[_PER].choice(("run",)) and _PHASE not in spot:
             raise spot[_PER].fail("'run' is for a phase, which is not there; add phase = PARAMETER")
         signs, place = both or _PHASE in spot, entry["unit"].place
-        made[called] = Candidate(name, component, called, parameters, low, high, size, unit, signs, len(locations), place, _PER in spot)
+        plain = Candidate(name, component, called, parameters, low, high, size, unit, signs, len(locations), place, _PER in spot)
+        plain = replace(plain, family=family.replace("{location}", called))
+        made[called] = _with_variants(plain, tuple(_shape(one, plain) for one in entry.get("shape", []).each()))
     return list(made.values())
+
+
+def _shape(entry: Entry, candidate: Candidate) -> Shape:
+    """A shape parameter; `[*]` in it is the element that the effect has at the candidate's location."""
+    entry.keys(_SHAPE, {"unit", _PER})
+    if candidate.component == LOGGING:
+        raise entry.fail("is for parameters of a component; the log has none")
+    if _PER in entry:
+        entry[_PER].choice(("machine",))
+    values = tuple(v.number() for v in entry["values"].each())
+    if not values[1:] or any(a >= b for a, b in itertools.pairwise(values)):
+        raise entry["values"].expected("two numbers or more, growing")
+    parameter, element = entry["parameter"].text(), candidate.named[0].partition("[")[2]
+    if parameter.endswith("[*]"):
+        if not element:
+            raise entry["parameter"].fail(f"{parameter!r}: {candidate.named[0]!r} has no element; expected an element, such as [1]")
+        parameter = parameter.removesuffix("*]") + element
+    a, b = (math.log(v) if values[0] > 0.0 else v for v in (values[0], values[-1]))
+    return Shape(entry["name"].text(), parameter, entry.get("unit", "1").text(), values, (b - a) / (len(values) - 1))
 
 
 def _tolerances(entry: Entry) -> list[Tolerance]:

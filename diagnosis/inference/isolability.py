@@ -48,7 +48,7 @@ def pairs(fits: Sequence[Fit], surviving: Sequence[Candidate], space: Space) -> 
         if len(only_f) != 1 or len(only_g) != 1:
             continue
         (a,), (b,) = only_f, only_g
-        if a not in surviving and b not in surviving:
+        if a.name == b.name or (a not in surviving and b not in surviving):
             continue
         far = distance(f, g, space)
         key = frozenset((a, b))

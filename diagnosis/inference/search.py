@@ -56,6 +56,7 @@ class Search:
         self.catalogue, self.simulator, self.groups = catalogue, simulator, groups
         sensitivities = Sensitivities(catalogue, simulator, groups, nuisances, left)
         self.evidence, self.candidates, self.starts = sensitivities.evidence, sensitivities.candidates, sensitivities.starts
+        self.bent = sensitivities.bent
 
     def nominal(self) -> Fit:
         """The fit of the nominal model, which has no effect: log evidence 0, signature 0."""
@@ -65,13 +66,14 @@ class Search:
     def linear_fits(self, bases: Sequence[Fit]) -> list[Fit]:
         """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion: s + (ds/dx) (x - best) + v x'.
 
-        v is the sensitivity of the candidate, x' its size; no simulation is made. The parameters of the base are fitted again, too.
+        v is the sensitivity of the candidate, x' its size; no simulation is made. The parameters of the base are fitted again, too. Of the
+        variants of a candidate the best one; all of them where they are not proportional to their size: sensitivities say too little.
         """
         space = self.evidence.space
         order = list(dict.fromkeys(a for c in self.candidates for a in c.addresses))
         stacked = np.stack([self.evidence.sensitivities[a] for a in order], axis=1)
         place = {a: i for i, a in enumerate(order)}
-        found: dict[frozenset[str], Fit] = {}
+        found: dict[frozenset[Candidate], Fit] = {}
         for base in bases:
             assert base.signature is not None
             assert base.sensitivities is not None
@@ -83,8 +85,8 @@ class Search:
             k = len(best)
             for c in self.candidates:
                 model = (*base.model, c)
-                key = frozenset(m.name for m in model)
-                if c in base.model or key in found or any(set(c.addresses) & set(m.addresses) for m in base.model):
+                key = frozenset(model)
+                if key in found or any(c.excludes(m) for m in base.model):
                     continue
                 there = self.starts.get(c.addresses[0])
                 if there is not None:
@@ -95,7 +97,10 @@ class Search:
                 own = wide.without([a for m in model for a in m.addresses])
                 products = own.within(gram, [*range(k), *(k + place[a] for a in c.addresses), k + len(order)])
                 found[key] = solved(model, products, space, own)
-        return list(found.values())
+        kept: dict[frozenset[tuple[str, object]], Fit] = {}
+        for fit in sorted(found.values(), key=_evidence):
+            kept[frozenset((m.name, m.fixed if m.name in self.bent else ()) for m in fit.model)] = fit
+        return list(kept.values())
 
     def refine(self, fits: Sequence[Fit], rounds: int = 5) -> list[Fit]:
         """Gauss-Newton on real simulations, all models together (one simulation of each per round): the best of each that was simulated.
@@ -137,9 +142,9 @@ class Search:
             return list(fits)
         polished = []
         best = max((f.log_evidence for f in fits), default=0.0)
-        expected = {f.name: max(f.log_evidence, p.log_evidence) for f, p in zip(fits, linear, strict=True)}
-        near = [f for f in fits if expected[f.name] > best - max(FAR, NEARBY * best)]
-        for f in sorted(near, key=lambda f: -expected[f.name])[:POLISHED]:
+        expected = {f.model: max(f.log_evidence, p.log_evidence) for f, p in zip(fits, linear, strict=True)}
+        near = [f for f in fits if expected[f.model] > best - max(FAR, NEARBY * best)]
+        for f in sorted(near, key=lambda f: -expected[f.model])[:POLISHED]:
             signature = self.mean_signature(setting(f.values))
             if signature is None:
                 continue
@@ -203,7 +208,7 @@ class Search:
         singles = sorted(self.linear_fits(fits), key=_evidence, reverse=True)
         self.linear_singles = singles
         gain = space.chi2 - min((f.chi2 for f in singles), default=space.chi2)
-        chosen = [f for f in singles if space.chi2 - f.chi2 > WORTH * gain][:SINGLES] or singles[:SINGLES]
+        chosen = _first([f for f in singles if space.chi2 - f.chi2 > WORTH * gain], SINGLES) or _first(singles, SINGLES)
         chosen += [f for f in singles if f not in chosen and self._hidden(f)]
         level = self._sharpened(self.polish(self.refine(chosen), chosen))
         fits += level
@@ -220,7 +225,7 @@ class Search:
         while bases:
             best = _most(fits)
             grown = sorted(self.linear_fits(bases), key=_evidence, reverse=True)
-            chosen = [f for f in grown if f.log_evidence > best + GROWTH_GAIN][: EXTENSIONS * len(bases)]
+            chosen = _first([f for f in grown if f.log_evidence > best + GROWTH_GAIN], EXTENSIONS * len(bases))
             hidden = {frozenset(f.model) for f in grown if f not in chosen and self._hidden(f)}
             chosen += [f for f in grown if frozenset(f.model) in hidden]
             level = [f for f in self._sharpened(self.polish(self.refine(chosen), chosen)) if self._worth(f, fits)]
@@ -257,7 +262,8 @@ class Search:
         return own is not before and own.chi2 > LARGE * float(self.evidence.expected.sum()) and fit.chi2 < HIDDEN * own.chi2
 
     def _best(self, level: Sequence[Fit], count: int) -> list[Fit]:
-        return sorted(level, key=_evidence, reverse=True)[:count]
+        best = {_names(f): f for f in sorted(level, key=_evidence)}  # variants do not grow beside each other
+        return sorted(best.values(), key=_evidence, reverse=True)[:count]
 
     def _smaller(self, level: Sequence[Fit], known: Sequence[Fit]) -> list[Fit]:
         """Models that are left of others when effects too small to count are out, where they beat all that is known of them.
@@ -371,6 +377,20 @@ def _without(fit: Fit, candidate: Candidate) -> Fit:
     values, deviations = ({a: known[a] for c in model for a in c.addresses} for known in (fit.values, fit.deviations))
     signature = fit.signature - fit.sensitivities[:, here] @ x[here]
     return Fit(model, values, deviations, -np.inf, np.inf, signature, fit.sensitivities[:, kept], form=fit.form)
+
+
+def _names(fit: Fit) -> frozenset[str]:
+    """Which effects a model has, in whatever variant."""
+    return frozenset(c.name for c in fit.model)
+
+
+def _first(fits: Sequence[Fit], count: int) -> list[Fit]:
+    """The first `count` of these fits, best first, one for each set of effects; and all variants of the first SHARPENED of these sets."""
+    best: dict[frozenset[str], Fit] = {}
+    for fit in fits:
+        best.setdefault(_names(fit), fit)
+    sets = list(best)
+    return [f for f in fits if _names(f) in sets[:count] and (f is best[_names(f)] or _names(f) in sets[:SHARPENED])]
 
 
 class _State:

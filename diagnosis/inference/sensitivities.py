@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue,
 from robomill.diagnosis.experiment.simulation import Simulator, setting
 from robomill.diagnosis.inference.estimation import Space
 from robomill.diagnosis.inference.evidence import gather
+from robomill.diagnosis.inference.isolability import CONFUSABLE
 from robomill.orchestration.slaves.protocol import FloatArray
 
 BENT = 0.9
@@ -83,8 +84,78 @@ class Sensitivities:
         self.evidence = gather(simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks, left)
         self.single = {a: c for a, c in single.items() if a in self.evidence.sensitivities}
         self.starts: dict[Address, Start] = {}
+        self.bent: set[str] = set()
+        """Candidates that are not proportional to their size, as far as these runs show."""
+        self.sizes = dict.fromkeys(self.evidence.sensitivities, 1.0)
+        """parameter -> size that its sensitivity is from [prior scales]."""
         self._try_other_sizes()
         self.candidates = [c for c in catalogue.candidates if all(a in self.evidence.sensitivities for a in c.addresses)]
+        self._try_variants()
+
+    def _try_variants(self) -> None:
+        """Put the variants of candidates that can be seen beside them: those that these runs tell from each other.
+
+        Variants that do the same count as one, so that they take no prior from each other.
+        """
+        sizes: dict[Address, list[float]] = {}
+        for c in self.candidates:
+            if c.variants and self._visible(c):
+                start = self.starts.get(c.addresses[0])
+                for v in c.variants:
+                    for known, a in zip(c.addresses, v.addresses, strict=True):
+                        self.scales[a] = c.prior.scale
+                        # what turns with its size does so in all variants: they are looked at about the size that fits best
+                        at = [self.sizes[known]] if start is None else [start.x * math.exp(0.25 * k) for k in (0, -1, 1)]
+                        sizes[a] = [at[0], *(x for x in at[1:] if c.minimum <= abs(x) * c.prior.scale <= c.maximum)]
+        tried = self._signatures(sizes)
+        found: list[Candidate] = []
+        for c in self.candidates:
+            told, kept = [np.stack([self._shown(a) for a in c.addresses], axis=1)], []
+            for v in c.variants:
+                first = [(a, sizes[a][0]) for a in v.addresses if a in sizes]
+                if not first or not all(key in tried for key in first):
+                    continue
+                shown = np.stack([tried[key] / key[1] for key in first], axis=1)
+                if all(self._apart(c, shown, other, first[0][1]) > CONFUSABLE for other in told):
+                    told.append(shown)
+                    kept.append(v)
+            for a in (a for v in kept for a in v.addresses):
+                self._take([(x, tried[a, x]) for x in sizes[a] if (a, x) in tried], a)
+            found += [replace(v, locations=c.locations * (1 + len(kept))) for v in (c, *kept)]
+        self.candidates = found
+        new = {a: self._shown(a) for c in found if c.fixed for a in c.addresses}
+        self.evidence.space.find_alike(new, self.scales)
+
+    def _visible(self, candidate: Candidate) -> bool:
+        """Whether a candidate can explain NOTED nats at its largest; if it has a start, whether that is WORTH a part of the best one's."""
+        space, a = self.evidence.space, candidate.addresses[0]
+        if a in self.starts:
+            return space.chi2 - self._chi2(a, space.chi2) > WORTH * (space.chi2 - self._least())
+        largest = candidate.bounds[1] / candidate.prior.scale
+        own = space.without(candidate.addresses)
+        return bool(0.5 * largest**2 * own.chi2_of(np.stack([self._shown(b) for b in candidate.addresses], axis=1)).max() > NOTED)
+
+    def _apart(self, candidate: Candidate, one: FloatArray, other: FloatArray, size: float) -> float:
+        """Distance [deviations of noise] of what one variant does at a size [prior scales] from what another one does at its best size.
+
+        `one`, `other`: per prior scale, [n, parameters]; of an amplitude with a phase that of the part that is farther away.
+        """
+        own = self.evidence.space.without(candidate.addresses)
+        cross = own.dot(other, one)
+        left = np.diag(own.dot(one, one) - cross.T @ np.linalg.pinv(own.dot(other, other)) @ cross)
+        return abs(size) * math.sqrt(max(float(left.max()), 0.0))
+
+    def _shown(self, address: Address) -> FloatArray:
+        """What a parameter does per prior scale: where its fit starts, or by its sensitivity."""
+        start = self.starts.get(address)
+        return self.evidence.sensitivities[address] if start is None else start.signature / start.x
+
+    def _take(self, found: Sequence[tuple[float, FloatArray]], address: Address) -> None:
+        """The sensitivity of a variant from its signatures at sizes [prior scales], and its start where there are several."""
+        x, signature = found[0]
+        self.evidence.sensitivities[address], self.sizes[address] = signature / x, x
+        if len(found) > 1:
+            self._start(address, sorted(found, key=lambda pair: pair[0]), self.evidence.space.chi2)
 
     def _try_other_sizes(self) -> None:
         """Sensitivities from a smaller size, where one fits better; starts from the best of many sizes for effects that turn with theirs.
@@ -104,8 +175,11 @@ class Sensitivities:
             other |= {a: tried[a, smaller[a]] / smaller[a] for a in wanted if (a, smaller[a]) in tried}
         alike = {a: _cosine(sensitivity, sensitivities[a]) for a, sensitivity in other.items()}
         for a, cosine in alike.items():
+            c = single[a]
+            if self._apart(c, other[a][:, None], sensitivities[a][:, None], 1.0) > CONFUSABLE:
+                self.bent.add(c.name)
             if cosine < BENT:
-                self._take_if_better(a, other[a])
+                self._take_if_better(a, other[a], smaller[a])
         turned = [a for a, cosine in alike.items() if cosine < TURNED]
         sizes = {**self._much_smaller(), **{a: _sizes(single[a]) for a in turned}}
         # which nuisances these are like at one size says nothing of another
@@ -121,15 +195,18 @@ class Sensitivities:
         tried |= self._signatures({a: _where_it_begins([(x, tried[a, x]) for x in xs if (a, x) in tried]) for a, xs in sizes.items()})
         for a in sizes:
             found = sorted(((x, signature) for (b, x), signature in tried.items() if b == a), key=lambda pair: pair[0])
-            if len(found) <= 1:
-                continue
-            own = self.evidence.space.without([a])
-            chi2 = own.chi2_of(own.y[:, None] - np.stack([f for _, f in found], axis=1))
-            i = int(np.argmin(chi2))
-            _, j = min((chi2[k], k) for k in (i - 1, i + 1) if 0 <= k < len(found))
-            (x, signature), (near, neighbour) = found[i], found[j]
-            if chi2[i] < self._chi2(a, self.evidence.space.chi2):
-                self.starts[a] = Start(x, signature, (signature - neighbour) / (x - near))
+            if len(found) > 1:
+                self._start(a, found, self._chi2(a, self.evidence.space.chi2))
+
+    def _start(self, address: Address, found: Sequence[tuple[float, FloatArray]], known: float) -> None:
+        """Let a fit start from the best of these sizes [prior scales], in order, with their signatures, if chi2 there is below `known`."""
+        own = self.evidence.space.without([address])
+        chi2 = own.chi2_of(own.y[:, None] - np.stack([f for _, f in found], axis=1))
+        i = int(np.argmin(chi2))
+        _, j = min((chi2[k], k) for k in (i - 1, i + 1) if 0 <= k < len(found))
+        (x, signature), (near, neighbour) = found[i], found[j]
+        if chi2[i] < known:
+            self.starts[address] = Start(x, signature, (signature - neighbour) / (x - near))
 
     def _chi2(self, address: Address, otherwise: float) -> float:
         """chi2 that is left where the fit of an effect starts; `otherwise` where it has no start."""
@@ -156,11 +233,11 @@ class Sensitivities:
         best = max(gains.values(), default=0.0)
         return {a: sizes for a, sizes in found.items() if gains[a] > WORTH * best}
 
-    def _take_if_better(self, address: Address, sensitivity: FloatArray) -> None:
-        """Put another sensitivity in place of the known one, if it takes away more of chi2."""
+    def _take_if_better(self, address: Address, sensitivity: FloatArray, size: float) -> None:
+        """Put another sensitivity, from another size [prior scales], in place of the known one, if it takes away more of chi2."""
         own, known = self.evidence.space.without([address]), self.evidence.sensitivities[address]
         if _gain(own, sensitivity, self.single[address]) > _gain(own, known, self.single[address]):
-            self.evidence.sensitivities[address] = sensitivity
+            self.evidence.sensitivities[address], self.sizes[address] = sensitivity, size
 
     def _signatures(self, sizes: Mapping[Address, Sequence[float]]) -> dict[tuple[Address, float], FloatArray]:
         """Signatures at sizes [prior scales]: (address, size) -> whitened change; without those that cannot run."""

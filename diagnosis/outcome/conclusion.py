@@ -72,9 +72,11 @@ class Conclusion:
     def marginal(self) -> dict[Candidate, float]:
         """Probability of each candidate, largest first: the sum of those of all models that it is in, if the best model is right."""
         total: dict[Candidate, float] = {}
-        for f, p in zip(self.fits, self.weights, strict=True):
+        shown = {c.name: c for c in self.best.model}  # of all variants of an effect one is named
+        for f, p in sorted(zip(self.fits, self.weights, strict=True), key=lambda pair: -pair[1]):
             for c in f.model:
-                total[c] = total.get(c, 0.0) + float(p)
+                named = shown.setdefault(c.name, c)
+                total[named] = total.get(named, 0.0) + float(p)
         return dict(sorted(total.items(), key=lambda item: -item[1]))
 
     def answer(self) -> tuple[Answer, dict[Address, float]]:
@@ -167,6 +169,8 @@ class Conclusion:
         for name, h, unit in zip(c.named, half, units, strict=True):
             value = values[c.component, name]
             listed[name] = Estimate(value, [value - h, value + h], unit)
+        for (address, value), shape in zip(c.fixed, c.shapes, strict=bool(c.fixed)):
+            listed[address[1]] = Estimate(value, [*c.bracket(address)], shape.unit)
         return listed
 
     def tolerance(self, address: Address) -> float:
@@ -229,7 +233,7 @@ class Conclusion:
         listed = []
         for f in self.search.linear_singles:
             c = f.model[0]
-            deviations = dict(zip(c.parameters, (f.deviations[a] for a in c.addresses), strict=True))
+            deviations = dict(zip(c.named if not c.has_phase else c.parameters, (f.deviations[a] for a in c.addresses), strict=True))
             if c.has_phase:
                 deviations = {c.named[0]: max(deviations.values())}
             listed += [Visible(c.effect, c.location, name, 5.0 * deviation, c.unit) for name, deviation in deviations.items()]

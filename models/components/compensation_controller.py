@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from robomill.models.maths.filters import delay, delay_rest
+from robomill.models.maths.filters import delay, delay_rest, first_order
 from robomill.models.maths.frames import mat_vec, quat_to_matrix, rotation_vector_to_quat
 from robomill.models.maths.noise import uniform
 from robomill.models.model.declaration import Model, Record, Variable, kernel
@@ -241,6 +241,8 @@ def init(s: Record) -> int:
     for i in range(CHANNELS):
         s.sent[i] = s.command[i]
         delay_rest(s.line, DELAY_CAPACITY, i, s.command[i])
+        s.delay_input[i] = s.command[i]
+        s.delay_output[i] = s.command[i]
     _send(s)
     return 0
 
@@ -262,7 +264,8 @@ def step(s: Record, t: float, h: float) -> int:
     if s.line_position >= DELAY_CAPACITY:
         s.line_position = 0
     lost = s.lost_packets > 0.0 and uniform(int(s.seed), int(s.counter), 0) < s.lost_packets
-    samples = s.extra_delay / s.sample_time
+    smooth = s.extra_delay_first_order * s.extra_delay
+    samples = (s.extra_delay - smooth) / s.sample_time
     # 0.1 / 0.004 is 25.000000000000004: whole samples are meant
     if abs(samples - math.floor(samples + 0.5)) < 1e-9:
         samples = float(math.floor(samples + 0.5))
@@ -270,6 +273,11 @@ def step(s: Record, t: float, h: float) -> int:
         late = s.command[i]
         if s.extra_delay > 0.0:
             late = delay(s.line, DELAY_CAPACITY, int(s.line_position), samples, i, late)
+        if smooth > 0.0:
+            entered = late
+            late = first_order(s.delay_output[i], s.delay_input[i], entered, smooth, h)
+            s.delay_input[i] = entered
+            s.delay_output[i] = late
         if not lost:
             s.sent[i] = late
     _send(s)
@@ -360,6 +368,9 @@ VARIABLES = (
     Variable("seed", "parameter", "Seed of lost_packets", "1", (), 1, 0, 2147483647, "integer"),
     # effects
     Variable("extra_delay", "parameter", "Additional dead time of the corrections", "s", (), 0.0, 0.0, 0.5, display_unit="ms", effect=True),
+    Variable(
+        "extra_delay_first_order", "parameter", "Part of extra_delay that is a first-order lag, not a dead time", "1", (), 0.0, 0.0, 1.0
+    ),
     Variable("dead_band", "parameter", "Dead zone of the force: its magnitude counts from here on", "N", (), 0.0, 0.0, 1000.0, effect=True),
     Variable(
         "correction_limit",
@@ -421,6 +432,8 @@ VARIABLES = (
     Variable("command", "state", "Corrections after PID and limits, m and rad", "1", (CHANNELS,)),
     Variable("sent", "state", "Corrections as sent, m and rad", "1", (CHANNELS,)),
     Variable("line", "state", "Delay line of extra_delay", "1", (CHANNELS, DELAY_CAPACITY)),
+    Variable("delay_input", "state", "Input of the first-order part of extra_delay", "1", (CHANNELS,)),
+    Variable("delay_output", "state", "Output of it", "1", (CHANNELS,)),
     Variable("line_position", "state", "Where the last correction is", "1", kind="integer"),
 )
 

@@ -18,7 +18,7 @@ import math
 from dataclasses import dataclass, field
 
 from robomill.models.maths.elementary import PI, exp, sincos
-from robomill.models.maths.filters import second_order_zoh
+from robomill.models.maths.filters import delay, delay_rest, second_order_zoh
 from robomill.models.maths.frames import solve
 from robomill.models.model.declaration import FloatArray, Model, Record, Variable, kernel
 from robomill.models.model.parameters import load, quantity
@@ -34,6 +34,8 @@ from robomill.models.robot.kinematics import ROBOT_VARIABLES, forward, jacobian
 
 QUEUE = 64
 """Places of the transport queue: one more than the largest number of transport cycles."""
+LAG_CAPACITY = 64
+"""Places of the line that realises the dead time in `tracking_lag`: 0.2 s at 4 ms, and some for shorter cycles."""
 CHANNELS = 9
 """Correction channels: x, y, z in B, then A1..A6."""
 DIRECTION_THRESHOLD = 1e-9
@@ -178,9 +180,12 @@ def init(s: Record) -> int:
         return 6
     if s.transport_cycles < 1 or s.transport_cycles >= QUEUE:
         return 3
+    if s.tracking_lag_dead_time * s.tracking_lag > (LAG_CAPACITY - 2) * s.rsi_cycle:
+        return 7
     second_order_zoh(s.loop_frequency, s.loop_damping, s.rsi_cycle, s.phi, s.gamma)
     prepare_dynamics(s)
     s.queue_place = 0
+    s.late_place = 0
     for c in range(CHANNELS):
         s.limited[c] = 0.0
         s.y[c] = 0.0
@@ -191,6 +196,7 @@ def init(s: Record) -> int:
         q = s.q_ref[i]
         s.q_before[i] = q
         s.q_plan[i] = q
+        delay_rest(s.late_line, LAG_CAPACITY, i, q)
         s.q_cartesian[i] = 0.0
         s.q[i] = q
         s.qd[i] = 0.0
@@ -252,14 +258,20 @@ def step(s: Record, t: float, h: float) -> int:
             s.q_cartesian[i] = 0.0
 
     lag = 0.0
-    if s.tracking_lag > 0.0:
-        lag = exp(-h / s.tracking_lag)
+    dead = s.tracking_lag_dead_time * s.tracking_lag
+    smooth = s.tracking_lag - dead
+    if smooth > 0.0:
+        lag = exp(-h / smooth)
+    if dead > 0.0:
+        s.late_place = (int(s.late_place) + 1) % LAG_CAPACITY
     fading = exp(-h / s.reversal_time)
     for i in range(6):
         reference = s.q_ref[i]
-        if s.tracking_lag > 0.0:
+        if dead > 0.0:
+            reference = delay(s.late_line, LAG_CAPACITY, int(s.late_place), dead / s.rsi_cycle, i, reference)
+        if smooth > 0.0:
             # first-order lag, exact for a reference that runs straight between the samples
-            behind = s.tracking_lag * (reference - s.q_before[i]) / h
+            behind = smooth * (reference - s.q_before[i]) / h
             s.q_plan[i] = reference - behind + lag * (s.q_plan[i] - s.q_before[i] + behind)
         else:
             s.q_plan[i] = reference
@@ -457,6 +469,7 @@ MODEL = Model(
             effect=True,
             display_unit="ms",
         ),
+        Variable("tracking_lag_dead_time", "parameter", "Part of tracking_lag that is a dead time, not a lag", "1", (), 0.0, 0.0, 1.0),
         _axes("reversal_friction", "rad", 1e-3, "Effect: peak of the spike by which an axis stays behind after its reversal"),
         _axes("friction_viscous", "N.m.s/rad", 2e4, "Effect: viscous friction, axis side, in the motor torque"),
         _axes("friction_coulomb", "N.m", 5e3, "Effect: Coulomb friction, axis side, in the motor torque"),
@@ -471,6 +484,8 @@ MODEL = Model(
         Variable("y", "state", "Corrections carried out", "1", (CHANNELS,)),
         Variable("yd", "state", "Their rates", "1", (CHANNELS,)),
         Variable("q_before", "state", "Reference of the last step", "rad", (6,)),
+        Variable("late_line", "state", "References on their way through the dead time", "rad", (6, LAG_CAPACITY)),
+        Variable("late_place", "state", "Where the last of them is", "1", kind="integer"),
         Variable("q_plan", "state", "Planned motion with the tracking lag", "rad", (6,)),
         Variable("q_cartesian", "state", "Cartesian correction in axis angles", "rad", (6,)),
         Variable("q", "state", "Commanded motion with all corrections", "rad", (6,)),
@@ -510,5 +525,8 @@ MODEL = Model(
         "the counterbalance cannot move: lever {counterbalance_lever} m, frame {counterbalance_frame_distance} m, "
         "area {counterbalance_area} m2, gas volume {counterbalance_volume} m3; "
         "expected a lever shorter than the frame and a volume above 2 * lever * area",
+        "tracking_lag is {tracking_lag:g} s, a part of {tracking_lag_dead_time:g} of it dead time; the delay line holds "
+        + str(LAG_CAPACITY - 2)
+        + " cycles of rsi_cycle = {rsi_cycle:g} s; shorten the lag or the dead time",
     ),
 )

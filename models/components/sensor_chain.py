@@ -17,7 +17,7 @@ import numpy as np
 
 from robomill.models.calibration.identification import FEATURES
 from robomill.models.maths.elementary import exp
-from robomill.models.maths.filters import average, average_rest, biquad, biquad_rest, butterworth, delay, delay_rest
+from robomill.models.maths.filters import average, average_rest, biquad, biquad_rest, butterworth, delay, delay_rest, first_order
 from robomill.models.maths.frames import (
     cross,
     mat_mul,
@@ -382,6 +382,8 @@ def init(s: Record) -> int:
     _compensate(s)
     for i in range(CHANNELS):
         delay_rest(s.line, LAG_CAPACITY, i, s.wrench[i])
+        s.lag_input[i] = s.wrench[i]
+        s.lag_output[i] = s.wrench[i]
     settle_filters(s)
     _sense(s, 0.0, False)
     _to_tool(s)
@@ -403,12 +405,18 @@ def step(s: Record, t: float, h: float) -> int:
         s.line_position += 1
         if s.line_position >= LAG_CAPACITY:
             s.line_position = 0
-        samples = s.extra_lag / s.sample_time
+        smooth = s.extra_lag_first_order * s.extra_lag
+        samples = (s.extra_lag - smooth) / s.sample_time
         # 0.1 / 0.004 is 25.000000000000004: whole samples are meant
         if abs(samples - math.floor(samples + 0.5)) < 1e-9:
             samples = float(math.floor(samples + 0.5))
         for i in range(CHANNELS):
             s.wrench[i] = delay(s.line, LAG_CAPACITY, int(s.line_position), samples, i, s.wrench[i])
+            if smooth > 0.0:
+                late = s.wrench[i]
+                s.wrench[i] = first_order(s.lag_output[i], s.lag_input[i], late, smooth, h)
+                s.lag_input[i] = late
+                s.lag_output[i] = s.wrench[i]
     if s.walk_f > 0.0 or s.walk_m > 0.0:
         root = math.sqrt(h / 60.0)
         for pair in range(3):
@@ -554,6 +562,7 @@ VARIABLES = (
     Variable(
         "extra_lag", "parameter", "Additional dead time of the sensor's electronics", "s", (), 0.0, 0.0, 0.5, display_unit="ms", effect=True
     ),
+    Variable("extra_lag_first_order", "parameter", "Part of extra_lag that is a first-order lag, not a dead time", "1", (), 0.0, 0.0, 1.0),
     Variable(
         "weight_error",
         "parameter",
@@ -614,6 +623,8 @@ VARIABLES = (
     Variable("bias", "state", "Random walk of the zero, N and N m", "1", (CHANNELS,)),
     Variable("line", "state", "Delay line of extra_lag", "1", (CHANNELS, LAG_CAPACITY)),
     Variable("line_position", "state", "Where the last sample is", "1", kind="integer"),
+    Variable("lag_input", "state", "Input of the first-order part of extra_lag", "1", (CHANNELS,)),
+    Variable("lag_output", "state", "Output of it", "1", (CHANNELS,)),
     Variable("work", "state", "Scratch", "1", (3,)),
     Variable("work_m", "state", "Scratch", "1", (3,)),
     Variable("lever", "state", "Scratch", "m", (3,)),

@@ -104,6 +104,18 @@ def delay(ring: Any, capacity: int, position: int, samples: float, channel: int,
 
 
 @kernel
+def first_order(y: float, before: float, u: float, time_constant: float, h: float) -> float:
+    """Output after h [s] of a first-order lag that was at `y`, for an input that runs straight from `before` to `u`; exact.
+
+    On a ramp it ends `time_constant` [s] late, as a dead time of that length does. A time constant of 0 returns `u`.
+    """
+    if time_constant <= 0.0:
+        return u
+    behind = time_constant * (u - before) / h
+    return u - behind + exp(-h / time_constant) * (y - before + behind)
+
+
+@kernel
 def second_order_zoh(frequency: float, damping: float, h: float, phi: Any, gamma: Any) -> None:
     """Exact discretisation of y'' + 2 D w y' + w^2 y = w^2 u for u held over h.
 

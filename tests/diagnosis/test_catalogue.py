@@ -9,10 +9,10 @@ import pytest
 from scipy.integrate import quad
 
 from robomill.cell.equipment import load_system
-from robomill.diagnosis.catalogue import LOGGING, Catalogue, CatalogueError, Prior, Tolerance, physical
+from robomill.diagnosis.catalogue import AT, LOGGING, Candidate, Catalogue, CatalogueError, Prior, Tolerance, physical, zoomed
 from robomill.fmus.components import COMPONENTS
 from tests import SCENARIOS
-from tests.tolerances import physics
+from tests.tolerances import ROUNDOFF, physics
 
 ENTRY = """
 [[effect]]
@@ -47,6 +47,18 @@ class TestShipped:
                     if candidate.has_phase:
                         assert COMPONENTS[part.source].variable(candidate.named[1].partition("[")[0]).unit == "rad"
 
+    def test_shape_parameters_are_of_the_models_with_their_units_and_within_their_bounds(self) -> None:
+        cell = load_system(SCENARIOS / "milling_cell.toml")
+        shaped = [c for c in Catalogue.load(SCENARIOS / "catalogue.toml").candidates if c.shapes]
+        assert {c.effect for c in shaped} >= {"structural_mode", "sensor_lag", "extra_delay", "tracking_lag", "friction_stribeck"}
+        for candidate in shaped:
+            assert candidate.variants
+            for shape in candidate.shapes:
+                variable = COMPONENTS[cell.component(candidate.component).source].variable(shape.parameter.partition("[")[0])
+                assert shape.unit == variable.unit
+                low, high = (-math.inf if variable.minimum is None else variable.minimum), (variable.maximum or math.inf)
+                assert low <= shape.values[0] < shape.values[-1] <= high
+
     def test_tolerances_are_of_parameters_that_there_are(self) -> None:
         catalogue = Catalogue.load(SCENARIOS / "catalogue.toml")
         cell = load_system(SCENARIOS / "milling_cell.toml")
@@ -65,6 +77,106 @@ def test_tolerances_are_resolved_for_each_element() -> None:
     assert Tolerance(("a", "m"), 0.1, relative=False).nuisances(nominal)[0].scale == 0.1
     with pytest.raises(CatalogueError, match=r"nuisance a\.c: there is no such parameter; there are"):
         Tolerance(("a", "c"), 0.1, relative=False).nuisances(nominal)
+
+
+SHAPED = (
+    ENTRY
+    + """
+shape = [
+    {name = "speed", parameter = "s[*]", unit = "m/s", values = [0.1, 0.4]},
+    {name = "order", parameter = "n", values = [0.0, 2.0, 4.0]},
+]
+"""
+)
+
+
+def shaped(folder: Path) -> tuple[Candidate, ...]:
+    (folder / "c.toml").write_text(SHAPED)
+    return Catalogue.load(folder / "c.toml").candidates
+
+
+def test_each_combination_of_shapes_is_a_variant_of_the_same_name(tmp_path: Path) -> None:
+    x, y = shaped(tmp_path)
+    assert [[v for _, v in variant.fixed] for variant in x.variants] == [[a, b] for a in (0.1, 0.4) for b in (0.0, 2.0, 4.0)]
+    assert {variant.name for variant in x.variants} == {x.name}
+    assert [a for a, _ in y.variants[0].fixed] == [("a", "s[2]"), ("a", "n")]
+    assert y.variants[0].named == ("p[2]",)
+
+
+def test_a_variant_is_simulated_with_its_values(tmp_path: Path) -> None:
+    variant = shaped(tmp_path)[0].variants[4]
+    assert physical({variant.addresses[0]: 0.3}) == {("a", "p[1]"): 0.3, ("a", "s[1]"): 0.4, ("a", "n"): 2.0}
+
+
+def test_variants_exclude_each_other_and_those_of_other_places_with_other_values_of_what_they_share(tmp_path: Path) -> None:
+    x, y = shaped(tmp_path)
+    assert x.variants[0].excludes(x.variants[1])
+    assert x.excludes(x.variants[0])
+    assert not x.excludes(y)
+    assert not x.variants[1].excludes(y.variants[4])  # n = 2 at both, s[1] and s[2] are two numbers
+    assert x.variants[1].excludes(y.variants[2])
+    assert x.variants[1].excludes(y)  # n is that of the nominal system there
+
+
+def test_a_zoom_halves_the_grid_within_its_bounds(tmp_path: Path) -> None:
+    x, _ = shaped(tmp_path)
+    assert zoomed(x, x) == ()
+    found = zoomed(x, x.variants[1])  # s = 0.1, n = 2
+    assert [[v for _, v in variant.fixed] for variant in found] == [[pytest.approx(0.2, rel=ROUNDOFF), 2.0], [0.1, 1.0], [0.1, 3.0]]
+    again = zoomed(x, found[0])
+    assert [v.fixed[0][1] for v in again[:2]] == [pytest.approx(0.1 * 2.0**0.5, rel=ROUNDOFF), pytest.approx(0.2 * 2.0**0.5, rel=ROUNDOFF)]
+    assert {v.name for v in (*found, *again)} == {x.name}
+
+
+def test_a_system_without_the_shape_keeps_the_effect(tmp_path: Path) -> None:
+    shaped(tmp_path)
+    fitting, notes = Catalogue.load(tmp_path / "c.toml").within({"a": ["p[1]", "p[2]", "s[1]", "s[2]"]})
+    assert [c.variants for c in fitting.candidates] == [(), ()]
+    assert notes == ("c.toml: component 'a' has no parameters for shapes of lag: skipped",)
+    whole, notes = Catalogue.load(tmp_path / "c.toml").within({"a": ["p[1]", "p[2]", "s[1]", "s[2]", "n"]})
+    assert [len(c.variants) for c in whole.candidates] == [6, 6]
+    assert notes == ()
+
+
+def test_variants_go_with_their_component(tmp_path: Path) -> None:
+    shaped(tmp_path)
+    x, _ = Catalogue.load(tmp_path / "c.toml").about("a", "b").candidates
+    assert [a for a, _ in x.variants[0].fixed] == [("b", "s[1]"), ("b", "n")]
+    assert x.variants[0].addresses[0][0] == "b"
+    assert x.variants[0].addresses[0][1].startswith("p[1]" + AT)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("[0.1, 0.4]", "[0.4, 0.1]", "effect 1 'lag': shape.0.values: expected two numbers or more, growing; found [0.4, 0.1]"),
+        ("[0.1, 0.4]", "[0.1]", "effect 1 'lag': shape.0.values: expected two numbers or more, growing; found [0.1]"),
+        ('unit = "m/s"', 'units = "m/s"', "effect 1 'lag': shape.0.units: unknown key 'units'; did you mean 'unit'?"),
+        ('unit = "m/s"', 'per = "day"', "shape.0.per: unknown per 'day'; available: machine"),
+        ('"p[1]"', '"p"', "'s[*]': 'p' has no element; expected an element, such as [1]"),
+        ('component = "a"', 'component = "logging"', "expected 'KIND PATTERN' of the log"),
+    ],
+)
+def test_what_is_wrong_with_a_shape_is_said(tmp_path: Path, old: str, new: str, text: str) -> None:
+    (tmp_path / "c.toml").write_text(SHAPED.replace(old, new, 1))
+    with pytest.raises(CatalogueError) as error:
+        Catalogue.load(tmp_path / "c.toml")
+    assert text in str(error.value)
+
+
+def test_the_log_has_no_shapes(tmp_path: Path) -> None:
+    text = SHAPED.replace('component = "a"', 'component = "logging"').replace('"p[1]"', '"lag x.*"').replace('"p[2]"', '"lag y.*"')
+    (tmp_path / "c.toml").write_text(text)
+    with pytest.raises(CatalogueError, match=r"effect 1 'lag': shape\.0: is for parameters of a component; the log has none"):
+        Catalogue.load(tmp_path / "c.toml")
+
+
+def test_the_unit_of_a_shape_is_that_of_its_parameter(tmp_path: Path) -> None:
+    shaped(tmp_path)
+    catalogue = Catalogue.load(tmp_path / "c.toml")
+    catalogue.check_units({("a", "s[1]"): "m/s"})
+    with pytest.raises(CatalogueError, match=r"effect 'lag': shape 'speed': its unit is 'm/s', that of a\.s\[1\] is 'mm/s'"):
+        catalogue.check_units({("a", "s[1]"): "mm/s"})
 
 
 def test_locations_become_candidates(tmp_path: Path) -> None:

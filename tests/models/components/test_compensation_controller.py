@@ -408,6 +408,18 @@ def test_extra_delay_shifts_the_corrections(delay: float) -> None:
     assert np.abs(late[n:] - expected).max() < (ROUNDOFF if part > 1e-9 else ROUNDOFF * MILLIMETRE)
 
 
+def test_extra_delay_may_be_of_first_order() -> None:
+    """Half of 0.1 s: what a dead time of 50 ms sends, through y' = (u - y)/T with T = 50 ms and u straight between cycles."""
+    half, dead = responses(CARTESIAN, extra_delay=0.1, extra_delay_first_order=0.5)[:, :3], responses(CARTESIAN, extra_delay=0.05)[:, :3]
+    decay = math.exp(-H / 0.05)
+    expected = np.zeros_like(dead)
+    for k in range(1, len(dead)):
+        rise = 0.05 * (dead[k] - dead[k - 1]) / H
+        expected[k] = dead[k] - rise + decay * (expected[k - 1] - dead[k - 1] + rise)
+    assert np.abs(dead).max() > 0.1 * MILLIMETRE
+    assert np.abs(half - expected).max() < ROUNDOFF
+
+
 def test_dead_band_takes_its_width_from_the_force_and_swallows_what_is_smaller() -> None:
     controller = Controller(dead_band=40.0)
     controller.put(FORCE, MOMENT)

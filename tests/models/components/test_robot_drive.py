@@ -345,6 +345,21 @@ def test_tracking_lag_is_a_delay_of_steady_motion() -> None:
     np.testing.assert_allclose(ramp(200 * H) - out["q_link"][-1], 0.02 * 0.1, rtol=0.0, atol=ROUNDOFF)
 
 
+@pytest.mark.parametrize("part", [0.5, 1.0])
+def test_a_part_of_the_tracking_lag_may_be_dead_time(part: float) -> None:
+    ramp = lambda t: WORK + 0.1 * t  # noqa: E731  # a signal of one line
+    out = run(200, q_ref=ramp, parameters={"tracking_lag": 0.02, "tracking_lag_dead_time": part})
+    behind = np.array([ramp(k * H) for k in range(201)]) - out["q_link"]
+    np.testing.assert_allclose(behind[-1], 0.02 * 0.1, rtol=0.0, atol=ROUNDOFF)
+    # a ramp of speed v through dead time and first order T: v (since - T (1 - exp(-since / T))), since the dead time
+    dead, rest = part * 0.02, (1.0 - part) * 0.02
+    t = np.arange(201) * H
+    since = np.maximum(t - dead, 0.0)
+    moved = 0.1 * (since - (rest * (1.0 - np.exp(-since / rest)) if rest > 0.0 else 0.0))
+    np.testing.assert_allclose(behind[:, 0], 0.1 * t - moved, rtol=0.0, atol=discretisation(0.05, H, 1))  # half a step at 0.1 rad/s
+    assert np.array_equal(out["q_link"][: int(dead / H + 1e-9) + 1], np.tile(out["q_link"][0], (int(dead / H + 1e-9) + 1, 1)))
+
+
 def test_an_axis_stays_behind_after_its_reversal_and_recovers() -> None:
     size, time = 1e-4, 0.02
     out = run(100, q_ref=zigzag, parameters={"reversal_friction": axis(1, size), "reversal_time": time, "half_gap": 0.0})

@@ -340,6 +340,34 @@ def test_extra_lag_delays_the_reading_by_whole_and_by_broken_samples(lag: float)
     assert np.abs(a[n:, :6] - expected[:, :6]).max() < 10 * ROUNDOFF * SCALE
 
 
+def test_extra_lag_may_be_of_first_order() -> None:
+    """A ramp of force at 100 N/s: a part of the lag of first order is as late as a dead time, after 20 of its time constants.
+
+    A step of 100 N: (1 - exp(-t/T)) of it after the dead time, exact between samples as the input runs straight over one.
+    """
+    rate, lag = 100.0, 0.04
+    chains = [Chain(extra_lag=lag, extra_lag_first_order=part, **QUIET) for part in (0.0, 0.5, 1.0)]
+    for k in range(1, 201):
+        for chain in chains:
+            chain.put([rate * k * H, 0.0, 0.0])
+            chain.run(1)
+    dead, half, first = (np.array(chain.s.wrench[:3]) for chain in chains)
+    np.testing.assert_allclose(half, dead, rtol=0.0, atol=1e2 * ROUNDOFF * SCALE)
+    assert np.abs(first - dead).max() < physics(rate * lag, math.exp(-0.8 / lag)) + 1e2 * ROUNDOFF * SCALE  # what is left after 0.8 s
+    step = Chain(extra_lag=lag, extra_lag_first_order=1.0, **QUIET)
+    before = np.array(step.s.wrench[:3])
+    way = np.array([100.0, 0.0, 0.0])
+    step.put(way)
+    step.run(1)
+    # the input rises over the first sample, the lag follows: u - T/h (1 - exp(-h/T)) u
+    share = 1.0 - lag / H * (1.0 - np.exp(-H / lag))
+    moved = np.linalg.norm(np.array(step.s.wrench[:3]) - before)
+    assert abs(moved - share * 100.0) < 1e2 * ROUNDOFF * SCALE
+    step.run(10)
+    moved = np.linalg.norm(np.array(step.s.wrench[:3]) - before)
+    assert abs(moved - (100.0 - (100.0 - share * 100.0) * np.exp(-10 * H / lag))) < 1e2 * ROUNDOFF * SCALE
+
+
 def test_inertia_is_mass_times_acceleration_of_the_centre_of_gravity() -> None:
     """Axis 1 turning at a constant rate: centripetal acceleration w^2 r of the centre of gravity, known in closed form."""
     rate = 2.0
