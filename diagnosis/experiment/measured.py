@@ -17,9 +17,9 @@ from robomill.orchestration.slaves.protocol import FloatArray, PortData
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.parameters import Convert
 
-ON_TIME, JITTER = 0.05, 0.25
-"""Parts of a communication step by which the stamps of a log may be apart (single ones, or all together: the latter): it was sampled at
-these points."""
+ON_TIME, TOGETHER = 0.05, 0.25
+"""Parts of a communication step by which all but one in twenty of the stamps of a log may be apart from evenly spaced ones, and all of them
+together from the communication points: it was sampled at these points, whatever a late stamp says."""
 LEAST_STEPS = 20
 """Communication steps that the repeats of a condition have in common at least (judgement): fewer say nothing of motion or noise."""
 
@@ -119,10 +119,13 @@ def _without_jitter(t: FloatArray, step: float) -> FloatArray:
     Between stamps that jitter, or that all are a small part of a step off since the log was started, interpolation would take a part of
     what is as fast as a tooth.
     """
-    points = np.round(t / step)
-    off = t / step - points
-    regular = np.all(np.diff(points) == 1.0) and np.quantile(np.abs(off - np.median(off)), 0.95) < ON_TIME and np.abs(off).max() < JITTER
-    return points * step if regular else t
+    count = np.arange(len(t))
+    for points in (np.round(t / step), count + np.round(np.median(t / step - count))):  # by the stamps, and by their order
+        off = t / step - points
+        middle = float(np.median(off))
+        if np.all(np.diff(points) == 1.0) and abs(middle) < TOGETHER and np.quantile(np.abs(off - middle), 0.95) < ON_TIME:
+            return np.asarray(points * step)
+    return t
 
 
 def _grid(runs: Sequence[Run], step: float) -> FloatArray:

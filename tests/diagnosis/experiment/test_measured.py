@@ -37,6 +37,15 @@ def test_samples_at_communication_points_stay_what_they_are_though_their_stamps_
     assert np.all(np.diff(signal[:50]) != 0.0)
 
 
+def test_a_first_stamp_that_is_late_does_not_move_the_others() -> None:
+    (run,) = measure(repeats=1)
+    jitter = np.clip(5e-5 * np.random.default_rng(2).normal(size=len(run.t)), -1.5e-4, 1.5e-4)
+    jitter[0] = 0.6 * STEP
+    signal = on_grid(stamped(run, run.t + jitter))
+    assert np.all(np.abs(signal) == 1.0)
+    assert np.all(np.diff(signal[:50]) != 0.0)
+
+
 @pytest.mark.parametrize("late", [0.3, 0.5])
 def test_samples_between_communication_points_are_interpolated(late: float) -> None:
     (run,) = measure(repeats=1)
