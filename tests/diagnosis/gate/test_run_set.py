@@ -34,7 +34,7 @@ class TestEach:
         runs = measure()
         text = refused(tmp_path, runs, [replace(runs[2], folder=Path("other"))])
         assert text == (
-            "other is held out, and run2, which is diagnosed, has the same signals, bit for bit, as far as both go; "
+            "other is held out, and run2, which is diagnosed, has the same signals but for rounding, as far as both go; "
             "a run cannot confirm what was found in it"
         )
 
@@ -48,12 +48,18 @@ class TestEach:
     def test_a_repeat_that_is_a_copy(self, tmp_path: Path) -> None:
         runs = measure()
         text = refused(tmp_path, [*runs, replace(runs[1], folder=Path("again"), info={**runs[1].info, "labels": {"repeat": 9}})])
-        assert text.startswith("again has the same signals, bit for bit, as far as both go as run1: a repeat has noise of its own")
+        assert text.startswith("again has the same signals but for rounding, as far as both go as run1: a repeat has noise of its own")
         assert "give one of them" in text
 
     def test_a_copy_that_is_cut_short_is_a_copy(self, tmp_path: Path) -> None:
         runs = measure()
-        assert "bit for bit" in refused(tmp_path, [*runs, replace(cut(runs[1], 790), folder=Path("again"))])
+        assert "but for rounding" in refused(tmp_path, [*runs, replace(cut(runs[1], 790), folder=Path("again"))])
+
+    def test_a_copy_that_was_rounded_and_stamped_anew_is_a_copy(self, tmp_path: Path) -> None:
+        runs = measure()
+        rounded = {k: v.astype(np.float32).astype(np.float64) for k, v in runs[1].columns.items()}
+        again = replace(runs[1], folder=Path("again"), t=runs[1].t + 1e-4, columns=rounded)
+        assert "but for rounding" in refused(tmp_path, [*runs, again])
 
     def test_copies_of_a_simulation_without_noise_are_copies(self, tmp_path: Path) -> None:
         for name in ("a", "b"):
