@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from robomill.diagnosis.catalogue import LOGGING, Catalogue, Nuisance
 from robomill.diagnosis.experiment.measured import Condition, DataError, in_units, sort_by_condition
-from robomill.diagnosis.experiment.simulation import Laboratory, Report, Setting, Simulator, decimate, setting
+from robomill.diagnosis.experiment.simulation import Laboratory, Report, Simulator, decimate, setting
 from robomill.diagnosis.experiment.store import Store
-from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.gate import phases, run_set
+from robomill.diagnosis.gate.checks import Finding, stopped
+from robomill.diagnosis.gate.gate import Gate
 from robomill.diagnosis.inference.estimation import Fit, probabilities
 from robomill.diagnosis.inference.search import Search, likely_count, searched
 from robomill.diagnosis.inference.sensitivities import NOMINAL
@@ -66,7 +67,7 @@ def diagnose(
         raise DataError("no run to diagnose: all of them are held out")
     run_set.check_each(used, held)
     conditions = [*sort_by_condition(used, system), *sort_by_condition(held, system, held_out=True)]
-    run_set.check_spans(conditions)
+    conditions, short = run_set.complete(conditions)
     n = sum(not c.held_out for c in conditions)
     with assemble(Laboratory(system, conditions, ()).configured(0), resolver, convert) as assembly:
         parameters = {name: [p.name for p in slave.ports if p.causality == "parameter"] for name, slave in assembly.slaves.items()}
@@ -96,8 +97,8 @@ def diagnose(
     groups = [[decimate(c.matrix(r, channels), decimation) for r in c.runs] for c in conditions]
     with Simulator(laboratory, workers, report, store) as simulator:
         simulator.expected = likely_count(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
-        findings = turned + _gate(laboratory, simulator, groups, n, channels, ranges)
-        findings += _other_programs(laboratory, simulator, groups, catalogue)
+        gate = Gate(laboratory, simulator, groups, n, ranges, {c.component for c in catalogue.candidates}, NOMINAL)
+        findings = short + turned + gate.findings()
         fatal = [f for f in findings if f.fatal]
         if all(f.kind in EXPLAINABLE for f in fatal):
             search, fits = searched(catalogue, simulator, groups[:n], nuisances)
@@ -106,7 +107,7 @@ def diagnose(
                 before, after = over_noise(search, fits[0]), over_noise(search, best)
                 little = after < UNKNOWN or unexplained(before, after) < LITTLE
                 if little and not any(c.component == LOGGING for c in best.model):
-                    findings = turned + _gate(laboratory, simulator, groups, n, channels, ranges, setting(best.values))
+                    findings = short + turned + gate.findings(setting(best.values))
                     fatal = [f for f in findings if f.fatal]
             elif (finding := _wrong_channel(catalogue, search, fits, groups[:n], nuisances)) is not None:
                 findings.append(finding)
@@ -121,25 +122,6 @@ def diagnose(
         return Diagnosis(answer, adopted, tuple(fits), tuple(channels), conclusion.curves(adopted), ports, conclusion.titles)
 
 
-def _other_programs(
-    laboratory: Laboratory, simulator: Simulator, groups: Sequence[Sequence[FloatArray]], catalogue: Catalogue
-) -> list[gate.Finding]:
-    """Recorded programs, held-out ones too, that are not what the nominal system plays."""
-    driven = {c.target.partition(".")[0] for c in laboratory.system.connections}
-    played = {c.name for c in laboratory.system.components} - driven - {c.component for c in catalogue.candidates}
-    channels, step = laboratory.channels, laboratory.system.step * laboratory.decimation
-    if not any(name.partition(".")[0] in played for name in channels):
-        return []
-    found: dict[str, gate.Finding] = {}
-    base = simulator.repeated(range(len(groups)), (), NOMINAL, "the log")
-    for condition, group, simulated in zip(laboratory.conditions, groups, base, strict=True):
-        for r, x in zip(condition.runs, group, strict=True):
-            if simulated is not None:
-                for f in run_set.other_program(r, x, np.mean(simulated, axis=0), channels, played, step):
-                    found.setdefault(f.channel, f)
-    return list(found.values())
-
-
 def _best(search: Search, fits: Sequence[Fit]) -> Fit:
     """The most likely model."""
     return fits[int(probabilities(fits, search.candidates).argmax())]
@@ -147,7 +129,7 @@ def _best(search: Search, fits: Sequence[Fit]) -> Fit:
 
 def _wrong_channel(
     catalogue: Catalogue, search: Search, fits: Sequence[Fit], groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
-) -> gate.Finding | None:
+) -> Finding | None:
     """The channel that has nearly all of a gap that nothing explains, if it stands still, or a model explains the log with its sign turned.
 
     The gate lets a channel rest at an extreme, as a limit does, and sees a wrong sign by the nominal signal: where an effect is
@@ -163,13 +145,13 @@ def _wrong_channel(
         return None
     name = names[int(chi2.argmax())]
     if unexplained(over_noise(search, fits[0]), over_noise(search, best)) >= UNEXPLAINED and (rest := _rest(search, best, groups, name)):
-        return gate.Finding(name, "constant", rest, "s", f"stands still for {rest:.3g} s, which nothing explains")
+        return Finding(name, "constant", rest, "s", f"stands still for {rest:.3g} s, which nothing explains")
     sign = np.where(np.array(search.simulator.laboratory.channels) == name, -1.0, 1.0)
     turned, fits_of_it = searched(catalogue, search.simulator, [[sign * x for x in group] for group in groups], nuisances)
     other = _best(turned, fits_of_it)
     if over_noise(turned, other) >= UNKNOWN and unexplained(over_noise(search, fits[0]), over_noise(turned, other)) >= LITTLE:
         return None
-    return gate.Finding(name, "sign", -1.0, "1", f"has the wrong sign: with the other one, {other.name} explains the log")
+    return Finding(name, "sign", -1.0, "1", f"has the wrong sign: with the other one, {other.name} explains the log")
 
 
 def _rest(search: Search, best: Fit, groups: Sequence[Sequence[FloatArray]], name: str) -> float:
@@ -182,7 +164,7 @@ def _rest(search: Search, best: Fit, groups: Sequence[Sequence[FloatArray]], nam
         if models is None:  # at the edge of what can run
             return 0.0
         noise = float(np.std(np.stack(group)[..., i] - np.mean(group, axis=0)[:, i])) if len(group) > 1 else 0.0
-        rests += [gate.stopped(x[:, i], np.mean(models, axis=0)[:, i], step, noise) for x in group]
+        rests += [stopped(x[:, i], np.mean(models, axis=0)[:, i], step, noise) for x in group]
     return min(rests)
 
 
@@ -218,35 +200,3 @@ def _nuisances(
             values[name] = {k: float(v) for k, v in given.items() if k in starts and isinstance(v, int | float)}
     clocks = [Nuisance(t.address, t.size) for t in catalogue.tolerances if t.address[0] == LOGGING]
     return clocks + [u for t in catalogue.tolerances if t.address[0] != LOGGING for u in t.nuisances(values[t.address[0]])]
-
-
-def _gate(
-    laboratory: Laboratory,
-    simulator: Simulator,
-    groups: Sequence[Sequence[FloatArray]],
-    n: int,
-    channels: Sequence[str],
-    ranges: Mapping[str, tuple[float | None, float | None]],
-    changes: Setting = (),
-) -> list[gate.Finding]:
-    """What is wrong with the log where the system has these changes."""
-    found: list[gate.Finding] = []
-    step = laboratory.system.step * laboratory.decimation
-    base = simulator.repeated(range(n), changes, NOMINAL, "the log")
-    for i in range(n):
-        condition, group = laboratory.conditions[i], base[i]
-        assert group is not None
-        simulated = np.mean(group, axis=0)
-        noise = np.std(np.stack(groups[i]) - np.mean(groups[i], axis=0), axis=(0, 1)) if len(groups[i]) > 1 else np.zeros(len(channels))
-        noise = noise + 1e-9 * np.abs(simulated).max(axis=0)
-        for r, x in zip(condition.runs, groups[i], strict=True):
-            found += gate.raw(r, channels, ranges, laboratory.system.step)
-            found += gate.against_simulation(r, x, simulated, channels, step, noise)
-        found += gate.spikes(condition, channels)
-        found += gate.repeats(condition, groups[i], channels)
-    unique: dict[tuple[str, str], gate.Finding] = {}
-    for f in found:
-        old = unique.get((f.channel, f.kind))
-        if old is None or (f.fatal and not old.fatal):
-            unique[f.channel, f.kind] = f
-    return list(unique.values())
