@@ -53,7 +53,7 @@ class Gate:
         middle, names = np.mean(simulated, axis=0), [r.folder.name for r in condition.runs]
         noise = np.sqrt(repeats.scatter(measured if len(measured) > 1 else simulated))
         found = checks.spikes(condition, channels)
-        found += repeats.copies(measured, simulated, names) + repeats.compared(measured, simulated, channels, names, step)
+        found += repeats.copies(measured, simulated, names) or repeats.compared(measured, simulated, channels, names, step)
         for r, x in zip(condition.runs, measured, strict=True):
             found += checks.raw(r, channels, self.ranges, float(condition.grid[1] - condition.grid[0]))
             found += beside(r, x, middle, channels, step, noise)
