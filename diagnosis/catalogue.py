@@ -42,7 +42,9 @@ A TOML file::
     "drive.q_motor" = "motor angle error"
 
 Parameters of "logging" are `lag PATTERN` [s], `smooth PATTERN` (time constant of a first-order filter [s]), `gain PATTERN` [1],
-`offset PATTERN` [unit of the channel], with a pattern on `component.port[element]` as in the recording section of a system file.
+`offset PATTERN` [unit of the channel], `rotate_1 PATTERN` (`_2`, `_3`: a triple about that axis [rad]), and, with any value but zero,
+`swap PATTERN` (two channels), `sign PATTERN`, and `unit PATTERN` (by that factor), with a pattern on `component.port[element]` as in the
+recording section of a system file.
 """
 
 from __future__ import annotations
@@ -61,7 +63,7 @@ from robomill.orchestration.system.written import Written, merged
 
 LOGGING = "logging"
 """Component that stands for the log itself."""
-OBSERVATIONS = ("lag", "smooth", "gain", "offset")
+OBSERVATIONS = ("lag", "smooth", "gain", "offset", "swap", "sign", "unit", "rotate_1", "rotate_2", "rotate_3")
 """What can be wrong with a logged channel."""
 
 Address = tuple[str, str]

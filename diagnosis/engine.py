@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +11,11 @@ import numpy as np
 from robomill.diagnosis.catalogue import LOGGING, Catalogue, Nuisance
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.preparation import prepared
-from robomill.diagnosis.experiment.simulation import Laboratory, Report, Setting, Simulator, setting
+from robomill.diagnosis.experiment.simulation import Report, Simulator, setting
 from robomill.diagnosis.experiment.store import Store
-from robomill.diagnosis.gate import checks as gate
-from robomill.diagnosis.gate import phases, run_set
+from robomill.diagnosis.gate import phases
+from robomill.diagnosis.gate.checks import Finding, stopped
+from robomill.diagnosis.gate.gate import Gate
 from robomill.diagnosis.inference.adequacy import left_by, unexplained
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import probabilities
@@ -101,12 +102,12 @@ def diagnose_campaign(
     laboratory, n, catalogue, nuisances, skipped = start.laboratory, start.n, start.catalogue, start.nuisances, start.skipped
     ports, channels = laboratory.ports, laboratory.channels
     ranges = {c: (p.minimum, p.maximum) for c, p in ports.items()}
-    turned = phases.aligned(laboratory, catalogue.candidates, n)
+    told = [*start.findings, *phases.aligned(laboratory, catalogue.candidates, n)]
     conditions, groups = laboratory.conditions, laboratory.measured()
     with Simulator(laboratory, workers, report, store, scheduler) as simulator:
         simulator.expected = likely_count(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
-        findings = turned + _gate(laboratory, simulator, groups, n, ranges)
-        findings += _other_programs(laboratory, simulator, groups, catalogue)
+        gate = Gate(laboratory, simulator, groups, n, ranges, {c.component for c in catalogue.candidates}, NOMINAL)
+        findings = told + gate.findings()
         fatal = [f for f in findings if f.fatal]
         if all(f.kind in EXPLAINABLE for f in fatal):
             search, fits = searched(catalogue, simulator, groups[:n], nuisances)
@@ -115,7 +116,7 @@ def diagnose_campaign(
                 before, after = over_noise(search, fits[0]), over_noise(search, best)
                 little = after < UNKNOWN or unexplained(before, after) < LITTLE
                 if little and not any(c.component == LOGGING for c in best.model):
-                    findings = turned + _gate(laboratory, simulator, groups, n, ranges, setting(best.values))
+                    findings = told + gate.findings(setting(best.values))
                     fatal = [f for f in findings if f.fatal]
             elif (finding := _wrong_channel(catalogue, search, fits, groups[:n], nuisances)) is not None:
                 findings.append(finding)
@@ -130,32 +131,6 @@ def diagnose_campaign(
         return Diagnosis(answer, adopted, tuple(fits), tuple(channels), conclusion.curves(adopted), ports, conclusion.titles)
 
 
-def _other_programs(
-    laboratory: Laboratory, simulator: Simulator, groups: Sequence[Sequence[FloatArray]], catalogue: Catalogue
-) -> list[gate.Finding]:
-    """Recorded programs, held-out ones too, that are not what the nominal system plays."""
-    channels, changing = laboratory.channels, {c.component for c in catalogue.candidates}
-    plays = [_playing(c.system or laboratory.system) - changing for c in laboratory.conditions]
-    if not any(name.partition(".")[0] in played for played in plays for name in channels):
-        return []
-    found: dict[str, gate.Finding] = {}
-    base = simulator.repeated(range(len(groups)), (), NOMINAL, "the log")
-    for i, (condition, group, simulated) in enumerate(zip(laboratory.conditions, groups, base, strict=True)):
-        at = laboratory.shown(i)
-        names = [laboratory.channels[k] for k in at]
-        for r, x in zip(condition.runs, group, strict=True):
-            if simulated is not None:
-                mean, step = np.mean(simulated, axis=0)[:, at], condition.step * laboratory.factor(i)
-                for f in run_set.other_program(r, x[:, at], mean, names, plays[i], step):
-                    found.setdefault(f.channel, f)
-    return list(found.values())
-
-
-def _playing(system: System) -> set[str]:
-    """Components that nothing goes into."""
-    return {c.name for c in system.components} - {c.target.partition(".")[0] for c in system.connections}
-
-
 def _best(search: Search, fits: Sequence[Fit]) -> Fit:
     """The most likely model."""
     return fits[int(probabilities(fits, search.candidates).argmax())]
@@ -163,7 +138,7 @@ def _best(search: Search, fits: Sequence[Fit]) -> Fit:
 
 def _wrong_channel(
     catalogue: Catalogue, search: Search, fits: Sequence[Fit], groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
-) -> gate.Finding | None:
+) -> Finding | None:
     """The channel that has nearly all of a gap that nothing explains, if it stands still, or a model explains the log with its sign turned.
 
     The gate lets a channel rest at an extreme, as a limit does, and sees a wrong sign by the nominal signal: where an effect is
@@ -179,13 +154,13 @@ def _wrong_channel(
         return None
     name = names[int(chi2.argmax())]
     if left_by(over_noise(search, fits[0]), over_noise(search, best)) < 0.0 and (rest := _rest(search, best, groups, name)):
-        return gate.Finding(name, "constant", rest, "s", f"stands still for {rest:.3g} s, which nothing explains")
+        return Finding(name, "constant", rest, "s", f"stands still for {rest:.3g} s, which nothing explains")
     sign = np.where(np.array(search.simulator.laboratory.channels) == name, -1.0, 1.0)
     turned, fits_of_it = searched(catalogue, search.simulator, [[sign * x for x in group] for group in groups], nuisances)
     other = _best(turned, fits_of_it)
     if over_noise(turned, other) >= UNKNOWN and unexplained(over_noise(search, fits[0]), over_noise(turned, other)) >= LITTLE:
         return None
-    return gate.Finding(name, "sign", -1.0, "1", f"has the wrong sign: with the other one, {other.name} explains the log")
+    return Finding(name, "sign", -1.0, "1", f"has the wrong sign: with the other one, {other.name} explains the log")
 
 
 def _rest(search: Search, best: Fit, groups: Sequence[Sequence[FloatArray]], name: str) -> float:
@@ -201,37 +176,5 @@ def _rest(search: Search, best: Fit, groups: Sequence[Sequence[FloatArray]], nam
             return 0.0
         step = laboratory.conditions[k].step * laboratory.factor(k)
         noise = float(np.std(np.stack(group)[..., i] - np.mean(group, axis=0)[:, i])) if len(group) > 1 else 0.0
-        rests += [gate.stopped(x[:, i], np.mean(models, axis=0)[:, i], step, noise) for x in group]
+        rests += [stopped(x[:, i], np.mean(models, axis=0)[:, i], step, noise) for x in group]
     return min(rests)
-
-
-def _gate(
-    laboratory: Laboratory,
-    simulator: Simulator,
-    groups: Sequence[Sequence[FloatArray]],
-    n: int,
-    ranges: Mapping[str, tuple[float | None, float | None]],
-    changes: Setting = (),
-) -> list[gate.Finding]:
-    """What is wrong with the log where the system has these changes."""
-    found: list[gate.Finding] = []
-    base = simulator.repeated(range(n), changes, NOMINAL, "the log")
-    for i in range(n):
-        condition, group = laboratory.conditions[i], base[i]
-        assert group is not None
-        at = laboratory.shown(i)
-        names = [laboratory.channels[k] for k in at]
-        simulated, measured = np.mean(group, axis=0)[:, at], [x[:, at] for x in groups[i]]
-        noise = np.std(np.stack(measured) - np.mean(measured, axis=0), axis=(0, 1)) if len(measured) > 1 else np.zeros(len(names))
-        noise = noise + 1e-9 * np.abs(simulated).max(axis=0)
-        for r, x in zip(condition.runs, measured, strict=True):
-            found += gate.raw(r, names, ranges, condition.step)
-            found += gate.against_simulation(r, x, simulated, names, condition.step * laboratory.factor(i), noise)
-        found += gate.spikes(condition, names)
-        found += gate.repeats(condition, measured, names)
-    unique: dict[tuple[str, str], gate.Finding] = {}
-    for f in found:
-        old = unique.get((f.channel, f.kind))
-        if old is None or (f.fatal and not old.fatal):
-            unique[f.channel, f.kind] = f
-    return list(unique.values())

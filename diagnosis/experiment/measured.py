@@ -104,7 +104,7 @@ def sort_by_condition(runs: Sequence[Run], system: System, held_out: bool = Fals
         name = str(members[0].info.get("labels", {}).get("condition", "")) or f"condition {i + 1}"
         if any(c.name == name for c in made):
             name = f"{name} ({i + 1})"
-        made.append(Condition(name, known_parameters(members[0], system), tuple(members), _grid(members, system.step), held_out))
+        made.append(Condition(name, known_parameters(members[0], system), tuple(members), common_grid(members, system.step), held_out))
     return made
 
 
@@ -150,7 +150,8 @@ def _without_jitter(t: FloatArray, step: float) -> FloatArray:
     return t
 
 
-def _grid(runs: Sequence[Run], step: float) -> FloatArray:
+def common_grid(runs: Sequence[Run], step: float) -> FloatArray:
+    """Communication points [s] that all runs cover; DataError where they are fewer than LEAST_STEPS."""
     start, end = max(float(r.t[0]) for r in runs), min(float(r.t[-1]) for r in runs)
     first, last = math.ceil(max(start, 0.0) / step - 1e-6), math.floor(end / step + 1e-6)
     if last - first < LEAST_STEPS:

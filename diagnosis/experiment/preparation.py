@@ -11,6 +11,7 @@ from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.measured import Condition, DataError, in_units
 from robomill.diagnosis.experiment.simulation import Laboratory
 from robomill.diagnosis.gate import run_set
+from robomill.diagnosis.gate.checks import Finding
 from robomill.orchestration.assembly import Resolver, assemble, run
 from robomill.orchestration.slaves.protocol import PortData, base_name
 from robomill.orchestration.system.definition import System
@@ -32,6 +33,8 @@ class Prepared:
     nuisances: tuple[Nuisance, ...]
     skipped: tuple[str, ...]
     """What of the catalogue none of the systems has, in words."""
+    findings: tuple[Finding, ...]
+    """Repeats that were cut short."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +55,7 @@ class _Settable:
 def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None, convert: Convert) -> Prepared:
     """The laboratory of a campaign. DataError where the runs do not fit their systems, CatalogueError for units that differ."""
     run_set.check_each(campaign.runs, campaign.held_out)
-    conditions = campaign.conditions()
-    run_set.check_spans(conditions)
+    conditions, short = run_set.complete(campaign.conditions())
     system, n = campaign.system, sum(not c.held_out for c in conditions)
     bare = Laboratory(system, conditions, (), resolver, convert)
     settable = [_settable(bare.configured(i), resolver, convert) for i in range(len(conditions))]
@@ -85,7 +87,7 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
     )
     laboratory.conditions, laboratory.ports = _with_channels(laboratory, n)
     laboratory.channels, laboratory.decimation = list(laboratory.ports), _decimation(system, conditions, n)
-    return Prepared(laboratory, n, catalogue, nuisances, skipped)
+    return Prepared(laboratory, n, catalogue, nuisances, skipped, tuple(short))
 
 
 def _components(system: System) -> list[str]:

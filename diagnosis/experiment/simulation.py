@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
 
-from robomill.diagnosis.catalogue import LOGGING, Address, Refinement, physical, selects
+from robomill.diagnosis.catalogue import LOGGING, Address, Refinement, physical
 from robomill.diagnosis.experiment.measured import Condition
+from robomill.diagnosis.experiment.observation import observe
 from robomill.diagnosis.experiment.pool import pool
 from robomill.diagnosis.experiment.store import Store
 from robomill.orchestration.assembly import Resolver, run
 from robomill.orchestration.errors import OrchestrationError
-from robomill.orchestration.runs.recorder import select
 from robomill.orchestration.slaves.protocol import FloatArray, PortData
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.parameters import Convert, same_unit_only
@@ -125,7 +123,7 @@ class Laboratory:
         if observed:
             full = full.copy()
             for parameter, value in observed:
-                _observe(full, self.conditions[index].grid, self.channels, parameter, value)
+                observe(full, self.conditions[index].grid, self.channels, parameter, value)
             full[:, [not self.conditions[index].has(name) for name in self.channels]] = 0.0
         return decimate(full, self.factor(index))
 
@@ -161,23 +159,6 @@ def refined(system: System, divide: int, sampled: Sequence[str]) -> System:
     """The system at a part of its communication step; components in `sampled` keep their cycle."""
     components = tuple(replace(c, every=c.every * divide) if c.name in sampled else c for c in system.components)
     return replace(system, step=system.step / divide, components=components)
-
-
-def _observe(full: FloatArray, t: FloatArray, channels: Sequence[str], parameter: str, value: float) -> None:
-    """What a faulty log makes of the channels, in place."""
-    kind, _, pattern = parameter.partition(" ")
-    if not any(selects(pattern, c) for c in channels):
-        return
-    for i in select([pattern], list(channels)):
-        if kind == "lag":
-            full[:, i] = np.interp(t - value, t, full[:, i])
-        elif kind == "smooth":
-            decay = math.exp(-float(t[1] - t[0]) / value) if value > 0.0 else 0.0
-            full[:, i] = lfilter([1.0 - decay], [1.0, -decay], full[:, i], zi=[decay * full[0, i]])[0]
-        elif kind == "gain":
-            full[:, i] *= 1.0 + value
-        else:
-            full[:, i] += value
 
 
 class Simulator:

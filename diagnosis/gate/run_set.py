@@ -8,23 +8,22 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from robomill.diagnosis.experiment.measured import Condition, DataError
-from robomill.diagnosis.gate.checks import Finding
+from robomill.diagnosis.experiment.measured import Condition, DataError, common_grid
+from robomill.diagnosis.gate.checks import BREAK, SINGLE, Finding
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 SHORT = 0.05
-"""Part of the longest repeat of a condition that may be missing in another: all are looked at only where the shortest has samples."""
+"""Part of the time that at least half of the repeats of a condition cover which may be missing in a repeat (judgement)."""
 LATEST_CLOCK = 0.3
 """s; how late a clock may be (the largest of the catalogues): a program that is recorded late is the same program."""
 OTHER = 0.01
 """Squares of what a recorded program differs from the one that is played, over those of its motion: a tenth in amplitude, where the same
 program recorded late differs by the rounding of the log."""
-ROUNDING = 2.0**-22
-"""Part of a number that single precision may round off, doubled: what moves by less stands still."""
 
 
 def check_each(runs: Sequence[Run], held_out: Sequence[Run]) -> None:
@@ -62,20 +61,33 @@ def _same(a: FloatArray, b: FloatArray) -> bool:
     known = np.isfinite(a) & np.isfinite(b)
     if not np.array_equal(np.isfinite(a), np.isfinite(b)):
         return False
-    return not known.any() or bool(np.abs(a - b)[known].max() <= ROUNDING * np.abs(a[known]).max())
+    return not known.any() or bool(np.abs(a - b)[known].max() <= SINGLE * np.abs(a[known]).max())
 
 
-def check_spans(conditions: Sequence[Condition]) -> None:
-    """DataError for a repeat that is much shorter than the others of its condition."""
+def complete(conditions: Sequence[Condition]) -> tuple[list[Condition], list[Finding]]:
+    """The conditions without repeats that were cut short, so that the others are looked at for all the time that they have.
+
+    What counts as whole is what at least half of the repeats cover: a single one that went on for longer does not make the others short.
+    Each repeat that is left out, and each that makes the others a little shorter, is named.
+    """
+    made, found = [], []
     for c in conditions:
-        begin, end = min(float(r.t[0]) for r in c.runs), max(float(r.t[-1]) for r in c.runs)
+        last = (len(c.runs) + 1) // 2 - 1
+        begin, end = sorted(float(r.t[0]) for r in c.runs)[last], sorted((float(r.t[-1]) for r in c.runs), reverse=True)[last]
+        step = float(c.grid[1] - c.grid[0])
+        kept = []
         for r in c.runs:
             lost = max(float(r.t[0]) - begin, end - float(r.t[-1]))
-            if lost > SHORT * (end - begin):
-                raise DataError(
-                    f"{r.folder}: is cut short: it has {r.t[0]:.3f} to {r.t[-1]:.3f} s, the repeats of {c.name!r} together {begin:.3f} to "
-                    f"{end:.3f} s; leave it out, or all of them are only looked at for the time that it has"
-                )
+            out = lost > SHORT * (end - begin)
+            if not out:
+                kept.append(r)
+            if lost > (SHORT * (end - begin) if out else BREAK * step):
+                whole = f"{begin:.3f} to {end:.3f} s, as the repeats of {c.name!r}"
+                has = f"{r.folder.name} has {r.t[0]:.3f} to {r.t[-1]:.3f} s; expected {whole}"
+                then = "it was left out; record it anew" if out else "only what all have is looked at; leave it out to use the rest"
+                found.append(Finding("t", "short", lost, "s", f"is cut short: {has}: {then}", fatal=False, repaired=out))
+        made.append(replace(c, runs=tuple(kept), grid=common_grid(kept, step)) if len(kept) < len(c.runs) else c)
+    return made, found
 
 
 def other_program(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], played: Collection[str], step: float) -> list[Finding]:
@@ -91,7 +103,7 @@ def other_program(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str
     for name, members in arrays.items():
         a, b = x[:, members], s[:, members]
         motion, size = float(((b - b.mean(axis=0)) ** 2).sum()), float((b**2).sum())
-        if motion < ROUNDING**2 * size:  # what does not move: its size
+        if motion < SINGLE**2 * size:  # what does not move: its size
             motion = size
         reach = min(int(LATEST_CLOCK / step) + 1, len(a) // 2)
         off = min(_apart(a, b, k) for k in range(-reach, reach + 1))

@@ -12,7 +12,7 @@ from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
 from robomill.cell.milling import with_parameters
 from robomill.cell.next_runs import prepare
-from robomill.diagnosis.gate.checks import against_simulation
+from robomill.diagnosis.gate.gate import beside
 from robomill.orchestration.assembly import run
 from tests import ROOT
 
@@ -37,7 +37,7 @@ def milled(tmp_path_factory):
 def stopped(milled, changed):
     """Kinds of the fatal findings."""
     real, channels, simulated, _, noise = milled
-    return {f.kind for f in against_simulation(real, changed, simulated, channels, 0.004, noise) if f.fatal}
+    return {f.kind for f in beside(real, changed, simulated, channels, 0.004, noise) if f.fatal}
 
 
 def members(milled, array):

@@ -121,27 +121,8 @@ class TestGate:
         n = int(part * len(T))
         x = s.copy()
         x[250 : 250 + n] = x[250]
-        found = gate.against_simulation(recorded(x), x[:, None], s[:, None], [CHANNEL], STEP, QUIET)
+        found = gate.standstill(recorded(x), x[:, None], s[:, None], [CHANNEL], STEP, QUIET)
         assert [f.kind for f in found] == kinds  # REST
-
-    def repeats(self, *runs: FloatArray) -> list[Finding]:
-        condition = Condition("", {}, tuple(recorded(x, STEP * np.arange(len(x))) for x in runs), T)
-        return gate.repeats(condition, [x[:, None] for x in runs], [CHANNEL])
-
-    def test_a_repeat_is_far_from_others_without_noise(self) -> None:
-        """Ten times as far as a part EXACT of the range: 7 of them are not, 15 are."""
-        x = np.linspace(0.0, 1.0, 100_000)  # so slow that TIMING says nothing
-        for off, count in ((7e-5, 0), (15e-5, 1)):
-            assert len(self.repeats(x, x, x + off)) == count
-
-    def test_a_repeat_is_late(self) -> None:
-        """Ten times as late as TIMING samples: 0.35 samples are not, 0.7 are."""
-        for late, count in ((0.35, 0), (0.7, 1)):
-            assert len(self.repeats(np.sin(T), np.sin(T), np.sin(T - late * STEP))) == count
-
-    def test_a_simulation_that_stands_at_zero_has_no_sign_and_no_unit(self) -> None:
-        x = np.sin(T)[:, None]
-        assert gate.against_simulation(recorded(x[:, 0]), x, np.zeros_like(x), [CHANNEL], STEP, QUIET) == []
 
 
 class TestNoise:

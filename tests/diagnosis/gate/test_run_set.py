@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from robomill.diagnosis.engine import diagnose
-from robomill.diagnosis.experiment.measured import DataError
-from robomill.diagnosis.gate.run_set import check_each, other_program
+from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
+from robomill.diagnosis.gate.run_set import check_each, complete, other_program
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
 from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
+from tests.tolerances import ROUNDOFF
 
 
 def refused(folder: Path, runs: list[Run], held_out: list[Run] | None = None) -> str:
@@ -74,18 +75,43 @@ class TestEach:
         text = refused(tmp_path, [replace(runs[0], info={**runs[0].info, "outcome": "interrupted"}), *runs[1:]])
         assert text.startswith("run0: the run is not finished (outcome: interrupted); leave it out")
 
-    def test_a_repeat_cut_short(self, tmp_path: Path) -> None:
+    @pytest.mark.parametrize("left", [400, 700])
+    def test_a_repeat_that_was_aborted_is_named_and_the_others_are_used_in_full_length(self, left: int) -> None:
         runs = measure()
-        text = refused(tmp_path, [runs[0], cut(runs[1], 700), *runs[2:]])
-        assert text.startswith(
-            "run1: is cut short: it has 0.000 to 6.990 s, the repeats of 'amplitude 1.0' together 0.000 to 8.000 s; leave it out"
+        (condition,), (finding,) = complete(sort_by_condition([runs[0], cut(runs[1], left), *runs[2:]], SYSTEM))
+        assert [r.folder for r in condition.runs] == [runs[0].folder, *(r.folder for r in runs[2:])]
+        assert condition.grid[-1] == pytest.approx(8.0, abs=ROUNDOFF)
+        assert (finding.kind, finding.fatal, finding.repaired) == ("short", False, True)
+        assert finding.text == (
+            f"is cut short: run1 has 0.000 to {0.01 * (left - 1):.3f} s; expected 0.000 to 8.000 s, as the repeats of 'amplitude 1.0': "
+            "it was left out; record it anew"
         )
 
-    def test_a_repeat_that_is_a_little_shorter_is_none(self, tmp_path: Path) -> None:
+    def test_of_two_repeats_the_longer_one_is_whole(self) -> None:
+        runs = measure()[:2]
+        (condition,), _ = complete(sort_by_condition([cut(runs[0], 400), runs[1]], SYSTEM))
+        assert [r.folder for r in condition.runs] == [runs[1].folder]
+
+    def test_one_repeat_that_went_on_for_longer_does_not_make_the_others_short(self) -> None:
+        runs = measure()[:3]
+        (condition,), found = complete(sort_by_condition([runs[0], cut(runs[1], 400), cut(runs[2], 400)], SYSTEM))
+        assert len(condition.runs) == 3
+        assert found == []
+
+    def test_the_diagnosis_says_who_was_left_out(self, tmp_path: Path) -> None:
+        runs = measure()
+        result = diagnose(SYSTEM, [runs[0], cut(runs[1], 400), *runs[2:]], catalogue(tmp_path), resolver=resolve).result
+        assert result["verdict"] == "none"
+        assert [(f["kind"], f["fatal"]) for f in result["gate"]["findings"]] == [("short", False)]
+
+    def test_a_repeat_that_is_a_little_shorter_is_used_and_named(self) -> None:
         """5 % may be missing: doubled or halved, one of these two would change its answer."""
         runs = measure()
-        assert diagnose(SYSTEM, [cut(runs[0], 765), *runs[1:]], catalogue(tmp_path), resolver=resolve).result["verdict"] == "none"
-        assert "is cut short" in refused(tmp_path, [cut(runs[0], 755), *runs[1:]])
+        for left, used in ((765, len(runs)), (755, len(runs) - 1)):
+            (condition,), (finding,) = complete(sort_by_condition([cut(runs[0], left), *runs[1:]], SYSTEM))
+            assert len(condition.runs) == used
+            assert finding.kind == "short"
+        assert complete(sort_by_condition([cut(runs[0], 798), *runs[1:]], SYSTEM))[1] == []
 
 
 class TestProgram:

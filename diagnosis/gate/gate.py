@@ -1,0 +1,109 @@
+"""The gate: all that is said of a log before it is diagnosed, with the nominal system or with the best model."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robomill.diagnosis.experiment.measured import Condition
+from robomill.diagnosis.experiment.simulation import Laboratory, Setting, Simulator
+from robomill.diagnosis.gate import checks, log_faults, repeats, run_set
+from robomill.diagnosis.gate.checks import Finding
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import FloatArray
+from robomill.orchestration.system.definition import System
+
+SIMULATIONS = "the log"
+"""What the simulations of the gate are called where progress is shown."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Measured repeats beside simulated ones; what is wrong with them, each thing once."""
+
+    laboratory: Laboratory
+    simulator: Simulator
+    groups: Sequence[Sequence[FloatArray]]
+    """Measured repeats of each condition, [samples, channels], averaged as simulations are."""
+    n: int
+    """The first `n` conditions are diagnosed; of the others only the program is looked at."""
+    ranges: Mapping[str, tuple[float | None, float | None]]
+    """Channel -> what its port can be, least and largest [unit]."""
+    changing: Collection[str]
+    """Components that an effect can change: what they play is no program."""
+    count: int
+    """Simulated repeats of each condition."""
+
+    def findings(self, changes: Setting = ()) -> list[Finding]:
+        """What is wrong with the log where the system has these changes; nothing where that cannot run."""
+        found: list[Finding] = []
+        simulated = self.simulator.repeated(range(self.n), changes, self.count, SIMULATIONS)
+        for condition, group, models in zip(self.laboratory.conditions, self.groups, simulated, strict=False):
+            if models is not None:
+                found += self._of(condition, group, models)
+        return once([*found, *self._other_programs()])
+
+    def _of(self, condition: Condition, group: Sequence[FloatArray], models: Sequence[FloatArray]) -> list[Finding]:
+        """Findings of one condition, from measured and simulated repeats [samples, channels]."""
+        at, step = self._shown(condition), _step(condition, models[0])
+        channels = [self.laboratory.channels[i] for i in at]
+        measured, simulated = [x[:, at] for x in group], [s[:, at] for s in models]
+        middle, names = np.mean(simulated, axis=0), [r.folder.name for r in condition.runs]
+        noise = np.sqrt(repeats.scatter(measured if len(measured) > 1 else simulated))
+        found = checks.spikes(condition, channels)
+        found += repeats.copies(measured, simulated, names) or repeats.compared(measured, simulated, channels, names, step)
+        for r, x in zip(condition.runs, measured, strict=True):
+            found += checks.raw(r, channels, self.ranges, condition.step)
+            found += beside(r, x, middle, channels, step, noise)
+        return found
+
+    def _other_programs(self) -> list[Finding]:
+        """Recorded programs, held-out ones too, that are not what the nominal system plays."""
+        plays = [_playing(c.system or self.laboratory.system) - set(self.changing) for c in self.laboratory.conditions]
+        if not any(name.partition(".")[0] in played for played in plays for name in self.laboratory.channels):
+            return []
+        found: list[Finding] = []
+        simulated = self.simulator.repeated(range(len(self.groups)), (), self.count, SIMULATIONS)
+        for condition, group, models, played in zip(self.laboratory.conditions, self.groups, simulated, plays, strict=True):
+            if models is None:
+                continue
+            at = self._shown(condition)
+            channels, mean, step = [self.laboratory.channels[i] for i in at], np.mean(models, axis=0)[:, at], _step(condition, models[0])
+            for r, x in zip(condition.runs, group, strict=True):
+                found += run_set.other_program(r, x[:, at], mean, channels, played, step)
+        return found
+
+    def _shown(self, condition: Condition) -> list[int]:
+        """Places of the channels that say anything in a condition."""
+        return [i for i, name in enumerate(self.laboratory.channels) if condition.has(name)]
+
+
+def beside(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], step: float, noise: FloatArray) -> list[Finding]:
+    """What a measured run [samples, channels] says beside its simulation; `step` [s] between samples, `noise` [unit] per channel."""
+    still = checks.standstill(run, x, s, channels, step, noise)
+    wrong = {f.channel for f in still}
+    return still + log_faults.judged(x, s, channels, noise, frozenset(i for i, c in enumerate(channels) if c in wrong))
+
+
+def once(findings: Sequence[Finding]) -> list[Finding]:
+    """One finding of each kind for each channel: the first, or the first that is fatal; how many there are is said."""
+    groups: dict[tuple[str, str], list[Finding]] = {}
+    for f in findings:
+        groups.setdefault((f.channel, f.kind), []).append(f)
+    said = []
+    for group in groups.values():
+        first = next((f for f in group if f.fatal), group[0])
+        said.append(replace(first, text=f"{first.text} ({len(group)} such findings)") if len(group) > 1 else first)
+    return said
+
+
+def _step(condition: Condition, rows: FloatArray) -> float:
+    """Time [s] between the rows of a simulation of a condition."""
+    return condition.step * (len(condition.grid) // len(rows))
+
+
+def _playing(system: System) -> set[str]:
+    """Components that nothing goes into."""
+    return {c.name for c in system.components} - {c.target.partition(".")[0] for c in system.connections}

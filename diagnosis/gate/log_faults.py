@@ -1,0 +1,172 @@
+"""Faults of the log as models: what they do to a channel is a linear operator, and it is weighed like any other explanation.
+
+Faults of a size (late, filtered, amplified, offset, turned) are candidates of the search (`log_faults`). A wrong sign, a usual mistake in
+units, interchanged axes and another frame have no size that is fitted. They are judged before the search by a Bayes factor
+(Kass & Raftery 1995, J. Am. Stat. Assoc. 90, 773): a channel is its simulation under the operator, plus a deviation
+
+    e ~ N(0, noise^2 + max(TOLERANCE^2 var, left)),
+
+coherent over the record, so that a channel counts as one observation. `var` is the variance of the simulated signal under the operator.
+`left` is the mean square that the fault leaves: an effect may be there besides, and one of that size (in the unit of the simulation) is
+allowed for without the fault, too.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robomill.diagnosis.catalogue import LOGGING, Candidate, Prior
+from robomill.diagnosis.gate.checks import SINGLE, Finding
+from robomill.orchestration.slaves.protocol import FloatArray, base_name
+
+FACTORS = {
+    1e3: "milli- for units",
+    1e-3: "units for milli-",
+    1e6: "micro- for units",
+    1e-6: "units for micro-",
+    180.0 / np.pi: "degrees for radians",
+    np.pi / 180.0: "radians for degrees",
+    9.80665: "newtons for kilogram-force",
+    1 / 9.80665: "kilogram-force for newtons",
+    60 / (2 * np.pi): "rpm for rad/s",
+    2 * np.pi / 60: "rad/s for rpm",
+    25.4: "millimetres for inches",
+    1 / 25.4: "inches for millimetres",
+    4.4482216: "newtons for pound-force",
+    1 / 4.4482216: "pound-force for newtons",
+}
+"""Usual mistakes in units: measured over simulated."""
+VECTOR = 3
+"""Elements of an array that may be a vector in another frame."""
+TOLERANCE = 0.15
+"""Part of a signal by which a machine that is logged well may be off: the largest gain error of a sensor in the catalogue."""
+DECISIVE = 150.0
+"""Bayes factor, times the number of operators that are tried, from which a fault is believed: Kass & Raftery's "very strong"."""
+_SIZES = {
+    "lag": ("s", 0.02, 1e-3, 0.3),
+    "smooth": ("s", 0.03, 2e-3, 0.5),
+    "gain": ("1", 0.05, 5e-3, 0.5),
+    "rotate_1": ("rad", 0.05, 5e-3, 0.6),
+    "rotate_2": ("rad", 0.05, 5e-3, 0.6),
+    "rotate_3": ("rad", 0.05, 5e-3, 0.6),
+}
+"""Kind of fault -> unit, scale of the prior, smallest finding, bound: clocks, filters, gains and misalignment of the cell's catalogue."""
+
+
+def log_faults(channels: Sequence[str]) -> list[Candidate]:
+    """Candidates of component LOGGING for each array of a log, and for each channel that may be late by itself.
+
+    The elements of an array are late, filtered or amplified together; a triple may be turned about each of its axes.
+    """
+    places: dict[str, list[str]] = {kind: [] for kind in _SIZES}
+    for name, members in arrays(channels).items():
+        for kind in ("lag", "smooth", "gain"):
+            places[kind].append(name)
+        if len(members) > 1:
+            places["lag"] += [channels[i] for i in members]
+        if len(members) == VECTOR:
+            for kind in ("rotate_1", "rotate_2", "rotate_3"):
+                places[kind].append(name)
+    made = []
+    for kind, where in places.items():
+        unit, scale, least, largest = _SIZES[kind]
+        prior = Prior("log-normal" if kind == "smooth" else "normal", scale)
+        both = kind != "smooth"  # a filter has no negative time constant
+        for place in where:
+            parameters = (f"{kind} {place}",)
+            made.append(Candidate(f"log_{kind}", LOGGING, place, parameters, least, largest, prior, unit, both, len(where)))
+    return made
+
+
+def arrays(channels: Sequence[str]) -> dict[str, list[int]]:
+    """Array -> places of its elements."""
+    groups: dict[str, list[int]] = {}
+    for i, name in enumerate(channels):
+        groups.setdefault(base_name(name), []).append(i)
+    return groups
+
+
+@dataclass(frozen=True)
+class _Operator:
+    """A fault that is tried: what it makes of the simulation of some channels, and what is said if it is believed."""
+
+    members: tuple[int, ...]
+    simulated: FloatArray
+    """[samples, members]."""
+    scale: float
+    """Factor that it has."""
+    finding: Finding
+    spread: float | None = None
+    """Mean square that tolerances are a part of, where it is not the variance of each channel [unit^2]."""
+    paid: float = 0.0
+    """What its fitted numbers cost [nats] (Schwarz 1978, Ann. Stat. 6, 461)."""
+
+
+def judged(
+    x: FloatArray, s: FloatArray, channels: Sequence[str], noise: FloatArray, suspects: frozenset[int] = frozenset()
+) -> list[Finding]:
+    """Faults of sign, unit, place and frame of measured `x` beside simulated `s`, both [samples, channels]; `noise` [unit] per channel.
+
+    `suspects` are channels that are wrong anyway. The clearest fault of a channel is named, and one without fitted numbers
+    before a turn: one wrong sign beside an element that is nearly zero is half a turn, too.
+    """
+    tried = [o for o in _operators(x, s, channels) if not suspects & set(o.members)]
+    gains = [(o, _log_bayes_factor(o, x, s, noise)) for o in tried]
+    clear = [(o, gain) for o, gain in gains if gain > math.log(DECISIVE * len(tried))]
+    found: list[Finding] = []
+    taken: set[int] = set()
+    for o, _ in sorted(clear, key=lambda known: (known[0].paid > 0.0, -known[1])):
+        if not taken & set(o.members):
+            found.append(o.finding)
+            taken |= set(o.members)
+    return found
+
+
+def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str]) -> Iterator[_Operator]:
+    for i, name in enumerate(channels):
+        own = s[:, [i]]
+        if not own.any():  # zero has no sign and no unit
+            continue
+        yield _Operator((i,), -own, -1.0, Finding(name, "sign", -1.0, "1", "has the wrong sign; expected that of its simulation: turn it"))
+        slope = float(x[:, i] @ s[:, i] / (s[:, i] @ s[:, i]))
+        for factor, mistake in FACTORS.items():
+            text = f"is {slope:.4g} times what it should be: {mistake}; expected 1 (give the unit that it is logged in)"
+            yield _Operator((i,), factor * own, factor, Finding(name, "unit", slope, "1", text))
+    for name, members in arrays(channels).items():
+        for i, j in itertools.combinations(members, 2):
+            text = f"is interchanged with {channels[j]}; give each the other's name"
+            finding = Finding(channels[i], "axes", float(j - i), "1", text)
+            for signs in itertools.product((1.0, -1.0), repeat=2):
+                yield _Operator((i, j), s[:, [j, i]] * signs, 1.0, finding)
+        if len(members) == VECTOR:
+            yield _rotation(name, tuple(members), x[:, members], s[:, members])
+
+
+def _rotation(name: str, members: tuple[int, ...], a: FloatArray, b: FloatArray) -> _Operator:
+    """The turn that brings simulated vectors `b` nearest to measured ones `a`, [samples, 3] (Kabsch 1976, Acta Cryst. A32, 922)."""
+    u, _, vt = np.linalg.svd(a.T @ b)
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    angle = float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
+    text = f"is turned by {np.rad2deg(angle):.0f} degrees; expected 0: another frame, or a transposed rotation"
+    spread = float((b**2).mean())  # an inexact pose turns what is there all the time, too
+    return _Operator(members, b @ turn.T, 1.0, Finding(name, "rotation", angle, "rad", text), spread, 1.5 * math.log(len(a)))
+
+
+def _log_bayes_factor(o: _Operator, x: FloatArray, s: FloatArray, noise: FloatArray) -> float:
+    """Log of the odds of the operator against none [nats]."""
+    members = list(o.members)
+    measured, plain = x[:, members], s[:, members]
+    left = ((measured - o.simulated) ** 2).mean(axis=0)
+    usual = noise[members] ** 2 + (SINGLE * np.abs(x[:, members]).max(axis=0)) ** 2 + np.finfo(float).tiny
+    off = ((measured - plain) ** 2).mean(axis=0)
+    if left.sum() > off.sum():  # a fault that leaves more than none is no explanation of anything
+        return -math.inf
+    own, without = (np.full(len(members), o.spread) if o.spread is not None else y.var(axis=0) for y in (o.simulated, plain))
+    faulty = usual + np.maximum(TOLERANCE**2 * own, left)
+    good = usual + np.maximum(TOLERANCE**2 * without, np.minimum(left / o.scale**2, off))
+    return float(0.5 * (off / good + np.log(good) - left / faulty - np.log(faulty)).sum()) - o.paid

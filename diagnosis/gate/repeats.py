@@ -1,0 +1,105 @@
+"""The repeats of a condition beside each other: copies, clocks that were started at other times, and one that is nothing like the rest.
+
+What is usual is what simulated repeats scatter (other seeds of their noise), or what most measured ones do where that is more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from robomill.diagnosis.gate.checks import SINGLE, Finding
+from robomill.orchestration.slaves.protocol import FloatArray
+
+COPY = 0.01
+"""Distance of two repeats, over that of two which have noise of their own, below which one is a copy of the other, with rounding or a
+little noise added (judgement): a sensor that is ten times as good as the simulated one is no copy."""
+ODD_ONE_OUT = 3
+"""Repeats from which one can be unlike the others: of two, nobody can say which."""
+UNLIKE = 10.0
+"""Distance of a repeat from the median of all over what is usual, from beyond which it is nothing like them (judgement)."""
+SURE = 3.0
+"""Standard errors by which a clock was started at another time."""
+
+
+def copies(group: Sequence[FloatArray], simulated: Sequence[FloatArray], names: Sequence[str]) -> list[Finding]:
+    """Pairs of repeats [samples, channels] that have no noise between them; `simulated` repeats, `names` of the runs.
+
+    Channels in which neither simulated nor other measured repeats scatter say nothing. A pair is a copy if it is one in all others.
+    """
+    if len(group) == 1:
+        return []
+    stack = np.stack(group)
+    pairs = [(i, j) for i in range(len(stack)) for j in range(i)]
+    apart = np.stack([((stack[i] - stack[j]) ** 2).mean(axis=0) for i, j in pairs])
+    usual = np.maximum(apart.max(axis=0), 2.0 * scatter(simulated))
+    says = usual > (SINGLE * np.abs(stack).max(axis=(0, 1)) / COPY) ** 2
+    found = []
+    for (i, j), distance in zip(pairs, apart, strict=True):
+        ratio = float(np.sqrt((distance[says] / usual[says]).max())) if says.any() else 1.0
+        if ratio < COPY:
+            text = (
+                f"of {names[i]} are those of {names[j]}: they differ by {ratio:.1g} times what repeats with noise of their own do; "
+                f"expected about 1; there are {len(group)} repeats: give one of these two"
+            )
+            found.append(Finding("all channels", "copy", ratio, "1", text))
+    return found
+
+
+def scatter(group: Sequence[FloatArray]) -> FloatArray:
+    """Variance of repeats about their mean [unit^2 per channel]; zero for a single one."""
+    stack = np.stack(group)
+    return np.asarray(((stack - stack.mean(axis=0)) ** 2).sum(axis=0).mean(axis=0) / max(len(stack) - 1, 1))
+
+
+def offsets(group: Sequence[FloatArray], usual: FloatArray, step: float) -> FloatArray:
+    """How late [s] each repeat is against the median of all, and the standard error of that, [repeats, 2].
+
+    Least squares of its deviation along the rate of the median, each channel weighted by `usual` [unit^2]. The error is that of the
+    deviation that is left, whose samples depend on each other over its correlation time (first order).
+    """
+    stack = np.stack(group)
+    middle = np.median(stack, axis=0)
+    weights = np.where(usual > 0.0, 1.0 / np.sqrt(np.where(usual > 0.0, usual, 1.0)), 0.0)
+    rate, found = np.gradient(middle, step, axis=0) * weights, []
+    energy = float((rate**2).sum())
+    for deviation in (stack - middle) * weights:
+        if energy == 0.0:
+            found.append((0.0, np.inf))
+            continue
+        late = -float((rate * deviation).sum()) / energy
+        left = deviation + late * rate
+        squares = float((left**2).sum())
+        after = float((left[1:] * left[:-1]).sum()) / squares if squares else 0.0
+        memory = (1.0 + max(after, 0.0)) / (1.0 - min(after, 0.999))
+        found.append((late, float(np.sqrt(squares / left.size * memory / energy))))
+    return np.array(found)
+
+
+def compared(
+    group: Sequence[FloatArray], simulated: Sequence[FloatArray], channels: Sequence[str], names: Sequence[str], step: float
+) -> list[Finding]:
+    """Repeats that were started at another time (noted), and those that are nothing like the others (fatal)."""
+    if len(group) < ODD_ONE_OUT:
+        return []
+    stack = np.stack(group)
+    middle = np.median(stack, axis=0)
+    rounding = (SINGLE * np.abs(stack).max(axis=(0, 1))) ** 2
+    measured = np.median(((stack - middle) ** 2).mean(axis=1), axis=0)
+    usual = np.maximum(np.maximum(scatter(simulated), measured), rounding)
+    found, rate = [], np.gradient(middle, step, axis=0)
+    for name, x, (late, error) in zip(names, stack, offsets(group, usual, step), strict=True):
+        if abs(late) > max(SURE * error, 0.5 * step):
+            text = f"{name} is {1e3 * late:.3g} ms (standard error {1e3 * error:.2g} ms) later than the median of the repeats; expected 0"
+            found.append(Finding("t", "offset", late, "s", text, fatal=False))
+        off = ((x - middle) ** 2).mean(axis=0)
+        if abs(late) < step:  # a clock that was started between two samples moves a jump
+            off = np.minimum(off, ((x - middle + late * rate) ** 2).mean(axis=0))
+        ratio = np.sqrt(np.divide(off, usual, out=np.zeros_like(off), where=usual > 0.0))
+        worst = int(ratio.argmax())
+        if ratio[worst] > UNLIKE:
+            far = f"is {ratio[worst]:.0f} times as far from the other repeats as repeats are from each other ({name})"
+            text = f"{far}; expected about 1, at most {UNLIKE:.0f}; leave it out"
+            found.append(Finding(channels[worst], "repeat", float(ratio[worst]), "1", text))
+    return found

@@ -1,0 +1,132 @@
+"""Faults of the log as models: what is believed, what is left to the search, and what they do to a simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robomill.diagnosis.catalogue import LOGGING, OBSERVATIONS
+from robomill.diagnosis.experiment.observation import observe
+from robomill.diagnosis.gate.log_faults import FACTORS, judged, log_faults
+from robomill.orchestration.slaves.protocol import FloatArray
+from tests.tolerances import ROUNDOFF
+
+T = 0.01 * np.arange(1000)
+SINE, COSINE, OTHER = np.sin(2.0 * np.pi * T), np.cos(2.0 * np.pi * T), np.sin(6.0 * np.pi * T)
+"""Over ten whole periods: orthogonal, mean square 1/2."""
+VECTOR = np.stack([SINE, 2.0 * COSINE, 0.5 * OTHER], axis=1)
+NAMES = ["a.f[1]", "a.f[2]", "a.f[3]"]
+
+
+def kinds(x: FloatArray, s: FloatArray, noise: float = 1e-9) -> list[tuple[str, str]]:
+    """Channel and kind of what is believed."""
+    return [(f.channel, f.kind) for f in judged(x, s, NAMES[: x.shape[1]], np.full(x.shape[1], noise))]
+
+
+class TestJudged:
+    @pytest.mark.parametrize("gain", [1.0, 0.5, 1.6, -0.1, 2.2])
+    def test_a_gain_is_left_to_the_search(self, gain: float) -> None:
+        assert kinds(gain * VECTOR, VECTOR) == []
+
+    @pytest.mark.parametrize("factor", FACTORS)
+    def test_each_usual_mistake_is_found_with_a_gain_of_a_tenth_besides(self, factor: float) -> None:
+        for gain in (0.9, 1.0, 1.1):
+            (finding,) = judged(gain * factor * VECTOR[:, :1], VECTOR[:, :1], NAMES[:1], np.array([1e-9]))
+            assert (finding.kind, finding.fatal) == ("unit", True)
+            assert finding.value == pytest.approx(gain * factor, rel=ROUNDOFF)
+            assert "; expected 1 (give the unit that it is logged in)" in finding.text
+
+    def test_the_text_names_the_mistake_that_is_nearest(self) -> None:
+        (finding,) = judged(1.05e-3 * VECTOR[:, :1], VECTOR[:, :1], NAMES[:1], np.array([1e-9]))
+        assert finding.text == "is 0.00105 times what it should be: units for milli-; expected 1 (give the unit that it is logged in)"
+
+    @pytest.mark.parametrize("i", [0, 1, 2])
+    def test_a_wrong_sign_is_found_with_an_effect_besides(self, i: int) -> None:
+        x = 0.8 * VECTOR + 0.1 * np.cos(10.0 * np.pi * T)[:, None]
+        x[:, i] *= -1.0
+        assert kinds(x, VECTOR) == [(NAMES[i], "sign")]
+
+    def test_what_is_much_larger_than_the_simulation_has_no_sign(self) -> None:
+        """An effect ten times as large as the nominal signal, of whatever sign: more than noise and tolerances is left either way."""
+        assert kinds(-4.0 * SINE[:, None] + 10.0 * COSINE[:, None], SINE[:, None]) == []
+
+    @pytest.mark.parametrize(("noise", "found"), [(0.05, [(NAMES[0], "sign")]), (1.0, [])])
+    def test_what_drowns_in_noise_has_no_sign(self, noise: float, found: list[tuple[str, str]]) -> None:
+        x = -SINE[:, None] + noise * np.random.default_rng(1).standard_normal((len(T), 1))
+        assert kinds(x, SINE[:, None], noise) == found
+
+    def test_interchanged_axes_are_found_whatever_their_signs_are(self) -> None:
+        for signs in ((1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)):
+            assert kinds(VECTOR[:, [1, 0, 2]] * signs, VECTOR) == [(NAMES[0], "axes")]
+
+    def test_axes_that_are_nearly_alike_are_not_interchanged(self) -> None:
+        alike = np.stack([SINE + 0.05 * COSINE, SINE - 0.05 * COSINE], axis=1)
+        assert kinds(alike[:, ::-1], alike) == []
+
+    @pytest.mark.parametrize(("angle", "found"), [(6.0, []), (15.0, []), (45.0, [("a.f", "rotation")])])
+    def test_a_turn_that_a_pose_may_be_off_is_left_to_the_search(self, angle: float, found: list[tuple[str, str]]) -> None:
+        x = VECTOR.copy()
+        observe(x, T, NAMES, "rotate_3 a.f", np.deg2rad(angle))
+        assert kinds(x, VECTOR) == found
+
+    def test_what_is_right_or_zero_is_no_fault(self) -> None:
+        assert kinds(VECTOR, VECTOR) == []
+        assert kinds(VECTOR, np.zeros_like(VECTOR)) == []
+        assert kinds(np.zeros_like(VECTOR), np.zeros_like(VECTOR)) == []
+
+    def test_a_channel_that_is_wrong_anyway_is_not_judged(self) -> None:
+        x = VECTOR * [-1.0, 1.0, 1.0]
+        assert judged(x, VECTOR, NAMES, np.full(3, 1e-9), frozenset({0})) == []
+
+
+class TestCandidates:
+    CHANNELS = ("a.f[1]", "a.f[2]", "a.f[3]", "b.y")
+
+    def test_each_array_and_each_channel_of_one_has_its_faults(self) -> None:
+        made = {c.parameters[0] for c in log_faults(self.CHANNELS)}
+        assert made == {
+            *(f"{kind} {name}" for kind in ("lag", "smooth", "gain") for name in ("a.f", "b.y")),
+            *(f"lag {name}" for name in self.CHANNELS[:3]),
+            *(f"rotate_{axis} a.f" for axis in (1, 2, 3)),
+        }
+
+    def test_they_are_faults_of_the_log_that_a_simulation_can_have(self) -> None:
+        full = np.random.default_rng(1).standard_normal((1000, 4))
+        for c in log_faults(self.CHANNELS):
+            assert c.component == LOGGING
+            assert c.parameters[0].split()[0] in OBSERVATIONS
+            assert 0.0 < c.minimum < c.prior.scale < c.maximum
+            changed = full.copy()
+            observe(changed, T, self.CHANNELS, c.parameters[0], c.prior.scale)
+            assert not np.array_equal(changed, full)
+            assert c.locations == sum(o.effect == c.effect for o in log_faults(self.CHANNELS))
+
+
+class TestObserved:
+    def seen(self, parameter: str, value: float) -> FloatArray:
+        full = VECTOR.copy()
+        observe(full, T, NAMES, parameter, value)
+        return full
+
+    def test_discrete_faults(self) -> None:
+        assert np.array_equal(self.seen("sign a.f[2]", 1.0), VECTOR * [1.0, -1.0, 1.0])
+        assert np.array_equal(self.seen("unit a.f", 1e3), 1e3 * VECTOR)
+        both = [VECTOR[:, 0], VECTOR[:, 1]]
+        full = np.stack(both, axis=1)
+        observe(full, T, NAMES[:2], "swap a.f", 1.0)
+        assert np.array_equal(full, np.stack(both[::-1], axis=1))
+
+    @pytest.mark.parametrize("axis", [1, 2, 3])
+    def test_a_turn_about_an_axis_is_a_rotation(self, axis: int) -> None:
+        turned = self.seen(f"rotate_{axis} a.f", 0.3)
+        assert np.linalg.norm(turned, axis=1) == pytest.approx(np.linalg.norm(VECTOR, axis=1), rel=ROUNDOFF)
+        assert np.array_equal(turned[:, axis - 1], VECTOR[:, axis - 1])
+        e = np.eye(3)
+        k, j = axis % 3, (axis + 1) % 3
+        one = e[[k]].copy()
+        observe(one, T[:1], NAMES, f"rotate_{axis} a.f", 0.3)  # right-handed
+        assert one[0] @ e[j] == pytest.approx(np.sin(0.3), rel=ROUNDOFF)
+
+    def test_a_pattern_that_selects_too_many_is_refused(self) -> None:
+        with pytest.raises(ValueError, match=r"'swap a\.f' of the log selects 3 channels; expected 2: give a pattern that selects these"):
+            self.seen("swap a.f", 1.0)
