@@ -190,6 +190,9 @@ def parser() -> argparse.ArgumentParser:
         help="effects to look for (default: catalogue.toml beside the system, else the milling cell's)",
     )
     diagnose.add_argument("--out", type=Path, default=Path("results") / "diagnosis", metavar="DIR", help="folder for the answer")
+    diagnose.add_argument(
+        "--check", action="store_true", help="say what these runs can show, and what is missing: nothing is fitted, docs/check.md"
+    )
     diagnose.add_argument("--repair", action="store_true", help="correct a clock that is late, and diagnose the rest")
     diagnose.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
     diagnose.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="simulate on the workers of this Dask cluster instead")

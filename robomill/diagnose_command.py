@@ -10,10 +10,13 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from rich.console import Console
+
 from robomill.cell import next_runs
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
 from robomill.diagnosis.catalogue import LOGGING, Catalogue
+from robomill.diagnosis.check import check
 from robomill.diagnosis.engine import diagnose_campaign
 from robomill.diagnosis.experiment.campaign import Campaign, load_campaign
 from robomill.diagnosis.experiment.store import Store
@@ -61,6 +64,8 @@ def run(options: Namespace) -> int:
             f"{len(store)} simulations of an interrupted diagnosis are in {store.folder}/; those that still hold are taken over",
             file=sys.stderr,
         )
+    if options.check:
+        return _check(options, campaign, catalogue, store)
     with progress_bar(options.json) as progress, TemporaryDirectory() as folder:
         try:
             found = diagnose_campaign(
@@ -87,6 +92,22 @@ def run(options: Namespace) -> int:
         print("\n".join(lines(found.answer)))
         print(f"report: {page}; beside it diagnosis.json{' and adopt.ssv' if (options.out / 'adopt.ssv').is_file() else ''}")
     return 1 if found.answer.verdict == "bad_log" else 0
+
+
+def _check(options: Namespace, campaign: Campaign, catalogue: Catalogue, store: Store) -> int:
+    """What the runs can show. The simulations stay where they are: the diagnosis takes them over."""
+    from robomill.check_table import show
+    from robomill.progress import progress_bar
+
+    if options.repair:
+        raise ValueError("--repair goes with a diagnosis, which --check does not make; leave one of them out")
+    with progress_bar(options.json) as progress:
+        found = check(campaign, catalogue, resolver=resolve, convert=convert, workers=max(1, options.jobs), report=progress, store=store)
+    if options.json:
+        print(as_json(found.result))
+    else:
+        show(found, Console())
+    return 0
 
 
 def campaign_of(options: Namespace) -> Campaign:

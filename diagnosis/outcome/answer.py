@@ -109,7 +109,7 @@ class Visible:
     location: str
     parameter: str
     value: float
-    """5 standard deviations [unit]."""
+    """SHOWS standard deviations (`visibility`) [unit]."""
     unit: str
 
 
