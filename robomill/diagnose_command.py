@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -19,10 +20,10 @@ from robomill.diagnosis.catalogue import LOGGING, Catalogue
 from robomill.diagnosis.check import check
 from robomill.diagnosis.engine import diagnose_campaign
 from robomill.diagnosis.experiment.campaign import Campaign, load_campaign
+from robomill.diagnosis.experiment.design import Kind, Offer, Quantity
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.outcome import adopt
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, as_json
-from robomill.diagnosis.outcome.next_run import Offer
 from robomill.files import FILES
 from robomill.fmus.components import NAMES, companion, component, home, is_component
 from robomill.joints import projections
@@ -36,18 +37,28 @@ SIMULATIONS = "simulations"
 """Folder in that of the answer: what has been simulated, until the diagnosis is finished."""
 
 
-def menu(system: System, folder: Path) -> Menu:
-    """What the engine is told about a system; for a milling cell, runs that could be made next (tables go to `folder`)."""
+def menu(system: System, folder: Path, file: Path = next_runs.KINDS) -> Menu:
+    """What the engine is told about a system: coordinates, and the kinds of runs in `file` (tables of runs go to `folder`)."""
+    number = count()
 
-    def offers() -> dict[str, Offer]:
-        made = {}
-        for kind in next_runs.kinds(system):
-            r = next_runs.prepare(system, kind, folder / kind)
-            shown = {c: {k: v for k, v in values.items() if k not in ("segments", "profile")} for c, values in r.parameters.items()}
-            made[kind] = Offer(r.system, r.parameters, r.seconds, r.minutes, r.repeats, {c: v for c, v in shown.items() if v})
-        return made
+    def designed(kind: next_runs.RunKind) -> Kind:
+        def make(values: Mapping[str, float]) -> Offer:
+            r = next_runs.prepare(system, kind.name, folder / f"run-{next(number)}", values, file)
+            return Offer(r.system, r.parameters, r.seconds)
 
-    return Menu(offers=offers, projections=projections(system))
+        return Kind(
+            kind.name, tuple(Quantity(r.name, r.unit, r.low, r.high, r.start) for r in kind.ranges), kind.minutes, kind.repeats, make
+        )
+
+    return Menu(kinds=lambda: [designed(k) for k in next_runs.kinds_for(system, file)], projections=projections(system))
+
+
+def kinds_file(options: Namespace) -> Path:
+    """The file of kinds of runs that is named, or that beside the system, or the milling cells' one; it is read, so that errors come first."""
+    beside = options.system.parent / next_runs.OWN if options.system is not None else None
+    file: Path = options.next_runs or (beside if beside is not None and beside.is_file() else next_runs.KINDS)
+    next_runs.load_kinds(file)
+    return file
 
 
 def run(options: Namespace) -> int:
@@ -64,6 +75,7 @@ def run(options: Namespace) -> int:
             f"{len(store)} simulations of an interrupted diagnosis are in {store.folder}/; those that still hold are taken over",
             file=sys.stderr,
         )
+    kinds = kinds_file(options)
     if options.check:
         return _check(options, campaign, catalogue, store)
     with progress_bar(options.json) as progress, TemporaryDirectory() as folder:
@@ -75,7 +87,7 @@ def run(options: Namespace) -> int:
                 convert=convert,
                 workers=max(1, options.jobs),
                 report=progress,
-                menu=menu(system, Path(folder)),
+                menu=menu(system, Path(folder), kinds),
                 repair=options.repair,
                 store=store,
                 scheduler=options.scheduler,
@@ -204,8 +216,6 @@ def lines(answer: Answer) -> list[str]:
         if h.unit != "1":
             closed = "not measurable" if h.closure is None else f"closure {100 * h.closure:.0f} %"
             out.append(f"how far: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}, {closed}")
-    if r := answer.next_run:
-        rivals = ", ".join(r.separates)
-        text = f"{r.kind}, {r.minutes:.0f} min, to separate {rivals}: {r.distance:.1f} deviations apart instead of {r.now:.1f}"
-        out.append(f"next run: {text if r.separated else f'none on the menu would separate {rivals}'}")
+    if answer.next_run:
+        out.append(f"next run: {answer.next_run.text}")
     return out

@@ -227,14 +227,13 @@ class Conclusion:
         return tuple(Visible(c.effect, c.location, name, value, c.unit) for c, name, value in found)
 
     def next_run(self, verdict: str) -> next_run.NextRun | None:
-        """The run on the menu that tells the likely models apart; None where there is only one, or no menu."""
+        """The designed run that tells the likely models apart; None where there is only one, or no kind of run."""
         rivals = next_run.rivals(self.fits, self.weights, self.search, known=verdict != "unknown")
-        offers = self.menu.offers() if len(rivals) > 1 else {}
-        if not offers:
+        kinds = self.menu.kinds() if len(rivals) > 1 else ()
+        if not kinds:
             return None
         fits, weights = [self.fits[i] for i in rivals], [max(float(self.weights[i]), LISTED) for i in rivals]
-        with self.simulator.beside(next_run.laboratory(self.laboratory, offers)) as simulator:
-            return next_run.recommend(fits, weights, offers, self.search, simulator)
+        return next_run.recommend(fits, weights, kinds, self.search, self.simulator)
 
     def described(self, answer: Answer, found: Located, other: Changing | None) -> Answer:
         """The answer with what is known of an effect that is not in the catalogue; `other`: what it is like if it changes with time."""
