@@ -17,8 +17,9 @@ from robomill.blind.world import Designed, Machine, simulate_designed
 
 
 def separates(truth: Truth, recommended: Mapping[str, Any], wrong: Sequence[ComponentValues], tier: str, limit: float) -> bool:
-    """Whether a recommended run (`next_run` of diagnosis.json: its `kind`, its `parameters`) tells the effects of a truth from each of the other answers, on the same machine.
+    """Whether a recommended run tells the effects of a truth from each of the other answers, on the same machine.
 
+    `recommended`: `next_run` of diagnosis.json, its `kind` and its `parameters`.
     It does where, in some window of 0.5 s, what they do differs by `limit` times what machines without effects leave.
     LookupError: no such kind, or values out of its range; OrchestrationError, ValueError: it cannot be made.
     """

@@ -215,7 +215,7 @@ def _rendered(text: str, values: Mapping[str, float], entry: Entry) -> str:
             raise entry.fail(f"{match[0]}: {problem.args[0]}; expected + - * / of numbers and quantities, sin, cos of degrees") from None
         except LookupError as problem:
             raise entry.fail(f"{match[0]}: {problem.args[0]}") from None
-        return f"{found:.9f}".rstrip("0").rstrip(".") if abs(found) >= 1e-9 else "0"
+        return f"{found:.9f}".rstrip("0").rstrip(".")
 
     return _FIELD.sub(number, text)
 
@@ -248,7 +248,7 @@ def _evaluated(node: ast.expr, values: Mapping[str, float]) -> float:
 
 
 def with_load(cell: System) -> System:
-    """The cell with a load that is applied on purpose (`models/components/applied_load.py`) in place of the cut; one that has it as it is."""
+    """The cell with a load that is applied on purpose (`models/components/applied_load.py`) in place of the cut, if it has one."""
     if not any(c.name == _CUT for c in cell.components):
         return cell
     components = tuple(Component(_LOAD, "applied_load") if c.name == _CUT else c for c in cell.components)

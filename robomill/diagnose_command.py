@@ -54,7 +54,7 @@ def menu(system: System, folder: Path, file: Path = next_runs.KINDS) -> Menu:
 
 
 def kinds_file(options: Namespace) -> Path:
-    """The file of kinds of runs that is named, or that beside the system, or the milling cells' one; it is read, so that errors come first."""
+    """The file of kinds of runs that is named, or that beside the system, or the milling cells' one. It is read: errors come first."""
     beside = options.system.parent / next_runs.OWN if options.system is not None else None
     file: Path = options.next_runs or (beside if beside is not None and beside.is_file() else next_runs.KINDS)
     next_runs.load_kinds(file)

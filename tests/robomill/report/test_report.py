@@ -22,8 +22,8 @@ from robomill.cell.equipment import load_system
 from robomill.diagnose_command import lines
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
-from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.experiment.design import Kind, Offer, Quantity
+from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Estimate, Gap, Menu, Which
 from robomill.diagnosis.outcome.verdict import Verdict, stands
 from robomill.models.robot.kinematics import forward
