@@ -27,7 +27,6 @@ import operator
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +107,6 @@ class NextRun:
     repeats: int
 
 
-@cache
 def load_kinds(file: Path = KINDS) -> tuple[RunKind, ...]:
     """Read and check a file of kinds. ScenarioError or FileNotFoundError says what is wrong and what is possible."""
     if not file.is_file():

@@ -15,7 +15,7 @@ import numpy as np
 from robomill.orchestration.system.definition import System
 
 SEARCHED = 40
-"""Simulations of a search at most (cost: seconds). Twice as many find runs a little better (`test_next_run.py`)."""
+"""Simulations of a search at most (cost: seconds). Where three models are rivals, that is eight runs."""
 STEPS = (0.5, 0.25)
 """Parts of a range by which one quantity is moved, one after the other (cost)."""
 
@@ -87,7 +87,8 @@ def searched(kinds: Sequence[Kind], worth: Worth, most: Callable[[Kind], float],
     """All designs that were looked at, at most `budget` of them, with what they are worth.
 
     `most`: what no run of a kind can be worth more than; kinds that cannot win any more are not looked at. The quickest come first. Then
-    one quantity after the other is moved, in the order of a seeded shuffle, from the best design of the best kind, then of the next.
+    one quantity after the other is moved, in the order of a seeded shuffle, from the best kind, then from the next; from those that say
+    nothing where they begin only if all do so.
     """
     found: dict[Design, float] = {}
     random = np.random.default_rng(0)
@@ -100,9 +101,7 @@ def searched(kinds: Sequence[Kind], worth: Worth, most: Callable[[Kind], float],
     for kind in sorted(kinds, key=lambda k: (k.minutes, k.name)):
         if most(kind) > max(found.values(), default=-np.inf):
             looked_at([Design(kind, tuple(q.start for q in kind.quantities))])
-    order = sorted({d.kind.name: w for d, w in found.items()}.items(), key=lambda item: -item[1])
-    for name, _ in order:
-        here = next(d for d in found if d.kind.name == name)
+    for here in sorted((d for d, w in found.items() if w > 0.0), key=lambda d: -found[d]) or list(found):
         for part in STEPS:
             for i in random.permutation(len(here.kind.quantities)):
                 if most(here.kind) <= max(found.values()) or len(found) >= budget:

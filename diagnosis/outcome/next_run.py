@@ -93,9 +93,9 @@ class _Trial:
     def __init__(self, fits: Sequence[Fit], shares: Mapping[tuple[int, int], float], search: Search, simulator: Simulator) -> None:
         self.fits, self.shares, self.search, self.simulator = fits, shares, search, simulator
         self.simulated: dict[Design, list[FloatArray]] = {}
-        """Channels with each of the fits."""
+        """Channels with each of the fits, and of the nominal system."""
         self.drawn: dict[Design, list[FloatArray]] = {}
-        """Channels of the nominal system, then with draws of the nuisances."""
+        """Channels with draws of the nuisances."""
         self.count = 0
         """Simulations that were asked for."""
         groups = search.evidence.residuals
@@ -105,12 +105,12 @@ class _Trial:
 
     def worth(self, designs: Sequence[Design]) -> list[float]:
         """Expected information per minute [nats/min] of each design; -inf where it cannot be simulated."""
-        self.simulated |= self._many(designs, [setting(f.values) for f in self.fits])
+        self.simulated |= self._many(designs, [*(setting(f.values) for f in self.fits), ()])
         return [self.rate(d) if d in self.simulated else -math.inf for d in designs]
 
     def look_closer(self, design: Design) -> None:
         """Let the tolerances count in a design, too."""
-        self.drawn |= self._many([design], [(), *_draws(self.search)])
+        self.drawn |= self._many([design], _draws(self.search))
 
     def _many(self, designs: Sequence[Design], settings: Sequence[Setting]) -> dict[Design, list[FloatArray]]:
         """Channels of each design with each of these settings, without designs that cannot be made."""
@@ -131,7 +131,7 @@ class _Trial:
         return self.search.evidence.whitening.apply(change[:, self.search.evidence.active], design.kind.repeats)
 
     def distance(self, design: Design, i: int, j: int) -> float:
-        """Between two of the fits; nuisances and uncertain values count once their simulations are there."""
+        """Between two of the fits; nuisances count once their simulations are there."""
         a, b = self.simulated[design][i], self.simulated[design][j]
         difference = self.white(a - b, design)
         length = float(np.linalg.norm(difference))
@@ -141,11 +141,10 @@ class _Trial:
         # the repeats say what noise does along it, slow noise too, for which whitening is not made
         rest = [float(along @ np.resize(r, along.size)) ** 2 for r in self.repeats]
         variance = max(1.0, float(np.mean(rest)) if rest else 1.0)
-        if design in self.drawn:
-            nominal, *others = self.drawn[design]
-            variance += sum(float(along @ self.white(x - nominal, design)) ** 2 for x in others) / DRAWS
-            for k, x in ((i, a), (j, b)):
-                variance += (_uncertainty(self.fits[k]) * float(along @ self.white(x - nominal, design))) ** 2
+        nominal = self.simulated[design][-1]
+        for k, x in ((i, a), (j, b)):
+            variance += (_uncertainty(self.fits[k]) * float(along @ self.white(x - nominal, design))) ** 2
+        variance += sum(float(along @ self.white(x - nominal, design)) ** 2 for x in self.drawn.get(design, ())) / DRAWS
         return length / math.sqrt(variance)
 
     def distances(self, design: Design) -> dict[tuple[int, int], float]:
@@ -209,11 +208,11 @@ def recommend(fits: Sequence[Fit], weights: Sequence[float], kinds: Sequence[Kin
     together = {(i, j): weights[i] * weights[j] for i, j in now}
     shares = {p: w / sum(together.values()) for p, w in together.items()}
     trial = _Trial(fits, shares, search, simulator)
-    closer = 1 + DRAWS  # simulations to look at one design with the nuisances, too: for two designs
-    searched(kinds, trial.worth, lambda k: _information(ENOUGH) / k.minutes, (SEARCHED - 2 * closer) // len(fits))
+    # two designs are looked at with the nuisances, too
+    searched(kinds, trial.worth, lambda k: _information(ENOUGH) / k.minutes, (SEARCHED - 2 * DRAWS) // (len(fits) + 1))
     if not trial.simulated:
         return None
-    while trial.simulated and trial.count + closer <= SEARCHED:
+    while trial.simulated and trial.count + DRAWS <= SEARCHED:
         best = max(trial.simulated, key=trial.key)
         if best in trial.drawn:
             break
