@@ -103,8 +103,8 @@ def oracle_separates(truths: Truths, tier: str) -> Separates:
 
     def found(number: int, recommended: Mapping[str, Any], wrong: Sequence[ComponentValues]) -> bool:
         try:
-            return separates(truths[number], str(recommended.get("kind")), wrong, tier, DETECTABLE)
-        except (OrchestrationError, LookupError):  # no such run, or one that cannot be made
+            return separates(truths[number], recommended, wrong, tier, DETECTABLE)
+        except (OrchestrationError, LookupError, ValueError):  # no such run, or one that cannot be made
             return False
 
     return found

@@ -228,15 +228,24 @@ def simulate(
         return _simulate(with_effects(system, effects), changes, random)
 
 
-def simulate_menu(
-    kind: str, machine: Machine, effects: Sequence[Instance], changes: Changes, adopted: Mapping[str, Mapping[str, float]]
-) -> tuple[FloatArray, Columns]:
-    """Times [s] and columns of the run `kind` of the menu (`cell.next_runs`), no noise; `adopted` is component -> element -> value.
+@dataclass(frozen=True)
+class Designed:
+    """A kind of run (`cell.next_runs`) and values of its quantities [unit of their range]."""
 
-    What is in components that the run does not have has no effect. LookupError: no such run.
+    kind: str
+    values: Mapping[str, float]
+
+
+def simulate_designed(
+    designed: Designed, machine: Machine, effects: Sequence[Instance], changes: Changes, adopted: Mapping[str, Mapping[str, float]]
+) -> tuple[FloatArray, Columns]:
+    """Times [s] and columns of a designed run, no noise; `adopted` is component -> element -> value.
+
+    What is in components that the run does not have has no effect. LookupError: no such kind, or a value out of its range.
     """
     with TemporaryDirectory() as folder:
-        made = prepare(with_parameters(with_parameters(nominal_system(), machine.parameters), machine.hidden), kind, Path(folder))
+        nominal = with_parameters(with_parameters(nominal_system(), machine.parameters), machine.hidden)
+        made = prepare(nominal, designed.kind, Path(folder), designed.values)
         system = with_effects(with_parameters(with_parameters(made.system, made.parameters), QUIET), effects)
         t, columns, _ = _simulate(with_parameters(system, there(system, adopted)), changes, None)
         return t, columns

@@ -26,7 +26,7 @@ An experiment file is a scenario of kind "experiment"::
     load = [["1 s", 0, 0, 0], ["1.5 s", "300 N", 0, 0]] # time, force on the tool in B; lines between
     weight = "25 kg"                # hangs from the tool tip all the time
     held_out = true
-    minutes = 5                     # what its repeats cost on the machine, with setting up (scenarios/next_runs)
+    minutes = 5                     # what its repeats cost on the machine, with setting up
     parameters.compliance.warm_up_time = "30 min"
 
 Each repeat is a run folder with the labels condition, repeat, held_out, kind, tier, and `parameters`: what the experimenter set. A
@@ -132,7 +132,7 @@ def load_experiment(path: str | Path) -> Experiment:
     top = Entry.load(file, ScenarioError, convert).keys({"scenario", "experiment", "condition"}, _TOP)
     head = top["scenario"].keys({"name", "system"}, {"kind", "title"})
     about = top["experiment"].keys({"kind"}, {"repeats", "columns"})
-    conditions = tuple(_condition(entry) for entry in top["condition"].each())
+    conditions = tuple(read_condition(entry) for entry in top["condition"].each())
     names = [c.name for c in conditions]
     folders = [folder_of(name) for name in names]
     for i, folder in enumerate(folders):
@@ -159,7 +159,8 @@ def folder_of(condition: str) -> str:
     return "".join(ch if ch.isalnum() or ch in "+-" else "_" for ch in condition)
 
 
-def _condition(entry: Entry) -> ExperimentCondition:
+def read_condition(entry: Entry) -> ExperimentCondition:
+    """A condition of an experiment, or one that is made like it (`next_runs.py`)."""
     entry.keys({"name", "program", "position"}, _CONDITION)
     rows = entry.get("load", [])
     if not isinstance(rows.value, list) or not all(isinstance(r, list) and len(r) == len(LOAD_ROW) for r in rows.value):

@@ -189,7 +189,16 @@ def parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="effects to look for (default: catalogue.toml beside the system, else the milling cell's)",
     )
+    diagnose.add_argument(
+        "--next-runs",
+        type=Path,
+        metavar="FILE",
+        help="kinds of runs that the next one is designed from (default: next_runs.toml beside the system, else the milling cell's)",
+    )
     diagnose.add_argument("--out", type=Path, default=Path("results") / "diagnosis", metavar="DIR", help="folder for the answer")
+    diagnose.add_argument(
+        "--check", action="store_true", help="say what these runs can show, and what is missing: nothing is fitted, docs/check.md"
+    )
     diagnose.add_argument("--repair", action="store_true", help="correct a clock that is late, and diagnose the rest")
     diagnose.add_argument(
         "--false-alarm",

@@ -5,21 +5,25 @@ from __future__ import annotations
 import hashlib
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+from rich.console import Console
 
 from robomill.cell import next_runs
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
 from robomill.diagnosis.catalogue import LOGGING, Catalogue
+from robomill.diagnosis.check import check
 from robomill.diagnosis.engine import diagnose_campaign
 from robomill.diagnosis.experiment.campaign import Campaign, load_campaign
+from robomill.diagnosis.experiment.design import Kind, Offer, Quantity
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.outcome import adopt
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, as_json
-from robomill.diagnosis.outcome.next_run import Offer
 from robomill.files import FILES
 from robomill.fmus.components import NAMES, companion, component, home, is_component
 from robomill.joints import projections
@@ -33,27 +37,36 @@ SIMULATIONS = "simulations"
 """Folder in that of the answer: what has been simulated, until the diagnosis is finished."""
 
 
-def menu(system: System, folder: Path) -> Menu:
-    """What the engine is told about a system; for a milling cell, runs that could be made next (tables go to `folder`)."""
+def menu(system: System, folder: Path, file: Path = next_runs.KINDS) -> Menu:
+    """What the engine is told about a system: coordinates, and the kinds of runs in `file` (tables of runs go to `folder`)."""
+    number = count()
 
-    def offers() -> dict[str, Offer]:
-        made = {}
-        for kind in next_runs.kinds(system):
-            r = next_runs.prepare(system, kind, folder / kind)
-            shown = {c: {k: v for k, v in values.items() if k not in ("segments", "profile")} for c, values in r.parameters.items()}
-            made[kind] = Offer(r.system, r.parameters, r.seconds, r.minutes, r.repeats, {c: v for c, v in shown.items() if v})
-        return made
+    def designed(kind: next_runs.RunKind) -> Kind:
+        def make(values: Mapping[str, float]) -> Offer:
+            r = next_runs.prepare(system, kind.name, folder / f"run-{next(number)}", values, file)
+            return Offer(r.system, r.parameters, r.seconds)
 
-    return Menu(offers=offers, projections=projections(system))
+        return Kind(
+            kind.name, tuple(Quantity(r.name, r.unit, r.low, r.high, r.start) for r in kind.ranges), kind.minutes, kind.repeats, make
+        )
+
+    return Menu(kinds=lambda: [designed(k) for k in next_runs.kinds_for(system, file)], projections=projections(system))
+
+
+def kinds_file(options: Namespace) -> Path:
+    """The file of kinds of runs that is named, or that beside the system, or the milling cells' one. It is read: errors come first."""
+    beside = options.system.parent / next_runs.OWN if options.system is not None else None
+    file: Path = options.next_runs or (beside if beside is not None and beside.is_file() else next_runs.KINDS)
+    next_runs.load_kinds(file)
+    return file
 
 
 def run(options: Namespace) -> int:
     """Exit status 0: answered; 1: the log is not usable."""
     from robomill.progress import progress_bar
 
-    _check_named(options)
-    file = catalogue_file(options)
     campaign = campaign_of(options)
+    file = catalogue_file(options)
     system = campaign.system
     systems = [system, *(p.system for p in campaign.parts if p.system is not system)]
     catalogue = catalogue_of(*systems, file=file)
@@ -63,6 +76,9 @@ def run(options: Namespace) -> int:
             f"{len(store)} simulations of an interrupted diagnosis are in {store.folder}/; those that still hold are taken over",
             file=sys.stderr,
         )
+    kinds = kinds_file(options)
+    if options.check:
+        return _check(options, campaign, catalogue, store)
     with progress_bar(options.json) as progress, TemporaryDirectory() as folder:
         try:
             found = diagnose_campaign(
@@ -72,7 +88,7 @@ def run(options: Namespace) -> int:
                 convert=convert,
                 workers=max(1, options.jobs),
                 report=progress,
-                menu=menu(system, Path(folder)),
+                menu=menu(system, Path(folder), kinds),
                 repair=options.repair,
                 false_alarm=options.false_alarm,
                 store=store,
@@ -92,20 +108,31 @@ def run(options: Namespace) -> int:
     return 1 if found.answer.verdict == "bad_log" else 0
 
 
-def _check_named(options: Namespace) -> None:
-    """ValueError where both a campaign and a system with runs are named, or neither."""
-    if options.campaign is None and not (options.system and options.runs):
-        raise ValueError("expected SYSTEM.toml RUN..., or --campaign FILE.toml: nothing to diagnose is named")
-    given = [str(f) for f in (options.system, *options.runs, *options.held_out) if f is not None]
-    if options.campaign is not None and given:
-        raise ValueError(f"--campaign {options.campaign} names systems and runs itself; {given[0]} is one more: put it into the file")
+def _check(options: Namespace, campaign: Campaign, catalogue: Catalogue, store: Store) -> int:
+    """What the runs can show. The simulations stay where they are: the diagnosis takes them over."""
+    from robomill.check_table import show
+    from robomill.progress import progress_bar
+
+    if options.repair:
+        raise ValueError("--repair goes with a diagnosis, which --check does not make; leave one of them out")
+    with progress_bar(options.json) as progress:
+        found = check(campaign, catalogue, resolver=resolve, convert=convert, workers=max(1, options.jobs), report=progress, store=store)
+    if options.json:
+        print(as_json(found.result))
+    else:
+        show(found, Console())
+    return 0
 
 
 def campaign_of(options: Namespace) -> Campaign:
-    """The campaign that is named, or that of a system and its runs."""
-    if options.campaign is not None:
-        return load_campaign(options.campaign, load_system)
-    return Campaign.of(load_system(options.system), [Run.load(f) for f in options.runs], [Run.load(f) for f in options.held_out])
+    """The campaign that is named, or that of a system and its runs. ValueError where both are given, or neither."""
+    if options.campaign is None:
+        if options.system is None or not options.runs:
+            raise ValueError("expected SYSTEM.toml RUN..., or --campaign FILE.toml: nothing to diagnose is named")
+        return Campaign.of(load_system(options.system), [Run.load(f) for f in options.runs], [Run.load(f) for f in options.held_out])
+    if given := [str(f) for f in (options.system, *options.runs, *options.held_out) if f is not None]:
+        raise ValueError(f"--campaign {options.campaign} names systems and runs itself; {given[0]} is one more: put it into the file")
+    return load_campaign(options.campaign, load_system)
 
 
 def catalogue_file(options: Namespace) -> Path:
@@ -191,8 +218,6 @@ def lines(answer: Answer) -> list[str]:
         if h.unit != "1":
             closed = "not measurable" if h.closure is None else f"closure {100 * h.closure:.0f} %"
             out.append(f"how far: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}, {closed}")
-    if r := answer.next_run:
-        rivals = ", ".join(r.separates)
-        text = f"{r.kind}, {r.minutes:.0f} min, to separate {rivals}: {r.distance:.1f} deviations apart instead of {r.now:.1f}"
-        out.append(f"next run: {text if r.separated else f'none on the menu would separate {rivals}'}")
+    if answer.next_run:
+        out.append(f"next run: {answer.next_run.text}")
     return out

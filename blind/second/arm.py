@@ -62,7 +62,7 @@ def rotation(v: FloatArray) -> FloatArray:
 
 @compiled
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a x b."""
+    """A x b."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 

@@ -90,7 +90,9 @@ def _run(c, states, raw_height, q, v, spindle, load, noise, chance, late_plan): 
     return places, motors, plans, wrenches, raws, clean, sent, spin
 
 
-def simulate(c: Cell, path: Played, late_plan: FloatArray, raw_height: float, noise: FloatArray, chance: FloatArray, load: FloatArray) -> Log:
+def simulate(
+    c: Cell, path: Played, late_plan: FloatArray, raw_height: float, noise: FloatArray, chance: FloatArray, load: FloatArray
+) -> Log:
     """A run of the cell.
 
     `late_plan` [n,6] are the axes as the drives follow them, `raw_height` [m] that of the uncut block, `noise` [cycles,12] reading of the

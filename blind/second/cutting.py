@@ -213,9 +213,7 @@ def outside_factor(c: Cut, s: CutState, h: float, feed: FloatArray, size: float)
 
 
 @compiled
-def cut(
-    c: Cut, s: CutState, h: float, raw: float, p: FloatArray, v: FloatArray, omega: float
-) -> tuple[FloatArray, FloatArray, float]:
+def cut(c: Cut, s: CutState, h: float, raw: float, p: FloatArray, v: FloatArray, omega: float) -> tuple[FloatArray, FloatArray, float]:
     """Mean force [N], moment [N m] on the tool in B and spindle torque [N m] of a fine step; `raw` is the height of the uncut block.
 
     `p` [3] is where the tip is, `v` [3] the commanded velocity, both in B; `omega` the spindle in rad/s.

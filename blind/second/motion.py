@@ -76,9 +76,7 @@ class DriveState(NamedTuple):
 
 def standing(q: FloatArray) -> DriveState:
     """Drives at rest at the axis angles q [6]."""
-    return DriveState(
-        np.zeros((2, 9)), q.copy(), np.zeros(6), q.copy(), np.zeros(6), np.full(6, -1e3), np.zeros((4, 6)), q.copy()
-    )
+    return DriveState(np.zeros((2, 9)), q.copy(), np.zeros(6), q.copy(), np.zeros(6), np.full(6, -1e3), np.zeros((4, 6)), q.copy())
 
 
 @compiled

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from robomill.diagnosis.catalogue import Address
+from robomill.diagnosis.experiment.design import Kind
 from robomill.diagnosis.experiment.segments import Structure
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, decimate
 from robomill.diagnosis.gate import checks as gate
@@ -24,7 +25,7 @@ from robomill.diagnosis.localisation.replay_attribution import Reading
 from robomill.diagnosis.localisation.swap import Share
 from robomill.diagnosis.localisation.where import Where
 from robomill.diagnosis.outcome.closure import HowFar
-from robomill.diagnosis.outcome.next_run import NextRun, Offer
+from robomill.diagnosis.outcome.next_run import NextRun
 from robomill.diagnosis.outcome.verdict import Tests, Verdict
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
 
@@ -41,7 +42,7 @@ class Menu:
 
     projections: Mapping[str, Projection] = field(default_factory=dict)
     """output -> the coordinates (joints) that its residual is projected on."""
-    offers: Callable[[], Mapping[str, Offer]] = dict
+    kinds: Callable[[], Sequence[Kind]] = tuple
     """Kinds of runs that could be made next; called when they are needed."""
 
 
@@ -109,7 +110,7 @@ class Visible:
     location: str
     parameter: str
     value: float
-    """5 standard deviations [unit]."""
+    """SHOWS standard deviations (`visibility`) [unit]."""
     unit: str
 
 

@@ -20,6 +20,7 @@ from robomill.diagnosis.inference.priors import probabilities
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.time_varying import Changing, changing
 from robomill.diagnosis.inference.transfer import Transfer, transfer
+from robomill.diagnosis.inference.visibility import Seen
 from robomill.diagnosis.localisation.replay_attribution import intervals
 from robomill.diagnosis.localisation.swap import shapley
 from robomill.diagnosis.localisation.where import Located, Where, combined, direction_of, located
@@ -229,25 +230,19 @@ class Conclusion:
         return {name: np.isin(every, members).astype(np.float64) for name, members in metrics(self.search, self.titles).items()}
 
     def smallest(self) -> tuple[Visible, ...]:
-        """What would have been seen: 5 standard deviations of the linear fit [unit], by candidate and parameter."""
-        listed = []
-        for f in self.search.linear_singles:
-            c = f.model[0]
-            deviations = dict(zip(c.named if not c.has_phase else c.parameters, (f.deviations[a] for a in c.addresses), strict=True))
-            if c.has_phase:
-                deviations = {c.named[0]: max(deviations.values())}
-            listed += [Visible(c.effect, c.location, name, 5.0 * deviation, c.unit) for name, deviation in deviations.items()]
-        return tuple(listed)
+        """What would have been seen, by candidate and parameter (`visibility`)."""
+        seen = Seen(self.search.evidence, self.search.candidates)
+        found = [(c, name, value) for c in self.search.candidates for name, value in seen.smallest(c).items()]
+        return tuple(Visible(c.effect, c.location, name, value, c.unit) for c, name, value in found)
 
     def next_run(self, verdict: str) -> next_run.NextRun | None:
-        """The run on the menu that tells the likely models apart; None where there is only one, or no menu."""
+        """The designed run that tells the likely models apart; None where there is only one, or no kind of run."""
         rivals = next_run.rivals(self.fits, self.weights, self.search, known=verdict != "unknown")
-        offers = self.menu.offers() if len(rivals) > 1 else {}
-        if not offers:
+        kinds = self.menu.kinds() if len(rivals) > 1 else ()
+        if not kinds:
             return None
         fits, weights = [self.fits[i] for i in rivals], [max(float(self.weights[i]), LISTED) for i in rivals]
-        with self.simulator.beside(next_run.laboratory(self.laboratory, offers)) as simulator:
-            return next_run.recommend(fits, weights, offers, self.search, simulator)
+        return next_run.recommend(fits, weights, kinds, self.search, self.simulator)
 
     def described(self, answer: Answer, found: Located, other: Changing | None) -> Answer:
         """The answer with what is known of an effect that is not in the catalogue; `other`: what it is like if it changes with time."""

@@ -1,75 +1,70 @@
-"""The run that tells apart what the given ones cannot: each run on the menu is simulated with each of the rival models.
+"""The run that tells apart what the given ones cannot, designed: kinds of runs with parameters, simulated with each of the rival models.
 
 The whitened distance d between two models in a run is that of their simulations, in the noise of the given repeats. Calibrated
 numbers and fitted values are not exactly known; what they do along the difference u = d / |d| counts as noise too, so the variance
 along u is mean (u . r)^2 + mean (u . n)^2 + (relative deviation of the values)^2 (u . s)^2 with r the deviations of the given repeats,
 n the change that random draws of the nuisances make, and s the signature itself. This is the variance of a matched filter, so the
 distance is a lower bound of what is possible.
+
+A run is worth the expected Chernoff information of the pairs, mean d^2 / 8 [nats] over the posterior (Chernoff 1959, sequential design:
+the log of the probability of a wrong decision falls by that much with each run), per minute.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import combinations
-from typing import Any
+from itertools import combinations, repeat
 
 import numpy as np
 
 from robomill.diagnosis.catalogue import physical
+from robomill.diagnosis.experiment.design import SEARCHED, Design, Kind, Offer, searched
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import Laboratory, Setting, Simulator, setting
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.isolability import CONFUSABLE, distance
 from robomill.diagnosis.inference.search import Search
+from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.slaves.protocol import FloatArray
-from robomill.orchestration.system.definition import System
 
 ENOUGH = 6.0
-"""Distance [deviations of noise] from which more does not count: the pair is told apart."""
-SHORT_LIST = 4
-"""Runs that are looked at with the nuisances too."""
+"""Distance [deviations of noise] from which more does not count: the pair is told apart, wrongly in 0.13 % of all cases."""
 DRAWS = 3
-"""Draws of the nuisances."""
+"""Draws of the nuisances (cost)."""
 LIKELY, RIVALS = 0.05, 3
 """Probability from which a model is a rival, and how many there are at most."""
-NEARLY = 0.9
-"""Runs that separate this part of what the best one does compete by distance per minute."""
 
 
 @dataclass(frozen=True)
-class Offer:
-    """A run that could be made next: the system that makes it, and what it takes."""
+class Value:
+    """What the experimenter sets."""
 
-    system: System
-    """What makes it: components are called as in the system that is diagnosed, but some may be others."""
-    parameters: Mapping[str, Mapping[str, Any]]
-    """What the experimenter sets, component -> parameter -> value."""
-    seconds: float
-    """Length of one repeat."""
-    minutes: float
-    """What all repeats take, with setting up."""
-    repeats: int
-    shown: Mapping[str, Mapping[str, Any]]
-    """The part of `parameters` that people want to see."""
+    value: float
+    unit: str
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another run on the menu that was looked at."""
+    """The best run of another kind."""
 
     kind: str
     distance: float
-    """Whitened distance of the two models that are closest in it [deviations of noise]."""
+    """Whitened distance of the two models that are closest in it [deviations of noise]; of those that were not looked at with the
+    nuisances, without them."""
     minutes: float
+    separation: float
+    """Expected information [nats]."""
     per_minute: float
-    """As in `Offer`, and `distance` over that."""
+    """That per minute."""
+    parameters: dict[str, Value]
 
 
 @dataclass(frozen=True)
 class NextRun:
-    """The run on the menu that tells the likely models apart best; `kind` to `per_minute` as in `Alternative`."""
+    """The run that tells the likely models apart best; `kind` to `parameters` as in `Alternative`."""
 
     kind: str
     separates: tuple[str, ...]
@@ -80,38 +75,65 @@ class NextRun:
     now: float
     """That distance in the given runs [deviations of noise]."""
     minutes: float
+    separation: float
     per_minute: float
     repeats: int
-    parameters: dict[str, dict[str, Any]]
-    """`Offer.shown`."""
+    parameters: dict[str, Value]
     models: dict[str, dict[str, dict[str, float]]]
     """Model -> component -> parameter -> value."""
     alternatives: tuple[Alternative, ...]
-    """The other runs, best first."""
+    """The best of the other kinds that were looked at, best first."""
+    text: str
+    """All that in a sentence."""
 
 
 class _Trial:
-    """Simulations of the menu, and distances between the models in them."""
+    """Simulations of designs, and distances between the models in them."""
 
-    def __init__(self, fits: Sequence[Fit], offers: Mapping[str, Offer], search: Search) -> None:
-        self.fits, self.offers, self.search = fits, offers, search
-        self.simulated: dict[str, list[FloatArray]] = {}
-        """Kind -> channels with each of the fits."""
-        self.nominal: dict[str, FloatArray] = {}
-        self.drawn: dict[str, list[FloatArray]] = {}
-        """Kind -> channels with draws of the nuisances."""
+    def __init__(self, fits: Sequence[Fit], shares: Mapping[tuple[int, int], float], search: Search, simulator: Simulator) -> None:
+        self.fits, self.shares, self.search, self.simulator = fits, shares, search, simulator
+        self.simulated: dict[Design, list[FloatArray]] = {}
+        """Channels with each of the fits, and of the nominal system."""
+        self.drawn: dict[Design, list[FloatArray]] = {}
+        """Channels with draws of the nuisances."""
+        self.count = 0
+        """Simulations that were asked for."""
         groups = search.evidence.residuals
         # n repeats about their own mean scatter by (n - 1) / n of what they do
         self.repeats = [(r - np.mean(g, axis=0)) * math.sqrt(len(g) / (len(g) - 1)) for g in groups if len(g) > 1 for r in g]
         """Whitened deviations of the given repeats, flat."""
 
-    def white(self, change: FloatArray, kind: str) -> FloatArray:
-        return self.search.evidence.whitening.apply(change[:, self.search.evidence.active], self.offers[kind].repeats)
+    def worth(self, designs: Sequence[Design]) -> list[float]:
+        """Expected information per minute [nats/min] of each design; -inf where it cannot be simulated."""
+        self.simulated |= self._many(designs, [*(setting(f.values) for f in self.fits), ()])
+        return [self.rate(d) if d in self.simulated else -math.inf for d in designs]
 
-    def distance(self, kind: str, i: int, j: int) -> float:
-        """Between two of the fits; nuisances and uncertain values count once their simulations are there."""
-        a, b = self.simulated[kind][i], self.simulated[kind][j]
-        difference = self.white(a - b, kind)
+    def look_closer(self, design: Design) -> None:
+        """Let the tolerances count in a design, too."""
+        self.drawn |= self._many([design], _draws(self.search))
+
+    def _many(self, designs: Sequence[Design], settings: Sequence[Setting]) -> dict[Design, list[FloatArray]]:
+        """Channels of each design with each of these settings, without designs that cannot be made."""
+        offers: dict[Design, Offer] = {}
+        for d in designs:
+            with suppress(ValueError, OrchestrationError):  # a pose out of reach: the planner says so
+                offers[d] = d.offer()
+        if not offers:
+            return {}
+        self.count += len(offers) * len(settings)
+        results: Iterator[FloatArray | None] = repeat(None)
+        with self.simulator.beside(laboratory(self.simulator.laboratory, list(offers.values()))) as simulator, suppress(OrchestrationError):
+            results = iter(simulator.many([(i, simulator.seeded(s)) for i in range(len(offers)) for s in settings], "next run"))
+        groups = {d: [next(results) for _ in settings] for d in offers}
+        return {d: [x for x in group if x is not None] for d, group in groups.items() if all(x is not None for x in group)}
+
+    def white(self, change: FloatArray, design: Design) -> FloatArray:
+        return self.search.evidence.whitening.apply(change[:, self.search.evidence.active], design.kind.repeats)
+
+    def distance(self, design: Design, i: int, j: int) -> float:
+        """Between two of the fits; nuisances count once their simulations are there."""
+        a, b = self.simulated[design][i], self.simulated[design][j]
+        difference = self.white(a - b, design)
         length = float(np.linalg.norm(difference))
         if length == 0.0:
             return 0.0
@@ -119,39 +141,42 @@ class _Trial:
         # the repeats say what noise does along it, slow noise too, for which whitening is not made
         rest = [float(along @ np.resize(r, along.size)) ** 2 for r in self.repeats]
         variance = max(1.0, float(np.mean(rest)) if rest else 1.0)
-        if kind in self.nominal:
-            nominal = self.nominal[kind]
-            variance += sum(float(along @ self.white(x - nominal, kind)) ** 2 for x in self.drawn[kind]) / DRAWS
-            for k, x in ((i, a), (j, b)):
-                variance += (_uncertainty(self.fits[k]) * float(along @ self.white(x - nominal, kind))) ** 2
+        nominal = self.simulated[design][-1]
+        for k, x in ((i, a), (j, b)):
+            variance += (_uncertainty(self.fits[k]) * float(along @ self.white(x - nominal, design))) ** 2
+        variance += sum(float(along @ self.white(x - nominal, design)) ** 2 for x in self.drawn.get(design, ())) / DRAWS
         return length / math.sqrt(variance)
+
+    def distances(self, design: Design) -> dict[tuple[int, int], float]:
+        """Of all pairs of fits."""
+        return {p: self.distance(design, *p) for p in self.shares}
+
+    def separation(self, design: Design) -> float:
+        """Expected information [nats]."""
+        return sum(self.shares[p] * _information(d) for p, d in self.distances(design).items())
+
+    def least(self, design: Design) -> float:
+        """Distance of the closest pair."""
+        return min(self.distances(design).values())
+
+    def rate(self, design: Design) -> float:
+        """Expected information per minute [nats/min]."""
+        return self.separation(design) / design.kind.minutes
+
+    def key(self, design: Design) -> tuple[bool, float]:
+        """The better, the larger: what separates all pairs before what does not, then by information per minute."""
+        return self.least(design) >= CONFUSABLE, self.rate(design)
+
+
+def _information(distance: float) -> float:
+    """Chernoff information [nats] of two normal distributions so many deviations apart, up to ENOUGH."""
+    return min(distance, ENOUGH) ** 2 / 8.0
 
 
 def _draws(search: Search) -> list[Setting]:
     """Random machines within the tolerances of the calibrated numbers."""
     random = np.random.default_rng(0)
     return [setting({n.address: n.scale * float(random.standard_normal()) for n in search.nuisances}) for _ in range(DRAWS)]
-
-
-@dataclass
-class _Tried:
-    """A run on the menu with what was found."""
-
-    kind: str
-    offer: Offer
-    distances: dict[tuple[int, int], float]
-
-    def separated(self, weights: Mapping[tuple[int, int], float]) -> float:
-        """Weighted part of the pairs that it tells apart, softly."""
-        return sum(w * min(self.distances[p] / ENOUGH, 1.0) for p, w in weights.items())
-
-    @property
-    def least(self) -> float:
-        return min(self.distances.values())
-
-    @property
-    def per_minute(self) -> float:
-        return self.least / self.offer.minutes
 
 
 def rivals(fits: Sequence[Fit], weights: FloatArray, search: Search, *, known: bool) -> list[int]:
@@ -176,55 +201,64 @@ def _instead(fit: Fit, best: Fit, search: Search) -> bool:
     return one and distance(fit, best, search.evidence.space) < CONFUSABLE
 
 
-def recommend(
-    fits: Sequence[Fit],
-    weights: Sequence[float],
-    offers: Mapping[str, Offer],
-    search: Search,
-    simulator: Simulator,
-) -> NextRun | None:
-    """The run that tells models of these weights apart best; None where no run on the menu can be simulated.
-
-    The laboratory of `simulator` has one condition per offer, in that order (`laboratory`).
-    """
+def recommend(fits: Sequence[Fit], weights: Sequence[float], kinds: Sequence[Kind], search: Search, simulator: Simulator) -> NextRun | None:
+    """The run that tells models of these weights apart best, of SEARCHED simulations; None where no kind can be simulated."""
     space = search.evidence.space
     now = {(i, j): distance(fits[i], fits[j], space) for i, j in combinations(range(len(fits)), 2)}
     together = {(i, j): weights[i] * weights[j] for i, j in now}
     shares = {p: w / sum(together.values()) for p, w in together.items()}
-    places = list(offers)
-    trial = _Trial(fits, offers, search)
-    settings = [simulator.seeded(setting(f.values)) for f in fits]
-    results = iter(simulator.many([(k, s) for k in range(len(places)) for s in settings], "next run"))
-    for kind in places:
-        group = [next(results) for _ in fits]
-        complete = [x for x in group if x is not None]
-        if len(complete) == len(group):
-            trial.simulated[kind] = complete
-    tried = [_Tried(k, offers[k], {p: trial.distance(k, *p) for p in shares}) for k in trial.simulated]
-    if not tried:
+    trial = _Trial(fits, shares, search, simulator)
+    # two designs are looked at with the nuisances, too
+    searched(kinds, trial.worth, lambda k: _information(ENOUGH) / k.minutes, (SEARCHED - 2 * DRAWS) // (len(fits) + 1))
+    if not trial.simulated:
         return None
-    tried = _ranked(tried, shares)[:SHORT_LIST]
-    draws = [(), *_draws(search)]
-    results = iter(simulator.many([(places.index(t.kind), simulator.seeded(d)) for t in tried for d in draws], "next run"))
-    for t in tried:
-        nominal, *others = [next(results) for _ in draws]
-        if nominal is not None:
-            trial.nominal[t.kind], trial.drawn[t.kind] = nominal, [x for x in others if x is not None]
-            t.distances = {p: trial.distance(t.kind, *p) for p in shares}
-    best, *rest = _ranked(tried, shares)
+    while trial.simulated and trial.count + DRAWS <= SEARCHED:
+        best = max(trial.simulated, key=trial.key)
+        if best in trial.drawn:
+            break
+        trial.look_closer(best)
+        if best not in trial.drawn:
+            del trial.simulated[best]
+    if not trial.simulated:
+        return None
+    best = max(trial.drawn or trial.simulated, key=trial.key)
+    others: dict[str, Design] = {}
+    for d in sorted(trial.simulated, key=trial.key, reverse=True):
+        if d.kind.name != best.kind.name:
+            others.setdefault(d.kind.name, d)
+    names = tuple(_name(f) for f in fits)
+    least, settings = trial.least(best), _set(best)
     return NextRun(
-        best.kind,
-        tuple(_name(f) for f in fits),
-        best.least >= CONFUSABLE,
-        best.least,
+        best.kind.name,
+        names,
+        least >= CONFUSABLE,
+        least,
         min(now.values()),
-        best.offer.minutes,
-        best.per_minute,
-        best.offer.repeats,
-        {c: dict(v) for c, v in best.offer.shown.items()},
+        best.kind.minutes,
+        trial.separation(best),
+        trial.rate(best),
+        best.kind.repeats,
+        settings,
         {_name(f): _table(f) for f in fits},
-        tuple(Alternative(t.kind, t.least, t.offer.minutes, t.per_minute) for t in rest),
+        tuple(
+            Alternative(d.kind.name, trial.least(d), d.kind.minutes, trial.separation(d), trial.rate(d), _set(d)) for d in others.values()
+        ),
+        _said(best, settings, names, least, min(now.values())),
     )
+
+
+def _set(design: Design) -> dict[str, Value]:
+    return {q.name: Value(v, q.unit) for q, v in zip(design.kind.quantities, design.values, strict=True)}
+
+
+def _said(design: Design, settings: Mapping[str, Value], names: Sequence[str], least: float, now: float) -> str:
+    """The run in a sentence."""
+    values = ", ".join(f"{n} {v.value:.4g}{'' if v.unit == '1' else f' {v.unit}'}" for n, v in settings.items())
+    run = f"{design.kind.name}{f' ({values})' if values else ''}"
+    apart = f"{least:.1f} deviations apart instead of {now:.1f}"
+    if least < CONFUSABLE:
+        return f"none that was looked at separates {', '.join(names)}; the nearest is {run}: {apart}"
+    return f"{run}, {design.kind.minutes:g} min, to separate {', '.join(names)}: {apart}"
 
 
 def _name(fit: Fit) -> str:
@@ -245,22 +279,10 @@ def _uncertainty(fit: Fit) -> float:
     return max((fit.deviations[a] / size for a, size in sizes if size), default=0.0)
 
 
-def _ranked(tried: Sequence[_Tried], weights: Mapping[tuple[int, int], float]) -> list[_Tried]:
-    """Best first: runs that separate nearly as much as the best one by distance per minute, then the others by what they separate."""
-    most = max(t.separated(weights) for t in tried)
-
-    def key(t: _Tried) -> tuple[bool, float]:
-        good = t.separated(weights) >= NEARLY * most
-        return good, min(t.least, ENOUGH) / t.offer.minutes if good else t.separated(weights)
-
-    return sorted(tried, key=key, reverse=True)
-
-
-def laboratory(given: Laboratory, offers: Mapping[str, Offer]) -> Laboratory:
-    """The laboratory that simulates the menu as `given` simulates the runs."""
-    step = given.system.step
-    conditions = [
-        Condition(kind, o.parameters, (), np.asarray(np.arange(math.ceil(o.seconds / step) + 1) * step, dtype=np.float64), system=o.system)
-        for kind, o in offers.items()
-    ]
-    return replace(given, conditions=conditions)
+def laboratory(given: Laboratory, offers: Sequence[Offer]) -> Laboratory:
+    """The laboratory that simulates these runs as `given` simulates its own, a condition for each."""
+    conditions = []
+    for i, o in enumerate(offers):
+        grid = np.asarray(np.arange(math.ceil(o.seconds / o.system.step) + 1) * o.system.step, dtype=np.float64)
+        conditions.append(Condition(f"next {i + 1}", o.parameters, (), grid, system=o.system))
+    return replace(given, conditions=conditions, _logged=None)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
 
@@ -435,7 +434,7 @@ def _next(s: Subject) -> str:
     if r.separated:
         text = f"{r.kind[0].upper()}{r.kind[1:]}: it separates {pair}."
     else:
-        text = f"No run on the menu would tell apart {pair}. The one that comes nearest: {r.kind}."
+        text = f"No run that was looked at would tell apart {pair}. The one that comes nearest: {r.kind}."
     parts = [f"<p><strong>{escape(text)}</strong></p>"]
     parts.append(
         _paragraph(
@@ -443,24 +442,14 @@ def _next(s: Subject) -> str:
             f"deviations of noise apart instead of {number(r.now, 1.0)} now; {CONFUSABLE:g} are needed."
         )
     )
-    settings = [f"{c}.{k} = {_setting(v)}" for c, values in r.parameters.items() for k, v in values.items()]
+    settings = [f"{name} = {quantity(v.value, v.unit)}" for name, v in r.parameters.items()]
     if settings:
         parts.append("<pre><code>" + escape("\n".join(settings)) + "</code></pre>")
     if r.alternatives:
         tried: list[NextRun | Alternative] = [r, *r.alternatives]
         rows = [(escape(a.kind), number(a.distance, 1.0), f"{a.minutes:g}", number(a.per_minute)) for a in tried]
-        parts.append(_table(("Run", "Deviations apart", "Minutes", "Deviations per minute"), rows, (1, 2, 3)))
+        parts.append(_table(("Run", "Deviations apart", "Minutes", "Nats per minute"), rows, (1, 2, 3)))
     return "\n".join(parts)
-
-
-def _setting(value: Any) -> str:
-    return (
-        f"[{', '.join(map(_setting, value))}]"
-        if isinstance(value, list | tuple)
-        else f"{value:g}"
-        if isinstance(value, float)
-        else str(value)
-    )
 
 
 def _about(s: Subject) -> str:

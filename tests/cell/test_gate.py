@@ -24,7 +24,7 @@ SPREAD = {"compliance.p_BT_B": 7e-6, "sensor.f_S_raw": 0.5, "sensor.f_T_T": 0.5,
 def milled(tmp_path_factory):
     """The run, and simulated and measured channels: another machine (softer by 5 %) with noise."""
     cell = load_system(ROOT / "scenarios" / "milling_cell.toml")
-    r = prepare(cell, "second place", tmp_path_factory.mktemp("run"))
+    r = prepare(cell, "cut", tmp_path_factory.mktemp("run"), {"x": 1500.0, "y": 300.0, "z": 1050.0})
     quiet = with_parameters(with_parameters(r.system, r.parameters), {"sensor": {"noise_f": 0.0, "noise_m": 0.0}})
     soft = quiet.with_parameters("compliance", {"stiffness_error": [-0.05] * 6})
     nominal, real = (run(s, None, stop=r.seconds, resolver=resolve, convert=convert) for s in (quiet, soft))

@@ -1,8 +1,9 @@
-"""The menu of next runs: every entry can be made, with any milling cell."""
+"""Kinds of next runs: every kind can be made, with any milling cell; files of kinds are read, or refused in words."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +11,30 @@ import pytest
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
 from robomill.cell.milling import with_parameters
-from robomill.cell.next_runs import kinds, prepare, with_load
+from robomill.cell.next_runs import KINDS, kinds_for, load_kinds, prepare, with_load
+from robomill.cell.scenario import ScenarioError
 from robomill.diagnose_command import menu
 from robomill.orchestration.assembly import run
+from robomill.orchestration.system.definition import System
 from tests import SCENARIOS
 
 CELL = load_system(SCENARIOS / "milling_cell.toml")
+PLAIN = """
+[[kind]]
+name = "chirp"
+minutes = 2
+seconds = 6
+range.amplitude = {low = "100 mN", high = "2 N", start = "1 N"}
+parameters.force.amplitude = "${amplitude} mN"
+"""
+
+
+def tip(cell: System, kind: str, folder: Path, **values: float) -> np.ndarray:
+    r = prepare(cell, kind, folder, values)
+    assert r.minutes > 0.0
+    assert r.repeats > 1
+    result = run(with_parameters(r.system, r.parameters), None, stop=r.seconds, resolver=resolve, convert=convert)
+    return result["compliance.p_BT_B"]
 
 
 def test_a_cell_with_a_load_is_the_loaded_cell_of_the_experiments():
@@ -23,39 +42,77 @@ def test_a_cell_with_a_load_is_the_loaded_cell_of_the_experiments():
     assert {(c.source, c.target, c.delayed) for c in made.connections} == {(c.source, c.target, c.delayed) for c in shipped.connections}
     parts = [[(c.name, c.source, dict(c.parameters)) for c in system.components] for system in (made, shipped)]
     assert parts[0] == parts[1]
+    assert with_load(made) is made
 
 
-def test_every_run_can_be_made_and_what_is_wrong_with_the_machine_shows_in_it(tmp_path):
+def test_every_kind_can_be_made_and_what_is_wrong_with_the_machine_shows_in_it(tmp_path):
     weak = CELL.with_parameters("compliance", {"stiffness_error": [0.0, -0.2, 0.0, 0.0, 0.0, 0.0]})
-    changed = {}
-    for kind in kinds():
-        tips = []
-        for cell in (CELL, weak):
-            r = prepare(cell, kind, tmp_path / kind)
-            assert r.minutes > 0.0
-            assert r.repeats > 1
-            result = run(with_parameters(r.system, r.parameters), None, stop=r.seconds, resolver=resolve, convert=convert)
-            tips.append(result["compliance.p_BT_B"])
-        changed[kind] = float(np.abs(tips[1] - tips[0]).max())
-    assert changed["static push along z"] > 10e-6
-    assert changed["static push along z"] > 3.0 * changed["static push along y"], changed  # joint 2 turns about y
-    assert 0.0 < changed["second depth"] < changed["static push along z"]
+    changed = {k.name: float(np.abs(tip(weak, k.name, tmp_path) - tip(CELL, k.name, tmp_path)).max()) for k in kinds_for(CELL)}
+    assert min(changed.values()) >= 0.0
+    up, aside = (
+        float(np.abs(tip(weak, "static push", tmp_path, elevation=e) - tip(CELL, "static push", tmp_path, elevation=e)).max())
+        for e in (90.0, 0.0)
+    )
+    assert up > 10e-6
+    assert up > 3.0 * aside  # joint 2 turns about y, and the push is along y
+    assert changed["cut"] > 0.0
 
 
-def test_what_is_not_on_the_menu_is_refused_with_what_there_is(tmp_path):
-    with pytest.raises(LookupError, match=r"no run 'dancing' on the menu; there are: .*tap test"):
-        prepare(CELL, "dancing", tmp_path)
+def test_values_change_the_run(tmp_path):
+    at_rest = tip(CELL, "static push", tmp_path / "a")[0]
+    assert tip(CELL, "static push", tmp_path / "b", x=1500.0)[0] - at_rest == pytest.approx([0.2, 0.0, 0.0], abs=2e-4)
+    pushed = [np.ptp(tip(CELL, "static push", tmp_path / str(load), load=load)[200:, 1]) for load in (200.0, 400.0)]
+    assert pushed[1] == pytest.approx(2.0 * pushed[0], rel=0.05)
 
 
-def test_the_menu_is_for_milling_cells_and_for_those_with_a_load_what_needs_no_cut(tmp_path):
-    assert kinds(CELL) == kinds()
+@pytest.mark.parametrize(
+    ("kind", "values", "text"),
+    [
+        ("dancing", {}, r"no kind of run 'dancing'; there are: reversals, .*tap test"),
+        ("tap test", {"lode": 1.0}, r"run 'tap test': .*lode.*load"),
+        ("tap test", {"load": 5000.0}, r"run 'tap test': load = 5000 N is out of its range, 200 \.\. 800 N"),
+    ],
+)
+def test_what_cannot_be_made_is_refused_with_what_can(tmp_path, kind, values, text):
+    with pytest.raises(LookupError, match=text):
+        prepare(CELL, kind, tmp_path, values)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ('low = "100 mN"', 'low = "3 N"', r"next_runs.toml:6: .*low = 3 N is not below high = 2 N; exchange them"),
+        ('high = "2 N"', 'high = "2 mm"', r"next_runs.toml:6: .*'?2 mm'?.*expected a quantity in mN"),
+        ('start = "1 N"', 'start = "9 N"', r"next_runs.toml:6: .*9000 mN is out of the range, 100 \.\. 2000 mN"),
+        ("${amplitude}", "${amplitud}", r"next_runs.toml:2: .*\$\{amplitud\}: .*amplitud.*amplitude"),
+        ("${amplitude}", "${amplitude ** 2}", r"is no arithmetic; expected \+ - \* /"),
+        ("seconds = 6", "", r"expected either program or seconds: how long is a run\?"),
+        ("minutes = 2", "minutes = 0", r"next_runs.toml:4: .*expected a positive number; found 0"),
+        ("seconds = 6", 'seconds = 6\nsystem = "none.toml"', r"none.toml.*no such file"),
+    ],
+)
+def test_a_file_of_kinds_is_refused_in_words(tmp_path, old, new, text):
+    file = tmp_path / "next_runs.toml"
+    file.write_text(PLAIN.replace(old, new))
+    with pytest.raises((ScenarioError, FileNotFoundError), match=text):
+        load_kinds(file)
+
+
+def test_a_file_that_is_not_there_is_said(tmp_path):
+    with pytest.raises(
+        FileNotFoundError, match=r"no kinds of runs .*mine.toml; without --next-runs they are next_runs.toml beside the system"
+    ):
+        load_kinds(tmp_path / "mine.toml")
+
+
+def test_kinds_are_for_milling_cells_and_for_those_with_a_load_what_needs_no_cut(tmp_path):
+    every = [k.name for k in load_kinds(KINDS)]
+    assert [k.name for k in kinds_for(CELL)] == every
     other = replace(CELL, components=tuple(c for c in CELL.components if c.name != "milling"))
-    assert kinds(other) == ()
-    assert menu(other, tmp_path).offers() == {}
-    loaded = menu(with_load(CELL), tmp_path).offers()
-    assert "hanging weight" in loaded
-    assert set(kinds()) - set(loaded) == {k for k in kinds() if k.startswith("second")}
-    offers = menu(CELL, tmp_path).offers()
-    assert tuple(offers) == kinds()
-    # people are shown what they set, not the tables
-    assert offers["air cut"].shown == {"controller": {"mode": 1}}
+    assert kinds_for(other) == ()
+    loaded = [k.name for k in menu(with_load(CELL), tmp_path).kinds()]
+    assert set(every) - set(loaded) == {"cut", "cut, compensation off"}
+    own = tmp_path / "next_runs.toml"
+    own.write_text(PLAIN)
+    (chirp,) = menu(other, tmp_path, own).kinds()
+    assert [(q.name, q.unit, q.low, q.high, q.start) for q in chirp.quantities] == [("amplitude", "mN", 100.0, 2000.0, 1000.0)]

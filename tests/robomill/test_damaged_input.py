@@ -12,6 +12,7 @@ import pytest
 
 from robomill.cell.equipment import load_system
 from robomill.cell.experiments import load_experiment
+from robomill.cell.next_runs import load_kinds
 from robomill.cell.points import PathError, read_points
 from robomill.cell.scenario import ScenarioError, load_scenario
 from robomill.diagnosis.catalogue import Catalogue, CatalogueError
@@ -24,7 +25,7 @@ READERS: list[tuple[str, Callable[[Path], object]]] = [
     ("scenarios/groove.toml", load_scenario),
     ("scenarios/milling_cell.toml", load_system),
     ("scenarios/experiments/tap_test.toml", load_experiment),
-    ("scenarios/next_runs/cuts.toml", load_experiment),
+    ("scenarios/next_runs/kinds.toml", load_kinds),
     ("docs/tutorial/map.toml", load_mapping),
     ("scenarios/catalogue.toml", Catalogue.load),
     ("scenarios/parts/tilted_square.toml", read_points),

@@ -55,9 +55,9 @@ CATALOGUE = EFFECT.format(
 )
 
 
-def tip(kind: str, truth: dict[str, float], folder: Path, channels: tuple[str, ...]) -> Run:
-    """The run `kind` of a cell whose robot has `truth`; no noise."""
-    r = prepare(with_load(CELL), kind, folder)
+def tip(kind: str, values: dict[str, float], truth: dict[str, float], folder: Path, channels: tuple[str, ...]) -> Run:
+    """The run of this kind, with these values, of a cell whose robot has `truth`; no noise."""
+    r = prepare(with_load(CELL), kind, folder, values)
     system = with_parameters(with_parameters(r.system, r.parameters), {"compliance": truth})
     result = run(system, None, stop=r.seconds, resolver=resolve, convert=convert)
     columns = {c: result.columns[c] for c in channels}
@@ -77,7 +77,7 @@ def noisy(clean: Run, repeats: int, seed: int) -> list[Run]:
 @pytest.mark.parametrize("truth", [{"stiffness_error[3]": -0.15}, {"base_compliance[3]": 8e-8}], ids=["joint 3", "base"])
 def test_the_run_that_is_asked_for_names_the_truth(tmp_path: Path, truth: dict[str, float]) -> None:
     (tmp_path / "catalogue.toml").write_text(CATALOGUE)
-    runs = noisy(tip("static push along z", truth, tmp_path / "first", (HEIGHT,)), 3, 1)
+    runs = noisy(tip("static push", {"elevation": 90.0}, truth, tmp_path / "first", (HEIGHT,)), 3, 1)
     told = menu(with_load(CELL), tmp_path / "menu")
     result = diagnose(
         with_load(CELL), runs, Catalogue.load(tmp_path / "catalogue.toml"), resolver=resolve, convert=convert, menu=told
@@ -86,12 +86,13 @@ def test_the_run_that_is_asked_for_names_the_truth(tmp_path: Path, truth: dict[s
     found = result["next_run"]
     assert found["separated"]
     assert found["distance"] > found["now"]
+    values = {name: v["value"] for name, v in found["parameters"].items()}
     models = {name: values.get("compliance", {}) for name, values in found["models"].items()}
     right = [name for name, values in models.items() if set(values) == set(truth)]
-    measured = noisy(tip(found["kind"], truth, tmp_path / "asked", (HEIGHT,)), found["repeats"], 2)
+    measured = noisy(tip(found["kind"], values, truth, tmp_path / "asked", (HEIGHT,)), found["repeats"], 2)
 
     def left(name: str) -> float:
-        simulated = tip(found["kind"], models[name], tmp_path / "tried", (HEIGHT,))[HEIGHT]
+        simulated = tip(found["kind"], values, models[name], tmp_path / "tried", (HEIGHT,))[HEIGHT]
         return float(sum(((r[HEIGHT] - simulated) ** 2).sum() for r in measured))
 
     assert [min(models, key=left)] == right

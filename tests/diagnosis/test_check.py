@@ -1,0 +1,147 @@
+"""What runs can show, on a system without robots: sizes that a diagnosis does find, twins, channels and repeats that would help."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from robomill.check_table import show
+from robomill.diagnosis.check import Checked, Shown, check
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.experiment.campaign import Campaign
+from robomill.diagnosis.experiment.store import Store
+from robomill.diagnosis.outcome.answer import as_json
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
+from tests.diagnosis.demo import NOISE, RANGE, SYSTEM, catalogue, measure, resolve
+from tests.diagnosis.outcome.test_next_run import TWINS
+
+
+def checked(folder: Path, runs: list[Run], more: str = "", **options: Any) -> Checked:
+    return check(Campaign.of(SYSTEM, runs), catalogue(folder, more), resolver=resolve, **options)
+
+
+def of(found: Checked, effect: str, location: str) -> Shown:
+    return next(e for e in found.effects if (e.effect, e.location) == (effect, location))
+
+
+def noisy(factor: float, repeats: int = 4) -> list[Run]:
+    """Runs with so many times the usual noise."""
+    rng = np.random.default_rng(7)
+    return [
+        replace(r, columns={c: x + factor * NOISE * rng.normal(size=len(x)) for c, x in r.columns.items()})
+        for r in measure(repeats=repeats)
+    ]
+
+
+class TestSmallest:
+    def test_twice_the_noise_shows_only_twice_the_size(self, tmp_path: Path) -> None:
+        """Where noise, and not the floor of 2 % or a tolerance, limits it."""
+        once, twice = (of(checked(tmp_path, noisy(f)), "gain", "sensor 1") for f in (500.0, 1000.0))
+        assert once.by_tolerance < 0.05
+        assert twice.smallest / once.smallest == pytest.approx(2.0, rel=0.05)
+
+    def test_four_times_the_repeats_show_half_the_size(self, tmp_path: Path) -> None:
+        few, many = (of(checked(tmp_path, noisy(50.0, n)), "gain", "sensor 1") for n in (4, 16))
+        assert few.smallest / many.smallest == pytest.approx(2.0, rel=0.1)
+
+    def test_a_diagnosis_sees_what_is_twice_as_large_and_not_what_is_a_fifth(self, tmp_path: Path) -> None:
+        size = of(checked(tmp_path, measure(repeats=4)), "stiffness", "spring 1").smallest
+        verdicts = []
+        for factor in (0.2, 2.0):
+            runs = measure({"masses": {"stiffness_error[1]": factor * size}}, repeats=4)
+            verdicts.append(diagnose(SYSTEM, runs, catalogue(tmp_path, ""), resolver=resolve).result["verdict"] == "none")
+        assert verdicts == [True, False]
+
+    def test_it_does_not_depend_on_what_is_wrong_with_the_machine(self, tmp_path: Path) -> None:
+        """Only the noise of the runs counts: nothing is fitted."""
+        well, stiff = (checked(tmp_path, measure(truth, repeats=4)) for truth in (None, {"masses": {"stiffness_error[2]": 0.02}}))
+        sizes = [of(c, "gain", "sensor 2").smallest for c in (well, stiff)]
+        assert sizes[1] == pytest.approx(sizes[0], rel=0.05)
+
+    def test_a_tolerance_of_the_same_number_is_not_seen_through(self, tmp_path: Path) -> None:
+        tolerance = '[[nuisance]]\ncomponent = "sensors"\nparameters = ["gain_error[1]"]\nabsolute = 0.01\nunit = "1"\nsource = "made up"\n'
+        found = of(checked(tmp_path, measure(repeats=4), tolerance), "gain", "sensor 1")
+        assert found.smallest == pytest.approx(0.05, rel=0.02)  # 5 x 0.01
+        assert found.by_tolerance > 0.95
+        assert found.repeats is None  # usual is 0.05, too: no number of repeats shows it
+        assert found.state == "if large"
+
+    def test_a_limit_shows_from_where_it_is_reached(self, tmp_path: Path) -> None:
+        """By proportion to what it does at its largest it would show at a hundredth of that."""
+        runs = measure(repeats=3)
+        reached = 1.0 - max(float(np.abs(x).max()) for x in runs[0].columns.values()) / 0.5
+        found = of(checked(tmp_path, runs, RANGE), "range", "sensors")
+        assert reached < found.smallest < reached + 0.1 * (1.0 - reached)
+
+
+class TestSets:
+    def test_twins_do_not_split_and_the_force_between_them_would_split_them(self, tmp_path: Path) -> None:
+        found = checked(tmp_path, measure(repeats=3), TWINS)
+        assert found.sets == (("actuator @ actuator", "scale @ sensors"),)
+        twin = of(found, "actuator", "actuator")
+        assert twin.confusable_with == ["scale @ sensors"]
+        assert [h.name for h in twin.channels] == ["force.f", "masses.x"]
+        assert of(found, "stiffness", "spring 1").confusable_with == []
+        assert found.missing == ("channels: force.f would show or split 2",)
+
+    def test_where_the_force_is_measured_they_split(self, tmp_path: Path) -> None:
+        rng, runs = np.random.default_rng(3), []
+        clean = run(SYSTEM, None, stop=8.0, resolver=resolve)
+        for r in measure(repeats=3):
+            force = clean["force.f"] + 1e-3 * rng.normal(size=len(clean.t))
+            runs.append(replace(r, columns={**r.columns, "force.f": force}, ports={**r.ports, "force.f": clean.ports["force.f"]}))
+        assert checked(tmp_path, runs, TWINS).sets == ()
+
+
+class TestMissing:
+    def test_a_single_run_says_that_the_noise_is_a_guess(self, tmp_path: Path) -> None:
+        found = checked(tmp_path, measure(repeats=1))
+        assert found.noise_is_a_guess
+        assert found.missing[0] == (
+            "repeats: nothing was repeated, so the noise is a guess, and so is every size; make each run at least three times"
+        )
+
+    def test_repeats_that_are_asked_for_are_enough(self, tmp_path: Path) -> None:
+        hidden = of(checked(tmp_path, noisy(800.0, 3)), "gain", "sensor 1")
+        assert hidden.state == "if large"
+        assert hidden.repeats is not None
+        shown = of(checked(tmp_path, noisy(800.0, hidden.repeats + hidden.repeats // 5)), "gain", "sensor 1")
+        assert shown.state == "shows"
+
+    def test_what_changes_nothing_that_is_measured_is_named(self, tmp_path: Path) -> None:
+        runs = [
+            replace(r, columns={"sensors.y[1]": r.columns["sensors.y[1]"]}, ports={"sensors.y[1]": r.ports["sensors.y[1]"]})
+            for r in measure(repeats=3)
+        ]
+        assert checked(tmp_path, runs).nothing == ("gain @ sensor 2", "clock @ second channel")
+
+
+def test_the_simulations_serve_the_next_call(tmp_path: Path) -> None:
+    store = Store(tmp_path / "simulations", "1")
+    first, second = (checked(tmp_path, measure(repeats=3), TWINS, store=store) for _ in range(2))
+    assert first.effort.simulations > 0
+    assert (second.effort.simulations, second.effort.taken_over) == (0, first.effort.simulations)
+    assert second.effects == first.effects
+
+
+def test_screen_and_json_say_the_same(tmp_path: Path) -> None:
+    found = checked(tmp_path, measure(repeats=3), TWINS)
+    console = Console(width=160, record=True, file=StringIO())
+    show(found, console)
+    text = console.export_text()
+    data = json.loads(as_json(found.result))
+    assert data["schema"] == "robomill-check/1"
+    assert len({e["effect"] for e in data["effects"]}) == 6
+    for e in data["effects"]:
+        assert e["effect"] in text
+    assert "amplitude 1.0 (3 repeats)" in text
+    assert "will not split: actuator @ actuator, scale @ sensors" in text
+    assert "missing: channels: force.f would show or split 2" in text
