@@ -21,6 +21,7 @@ from typing import Any, Protocol
 from robomill.blind import generate
 from robomill.blind.case import DETECTABLE
 from robomill.blind.sealing import Benchmark, hashes
+from robomill.blind.second import generate as second
 from robomill.blind.sets import GENERATOR_VERSION, Plan, plans
 from robomill.blind.truth import Truth
 from robomill.blind.workers import Progress, work
@@ -46,7 +47,7 @@ class Generator(Protocol):
         """
 
 
-WRITERS: Mapping[str, Generator] = {"first": generate.write_case}
+WRITERS: Mapping[str, Generator] = {"first": generate.write_case, "second": second.write_case}
 """By name; `sets.GENERATORS` has the names that there may be."""
 
 

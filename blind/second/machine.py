@@ -1,0 +1,191 @@
+"""The nominal machine as the data say, and real ones: every calibrated number off by a little, every hidden constant drawn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from robomill.blind.second.cell import Cell
+from robomill.blind.second.control import Control
+from robomill.blind.second.cutting import Cut
+from robomill.blind.second.flexure import Flexure
+from robomill.blind.second.kernel import FloatArray
+from robomill.blind.second.motion import Drive
+from robomill.blind.second.sensing import Sensor
+from robomill.blind.second.torque import Dynamics
+from robomill.cell.binding import convert, resolve
+from robomill.cell.equipment import load_system
+from robomill.files import FILES
+
+SYSTEM = FILES / "scenarios" / "milling_cell.toml"
+ZERO6, ZERO3 = np.zeros(6), np.zeros(3)
+
+
+@cache
+def nominal_numbers() -> dict[str, dict[str, FloatArray]]:
+    """What the nominal cell is meant to have: component -> parameter -> values in SI."""
+    found: dict[str, dict[str, FloatArray]] = {}
+    for c in load_system(SYSTEM).components:
+        slave = resolve(c.source, c.name)
+        try:
+            values: dict[str, list[float]] = {}
+            units: dict[str, str] = {}
+            for port in slave.ports:
+                if port.causality == "parameter" and not isinstance(port.start, str):
+                    name = port.name.partition("[")[0]
+                    values.setdefault(name, []).append(float(port.start or 0.0))
+                    units[name] = port.unit or "1"
+        finally:
+            slave.close()
+        found[c.name] = {name: np.array(v) for name, v in values.items()}
+        for name, written in c.parameters.items():
+            if isinstance(written, str):
+                number, _, unit = written.partition(" ")
+                found[c.name][name] = np.array([convert(float(number), unit, units[name])])
+            elif isinstance(written, int | float):
+                found[c.name][name] = np.array([float(written)])
+    return found
+
+
+def _one(component: str, name: str) -> float:
+    return float(nominal_numbers()[component][name][0])
+
+
+def _many(component: str, name: str) -> FloatArray:
+    return nominal_numbers()[component][name].copy()
+
+
+def start_angles() -> FloatArray:
+    """Axis angles [6] at which programs begin to look for a branch of the inverse kinematics."""
+    return _many("path", "q_start")
+
+
+RELATIVE = {
+    "stiffness": 0.01,
+    "omega": 0.01,
+    "damping": 0.01,
+    "mass": 0.003,
+    "rotor": 0.005,
+    "gas": 0.002,
+    "chip": 0.01,
+    "edge": 0.01,
+    "cutoff": 0.005,
+}
+ABSOLUTE = {"p_FT": 5e-6, "payload": 0.2, "load": 0.02, "offset_f": 0.2, "offset_m": 0.03, "cog": 1e-4}
+"""Standard deviations of the calibrated numbers (docs/blind.md): relative, and in the unit of the number."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the block is and what the experimenter sets."""
+
+    position: tuple[float, float, float]
+    turn: float
+    """deg"""
+    block: tuple[float, float, float]
+    mode: int
+    warm_up: float
+
+
+def nominal(place: Place) -> Cell:
+    """The cell without tolerances, without effects, hidden constants in the middle of what they are drawn from."""
+    p_FT = _many("compliance", "p_FT_F")
+    stiffness = _many("compliance", "stiffness").reshape(-1, 3)[:10].copy()
+    believed = stiffness.copy()
+    stiffness[8] *= _one("compliance", "sensor_stiffness_scale")
+    flexure = Flexure(
+        p_FT, stiffness, _many("compliance", "reference_torque"), ZERO6, ZERO6, 1.0, ZERO6, 0.04, ZERO6,
+        _many("compliance", "hysteresis_torque"), 2.0, ZERO6, 0.56, ZERO6, 0.0, ZERO3, 0.01, 0.0, 0.0, _many("compliance", "p_FG_F"),
+        0.0, 1.2, 0.0, 0.5, np.array([3600.0, 7200.0]), place.warm_up, 0.0, 2.0 * math.pi * 9.0, 0.02, np.array([0.0, 1.0, 0.0]),
+        ZERO6, 200.0, 0.0, ZERO6, np.array([0.3, 2.0]), 0.0, 30.0, 0.0, np.array([0.0, 1.0, 0.0]), ZERO6,
+    )  # fmt: skip
+    drive = Drive(
+        p_FT, _one("drive", "loop_frequency"), _one("drive", "loop_damping"), _many("drive", "half_gap"), _one("drive", "poscorr_limit"),
+        ZERO6, 0.3, ZERO6, np.ones(6), ZERO6, ZERO6, np.zeros(2), ZERO6, 0.02, 1.0, np.zeros((6, 6)), ZERO6, ZERO6, 60.0, 0.2, 0.0, 1,
+    )  # fmt: skip
+    cut = Cut(
+        np.array(place.position), Rotation.from_euler("Z", math.radians(place.turn)).as_matrix(), np.array(place.block),
+        np.array([_one("milling", k) for k in ("Ktc", "Krc", "Kac")]), np.array([_one("milling", k) for k in ("Kte", "Kre", "Kae")]),
+        0.0, _one("milling", "size_reference"), 1e-6, 0.0, 0.0, 0.0, ZERO3, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0,
+    )  # fmt: skip
+    sensor = Sensor(
+        p_FT, np.concatenate([_many("sensor", "range_f"), _many("sensor", "range_m")]),
+        np.concatenate([_many("sensor", "resolution_f"), _many("sensor", "resolution_m")]),
+        np.concatenate([_many("sensor", "offset_f"), _many("sensor", "offset_m")]),
+        np.concatenate([_many("sensor", "model_offset_f"), _many("sensor", "model_offset_m")]),
+        _one("sensor", "load_mass"), _many("sensor", "load_cog_S"), 60.0, _many("sensor", "model_cog_S"), _many("sensor", "hose_coefficients"),
+        _many("sensor", "hose_point_S"), _one("sensor", "filter_cutoff"), math.sqrt(0.5), np.eye(6), ZERO3, ZERO3, 0.0, 600.0,
+        0.0, 0, 0.0, _many("sensor", "load_cog_S"), 0.0, 1.0, 0.0, _many("sensor", "hose_anchor_B"), 0.0, 0.0, 0.0, 3.0, 0.0, 0.0,
+    )  # fmt: skip
+    control = Control(
+        place.mode, p_FT, believed, ZERO6, float(nominal_numbers()["controller"]["limit_cartesian"][0]), 0.0, 0, 0.0, 1.0, ZERO3, 0.0, 2.0, 0.0
+    )  # fmt: skip
+    dynamics = Dynamics(
+        p_FT, _many("drive", "body_mass"), _many("drive", "body_com").reshape(6, 3), _many("drive", "body_inertia").reshape(6, 6),
+        _many("drive", "rotor_inertia"), 1.0, _one("drive", "payload_mass"), _many("drive", "payload_com_F"), _many("drive", "payload_inertia"),
+        ZERO6, ZERO6, ZERO6, 30e-6, 0.02, 1.5, ZERO6, 8.0, 0.0, ZERO6,
+    )  # fmt: skip
+    return Cell(flexure, drive, cut, sensor, control, dynamics, 4)
+
+
+def perturbed(c: Cell, draws: np.random.Generator) -> tuple[Cell, dict[str, dict[str, Any]]]:
+    """A machine as good as any: the cell with its tolerances, and the numbers that are off, component -> parameter -> values.
+
+    The draws do not depend on the condition, so the same generator state gives the same machine at every place.
+    """
+
+    def off(values: Any, sigma: float) -> FloatArray:
+        a = np.asarray(values, dtype=np.float64)
+        return a * (1.0 + sigma * draws.standard_normal(a.shape))
+
+    p_FT = c.flexure.p_FT + ABSOLUTE["p_FT"] * draws.standard_normal(3)
+    flexure = c.flexure._replace(p_FT=p_FT, stiffness=off(c.flexure.stiffness, RELATIVE["stiffness"]))
+    drive = c.drive._replace(omega=float(off(c.drive.omega, RELATIVE["omega"])), damping=float(off(c.drive.damping, RELATIVE["damping"])))
+    cut = c.cut._replace(
+        chip=off(c.cut.chip, RELATIVE["chip"]),
+        edge=off(c.cut.edge, RELATIVE["edge"]),
+        start_angle=float(2.0 * math.pi * draws.random()),
+    )
+    load = c.sensor.mass + ABSOLUTE["load"] * draws.standard_normal()
+    zero = np.repeat([ABSOLUTE["offset_f"], ABSOLUTE["offset_m"]], 3) * draws.standard_normal(6)
+    sensor = c.sensor._replace(
+        cutoff=float(off(c.sensor.cutoff, RELATIVE["cutoff"])),
+        mass=float(load),
+        offset=c.sensor.offset + zero,
+        cog=c.sensor.cog + ABSOLUTE["cog"] * draws.standard_normal(3),
+    )
+    dynamics = c.dynamics._replace(
+        mass=off(c.dynamics.mass, RELATIVE["mass"]),
+        rotor=off(c.dynamics.rotor, RELATIVE["rotor"]),
+        gas=float(off(c.dynamics.gas, RELATIVE["gas"])),
+        payload=float(c.dynamics.payload + ABSOLUTE["payload"] * draws.standard_normal()),
+    )
+    steps = int(draws.choice([2, 3, 4, 6]))
+    numbers: dict[str, dict[str, Any]] = {
+        "compliance": {"stiffness": flexure.stiffness.ravel().tolist(), "p_FT_F": p_FT.tolist()},
+        "drive": {
+            "loop_frequency": drive.omega,
+            "loop_damping": drive.damping,
+            "body_mass": dynamics.mass.tolist(),
+            "rotor_inertia": dynamics.rotor.tolist(),
+            "counterbalance_gas": dynamics.gas * _one("drive", "counterbalance_gas"),
+            "payload_mass": dynamics.payload,
+        },
+        "milling": {
+            **dict(zip(("Ktc", "Krc", "Kac"), cut.chip.tolist(), strict=True)),
+            **dict(zip(("Kte", "Kre", "Kae"), cut.edge.tolist(), strict=True)),
+        },
+        "sensor": {
+            "filter_cutoff": sensor.cutoff,
+            "load_mass": sensor.mass,
+            "offset_f": sensor.offset[:3].tolist(),
+            "offset_m": sensor.offset[3:].tolist(),
+            "load_cog_S": sensor.cog.tolist(),
+        },
+    }
+    return Cell(flexure, drive, cut, sensor, c.control, dynamics, steps), numbers
