@@ -53,8 +53,8 @@ WINDOW = 125
 """Rows of the windows (0.5 s) in which detectability is looked at."""
 CAMPAIGN_STIFFNESS = 0.15
 """Smallest stiffness error that a campaign is asked to find."""
-LATE = (5e-3, 40e-3)
-"""Delay [s] of the late clock of a machine, from and to."""
+LATE = (2e-3, 15e-3)
+"""Delay [s] of the late clock of a machine, from and to: one that is later is a bad log."""
 LATE_DEVICES = ("drive.*", "sensor.*", "controller.*", "compliance.*")
 """Devices whose clock may be late; the last one is the tracker."""
 

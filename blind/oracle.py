@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from robomill.blind.case import DETECTABLE, Confusable
+from robomill.blind.case import DETECTABLE, Case, Confusable
 from robomill.blind.figures import Separates, SquaredGaps
 from robomill.blind.generate import QUANTITIES, difference
 from robomill.blind.next_run import separates
 from robomill.blind.prediction import ComponentValues
 from robomill.blind.set_figures import Equivalents
-from robomill.blind.signatures import Change, clocks, confusable, features, library
+from robomill.blind.signatures import Change, clocks, confusable, features, library, make_library
 from robomill.blind.situation import Situation, nominal_run, situations
 from robomill.blind.truth import Truth
+from robomill.blind.workers import Progress, work
 from robomill.models.model.declaration import FloatArray
 from robomill.orchestration.errors import OrchestrationError
 
@@ -28,6 +29,15 @@ Truths = Mapping[int, Truth]
 def situations_of(folder: Path, number: int, *, held_out: bool) -> list[Situation]:
     """How a case was measured; `held_out`: with its held-out conditions."""
     return [s for s in situations(folder / "cases" / f"{number:04d}") if held_out or not s.held_out]
+
+
+def prepare(folder: Path, cases: Sequence[Case], workers: int | None = None, progress: Progress | None = None) -> None:
+    """Make the signatures that the isolability of the effects of these cases needs, those that are not there yet, on many processes."""
+    asked = [c for c in cases if c.kind != "bad_log" and any(e.physical for e in c.truth.effects)]
+    wanted = dict.fromkeys(s for c in asked for s in situations_of(folder, c.number, held_out=c.kind == "withheld"))
+    for done, _ in enumerate(work(make_library, [(s, folder / "oracle") for s in wanted], workers), 1):
+        if progress is not None:
+            progress("signatures", done, len(wanted))
 
 
 def oracle_confusable(folder: Path, truths: Truths, tier: str, *, held_out: bool = False) -> Confusable:

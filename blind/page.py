@@ -17,7 +17,7 @@ from robomill.blind.statistics import Figure
 
 Reasons = Mapping[tuple[str, str, str], str]
 """(set, tier, figure) -> why its bound is missed, and what was tried."""
-TOGETHER = "all sets"
+EVERY_SET = "all sets"
 """What stands in place of a set where all of them count."""
 _MAKERS = GENERATORS[:2]
 _REASON = {"set", "tier", "figure", "reason", "tried"}
@@ -81,7 +81,7 @@ def _together(scores: Sequence[Score]) -> list[list[str]]:
     for tier in dict.fromkeys(s.tier for s in scores):
         claims = [c for s in scores if s.tier == tier for c in s.claims]
         makers = [calibration([c for c in claims if c.generator == m]) for m in _MAKERS]
-        rows.append(_line("ece", TOGETHER, tier, calibration(claims), makers))
+        rows.append(_line("ece", EVERY_SET, tier, calibration(claims), makers))
     return rows
 
 
@@ -103,8 +103,8 @@ def _missed(rows: Sequence[Sequence[str]], reasons: Reasons) -> list[str]:
 
 def _rate(scores: Sequence[Score]) -> list[str]:
     """How fast the diagnoses were."""
-    rows = [[s.set, s.tier, f"{s.wall:.1f}", f"{7200.0 / s.wall:.0f}"] for s in scores if s.wall]
-    heads = ["set", "tier", "mean time of a diagnosis in one process [s]", "cases an hour in two processes"]
+    rows = [[s.set, s.tier, f"{s.wall:.1f}", f"{s.cpu:.1f}", f"{7200.0 / s.wall:.0f}"] for s in scores if s.wall and s.cpu]
+    heads = ["set", "tier", "mean time of a diagnosis in one process [s]", "CPU time [s]", "cases an hour in two processes"]
     return ["", "## How long it takes", "", *_table(heads, rows)] if rows else []
 
 

@@ -54,11 +54,13 @@ class Score:
     confusion: Mapping[str, Mapping[str, int]]
     """True effect -> what was said first -> cases."""
     components: Mapping[str, Mapping[str, int]]
-    """The same by component."""
+    """By component."""
     claims: Sequence[Claim]
     """Everything that is claimed in good logs: the calibration counts over all sets together."""
     wall: float | None
     """Mean wall time of a diagnosis in one process [s]."""
+    cpu: float | None
+    """Mean CPU time of it [s]."""
     baselines: Mapping[str, Figures]
 
     @staticmethod

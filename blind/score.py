@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 from robomill.blind.baselines import baseline_guesses
 from robomill.blind.case import CASE_KINDS, Cases, load_cases
 from robomill.blind.figures import baseline_figures, figures
-from robomill.blind.oracle import oracle_confusable, oracle_equivalents, oracle_gaps, oracle_separates
+from robomill.blind.oracle import oracle_confusable, oracle_equivalents, oracle_gaps, oracle_separates, prepare
 from robomill.blind.results import ALL, Score
 from robomill.blind.sealing import freeze_predictions, unseal
 from robomill.blind.set_figures import claims
@@ -23,8 +24,17 @@ WITH_BASELINES = ("single", "mixed")
 """Sets on which the baselines of DIAGNOSIS.md are run: they name one effect or none."""
 
 
-def score(folder: str | Path, *, isolability: bool = True, baselines: bool = True, progress: Progress | None = None) -> Score:
-    """Freeze the predictions, unseal, score. `isolability` and `baselines` need signatures: about 5 s for each way to measure, once.
+def score(
+    folder: str | Path,
+    *,
+    isolability: bool = True,
+    baselines: bool = True,
+    workers: int | None = 1,
+    progress: Progress | None = None,
+) -> Score:
+    """Freeze the predictions, unseal, score.
+
+    `isolability` and `baselines` need signatures: about 5 s for each way to measure, once, on `workers` processes (None: one per core).
 
     Without `isolability` a withheld effect has no equivalents. BenchmarkError where the folder is not as it was made.
     """
@@ -32,13 +42,15 @@ def score(folder: str | Path, *, isolability: bool = True, baselines: bool = Tru
     frozen, first = freeze_predictions(folder)
     head, truths = unseal(folder)
     tier = head.tier
-    cases = Cases(load_cases(folder, truths), oracle_confusable(folder, truths, tier) if isolability else None)
+    loaded = load_cases(folder, truths)
+    if isolability:
+        prepare(folder, loaded, workers, progress)
+    cases = Cases(loaded, oracle_confusable(folder, truths, tier) if isolability else None)
     equivalents = oracle_equivalents(folder, truths, tier) if isolability else lambda _: ()
     gaps, separates = oracle_gaps(folder), oracle_separates(truths, tier)
     makers = sorted({c.truth.generator for c in cases.all})
     parts = {ALL: cases, **{name: cases.of_generator(name) for name in makers}}
     guesses = baseline_guesses(folder, cases.all, tier, progress) if baselines and head.set in WITH_BASELINES else {}
-    walls = [c.prediction.wall for c in cases.all if c.prediction.wall is not None]
     return Score(
         schema="robomill-blind-score/2",
         set=head.set,
@@ -59,9 +71,16 @@ def score(folder: str | Path, *, isolability: bool = True, baselines: bool = Tru
         confusion=confusion(cases),
         components=by_component(confusion(cases)),
         claims=claims(cases, equivalents),
-        wall=float(np.mean(walls)) if walls else None,
+        wall=_mean([c.prediction.wall for c in cases.all]),
+        cpu=_mean([c.prediction.cpu for c in cases.all]),
         baselines={name: baseline_figures(cases, by_case) for name, by_case in guesses.items()},
     )
+
+
+def _mean(times: Sequence[float | None]) -> float | None:
+    """Mean of those that are known."""
+    known = [t for t in times if t is not None]
+    return float(np.mean(known)) if known else None
 
 
 def commit() -> str:

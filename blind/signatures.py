@@ -115,6 +115,11 @@ def library(s: Situation, cache: Path | None = None) -> Library:
     return Library(every, matrix, names)
 
 
+def make_library(s: Situation, cache: Path) -> None:
+    """Have the file of a library in `cache`; for processes of their own."""
+    library(s, cache)
+
+
 @dataclass(frozen=True)
 class Change:
     """What a true effect changes in one situation."""

@@ -37,7 +37,7 @@ from robomill.orchestration.system.definition import Connection, System
 STEP = 0.004
 SYSTEM = FILES / "scenarios" / "milling_cell.toml"
 LOADED = FILES / "scenarios" / "experiments" / "loaded_cell.toml"
-"""The same cell with an applied load in place of the cut."""
+"""That cell with an applied load in place of the cut."""
 MEASURED = (
     "path.p_BT_B",
     "path.quat_BT",

@@ -43,6 +43,7 @@ def add_arguments(parser: Any) -> None:
     run.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers see DIR, such as tcp://host:8786")
     score = steps.add_parser("score", help="hash the predictions, unseal, score", description="Score the predictions.")
     score.add_argument("folder", type=Path, metavar="DIR", help="folder of the benchmark")
+    score.add_argument("--jobs", type=int, help="processes for the signatures (default: one per core)")
     score.add_argument("--no-isolability", action="store_true", help="take every detectable single as isolable; saves minutes")
     score.add_argument("--no-baselines", action="store_true", help="leave out the methods to compare with; saves minutes")
     page = steps.add_parser("page", help="write the results of scored benchmarks as Markdown", description="Write the page of results.")
@@ -120,7 +121,13 @@ def blind(options: Namespace) -> int:
         else:
             from robomill.blind.score import score
 
-            found = score(options.folder, isolability=not options.no_isolability, baselines=not options.no_baselines, progress=report)
+            found = score(
+                options.folder,
+                isolability=not options.no_isolability,
+                baselines=not options.no_baselines,
+                workers=options.jobs,
+                progress=report,
+            )
             summary = asdict(found)
             (options.folder / "score.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
             text = ""

@@ -130,7 +130,6 @@ class TestWorld:
 
     def test_hidden_constants_change_nothing_without_their_effect(self):
         hidden = draw_hidden(np.random.default_rng(8))
-        del hidden["milling"]["runout_angle"], hidden["sensor"]["zero_drift_time"]
         _, columns, _ = simulate(SHORT, Machine({}, hidden), (), Changes(), None)
         _, usual, _ = simulate(SHORT, Machine({}), (), Changes(), None)
         np.testing.assert_allclose(difference(columns, usual), 0.0, atol=1e3 * ROUNDOFF)

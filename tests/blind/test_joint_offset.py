@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from robomill.blind.generate import Plan, make_case
+from robomill.blind.make import make_case
+from robomill.blind.sets import Plan
 from robomill.blind_command import diagnose_case
 
 

@@ -51,6 +51,7 @@ def score(name, pairs, tier="T1", **more):
         "components": by_component(confusion(listed)),
         "claims": claims(listed, lambda _: ()),
         "wall": 30.0,
+        "cpu": 24.0,
         "baselines": {"lasso": {"effect_top1": Figure(0.25, 2, (0.1, 0.5))}} if name == "single" else {},
     }
     return json.loads(json.dumps(asdict(Score(schema="robomill-blind-score/2", **found)) | more))
@@ -80,7 +81,7 @@ def test_each_figure_has_count_interval_bound_and_generators_beside_it():
     assert "generator both, seed 5, version 3; 3 predictions, as they were when the truth was first opened." in text
     assert "Scored 2026-01-02 03:04 UTC, commit abc1234." in text
     assert "Points above the best of the baselines (15 are asked for): effect_top1 +25." in text
-    assert row(text, "single", "T1") == "| single | T1 | 30.0 | 240 |"
+    assert row(text, "single", "T1") == "| single | T1 | 30.0 | 24.0 | 240 |"
     assert row(text, "effect_top1", "0.5") == "| effect_top1 | 0.5 | 0.0945 .. 0.905 | 2 | 1 | 0.207 .. 1 | 1 | 0 | 0 .. 0.793 | 1 |"
 
 
