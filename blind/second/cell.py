@@ -111,7 +111,7 @@ def simulate(
     """
     workpiece = fresh(c.cut.size)
     workpiece.top[:] = raw_height
-    states = (at_rest(), standing(late_plan[0]), workpiece, unread(), waiting())
+    states = (at_rest(), standing(late_plan[0], c.drive.half_gap), workpiece, unread(), waiting())
     places, motors, plans, wrenches, raws, clean, sent, spin = _run(
         c, states, raw_height, path.q, path.v, path.spindle, load, noise, chance, late_plan
     )

@@ -75,9 +75,11 @@ class DriveState(NamedTuple):
     start: FloatArray
 
 
-def standing(q: FloatArray) -> DriveState:
-    """Drives at rest at the axis angles q [6]."""
-    return DriveState(np.zeros((2, 9)), q.copy(), np.zeros(6), q.copy(), np.zeros(6), np.full(6, -1e3), np.zeros((4, 6)), q.copy())
+def standing(q: FloatArray, half_gap: FloatArray) -> DriveState:
+    """Drives at rest at the axis angles q [6], which were last moved upwards: the known gap [6] is closed on that side."""
+    gap = np.zeros((4, 6))
+    gap[0] = half_gap
+    return DriveState(np.zeros((2, 9)), q.copy(), np.ones(6), q + half_gap, np.zeros(6), np.full(6, -1e3), gap, q.copy())
 
 
 @compiled

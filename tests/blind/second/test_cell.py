@@ -14,7 +14,7 @@ from robomill.blind.effects import BY_KEY
 from robomill.blind.generate import ARRAYS
 from robomill.blind.make import Request, make
 from robomill.blind.second import effects, generate, logs, outside
-from robomill.blind.second.kernel import forget_stale
+from robomill.blind.second.kernel import folder_of
 from robomill.blind.sets import Plan
 from robomill.blind.truth import TrueEffect
 from robomill.blind.world import TRACKER, nominal
@@ -231,16 +231,9 @@ def drawn(seed):
     return truth.bad_log.kind
 
 
-def test_what_was_compiled_from_other_sources_is_forgotten(tmp_path):
+def test_other_sources_are_compiled_into_another_folder(tmp_path):
     (tmp_path / "a.py").write_text("x = 1\n")
-    cache = tmp_path / "__pycache__"
-    cache.mkdir()
-    (cache / "a.nbi").write_text("")
-    forget_stale(tmp_path)
-    assert not (cache / "a.nbi").exists()
-    (cache / "a.nbi").write_text("")
-    forget_stale(tmp_path)
-    assert (cache / "a.nbi").exists()
+    first = folder_of(tmp_path)
+    assert folder_of(tmp_path) == first
     (tmp_path / "a.py").write_text("x = 2\n")
-    forget_stale(tmp_path)
-    assert not (cache / "a.nbi").exists()
+    assert folder_of(tmp_path) != first

@@ -83,7 +83,7 @@ DIFFERENCE = 1e4 * ROUNDOFF
 def test_gradual_backlash_is_lost_on_the_way_back():
     d = machine.nominal(PLACE).drive._replace(half_gap=np.zeros(6), backlash=np.full(6, 100e-6))
     q0 = np.radians([10.0, -95.0, 110.0, 20.0, -30.0, 15.0])
-    s = motion.standing(q0)
+    s = motion.standing(q0, d.half_gap)
     way = np.concatenate([np.linspace(0.0, 1e-3, 200), np.linspace(1e-3, 0.0, 200)])
     lost = []
     for k, x in enumerate(way):
@@ -106,7 +106,7 @@ def test_a_late_path_is_late_by_as_much_whatever_its_order(order):
 def test_step_response_of_transport_and_drive():
     d = machine.nominal(PLACE).drive._replace(omega=2.0 * math.pi * 4.5)
     q0 = np.radians([10.0, -95.0, 110.0, 20.0, -30.0, 15.0])
-    s, wanted, x = motion.standing(q0), np.zeros(9), []
+    s, wanted, x = motion.standing(q0, d.half_gap), np.zeros(9), []
     wanted[0] = 1e-3
     for k in range(400):
         motion.driven(d, s, k * 1e-3, 1e-3, q0, wanted)
