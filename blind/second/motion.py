@@ -17,7 +17,7 @@ SINGULAR = 0.05
 """|sin A5| below which the tool may turn a little so that its tip goes where it should (2.5 times the damping of 0.02)."""
 DAMPING = 0.02
 AXIS_LIMIT = math.radians(5.0)
-MOVING = 1e-9
+MOVING = 1e-12
 """Motion in a fine step [rad] that counts as one."""
 
 
