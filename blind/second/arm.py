@@ -57,12 +57,13 @@ def rotation(v: FloatArray) -> FloatArray:
         return out
     x, y, z = v[0] / angle, v[1] / angle, v[2] / angle
     k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return out + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k)
+    turned: FloatArray = out + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k)
+    return turned
 
 
 @compiled
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """A x b."""
+    """Cross product of two vectors [3]."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from robomill.blind.second.arm import tip
-from robomill.blind.second.control import Control, control, waiting
-from robomill.blind.second.cutting import Cut, cut, fresh
-from robomill.blind.second.flexure import Flexure, at_rest, yielding
+from robomill.blind.second.control import Control, ControlState, control, waiting
+from robomill.blind.second.cutting import Cut, CutState, cut, fresh
+from robomill.blind.second.flexure import Flexure, FlexureState, at_rest, yielding
 from robomill.blind.second.kernel import FloatArray, compiled
-from robomill.blind.second.motion import Drive, driven, longer, standing
+from robomill.blind.second.motion import Drive, DriveState, driven, longer, standing
 from robomill.blind.second.path import Played
-from robomill.blind.second.sensing import CYCLE, Sensor, cleaned, felt, shown, unread
+from robomill.blind.second.sensing import CYCLE, Sensor, SensorState, cleaned, felt, shown, unread
 from robomill.blind.second.torque import Dynamics, torques
 
 STEP = 0.001
@@ -50,7 +50,18 @@ class Log(NamedTuple):
 
 
 @compiled
-def _run(c, states, raw_height, q, v, spindle, load, noise, chance, late_plan):  # type: ignore[no-untyped-def]
+def _run(
+    c: Cell,
+    states: tuple[FlexureState, DriveState, CutState, SensorState, ControlState],
+    raw_height: float,
+    q: FloatArray,
+    v: FloatArray,
+    spindle: FloatArray,
+    load: FloatArray,
+    noise: FloatArray,
+    chance: FloatArray,
+    late_plan: FloatArray,
+) -> tuple[FloatArray, ...]:
     flexure, drive, workpiece, sensor, controller = states
     n = (len(q) - 1) // PER + 1
     places, motors, plans = np.zeros((n, 3)), np.zeros((n, 6)), np.zeros((n, 6))
@@ -72,20 +83,20 @@ def _run(c, states, raw_height, q, v, spindle, load, noise, chance, late_plan): 
         f, m, spun = np.zeros(3), np.zeros(3), 0.0
         if k > 0:
             f, m, spun = cut(c.cut, workpiece, STEP, raw_height, p, v[k], spindle[k])
-        f = f + load[k, :3]
-        m = m + load[k, 3:]
         for i in range(c.inertia_steps - 1):
             recent[i] = recent[i + 1]
         recent[c.inertia_steps - 1, :3], recent[c.inertia_steps - 1, 3:] = f, m
         total += recent[c.inertia_steps - 1]
+        recent[c.inertia_steps - 1] += load[k]
         torque += spun
         if k % PER == 0:
             j, share = k // PER, 1.0 / PER if k > 0 else 1.0
-            now, R = felt(c.sensor, sensor, q_motor, total[:3] * share + noise[j, 6:9], total[3:] * share + noise[j, 9:])
+            wrenches[j] = total * share + load[k]  # the teeth are averaged, what is applied on purpose is slow
+            now, R = felt(c.sensor, sensor, q_motor, wrenches[j, :3] + noise[j, 6:9], wrenches[j, 3:] + noise[j, 9:])
             raws[j] = shown(c.sensor, sensor, t, now, noise[j, :6])
             clean[j] = cleaned(c.sensor, sensor, raws[j], R)
             sent[j] = control(c.control, controller, q_motor, clean[j], v[k], chance[j])
-            places[j], motors[j], plans[j], wrenches[j], spin[j] = p, q_motor, plain, total * share, torque * share
+            places[j], motors[j], plans[j], spin[j] = p, q_motor, plain, torque * share
             total[:], torque = 0.0, 0.0
     return places, motors, plans, wrenches, raws, clean, sent, spin
 
@@ -100,7 +111,7 @@ def simulate(
     """
     workpiece = fresh(c.cut.size)
     workpiece.top[:] = raw_height
-    states = (at_rest(), standing(late_plan[0]), workpiece, unread(), waiting())
+    states = (at_rest(), standing(late_plan[0], c.drive.half_gap), workpiece, unread(), waiting())
     places, motors, plans, wrenches, raws, clean, sent, spin = _run(
         c, states, raw_height, path.q, path.v, path.spindle, load, noise, chance, late_plan
     )

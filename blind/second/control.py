@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robomill.blind.second.arm import DRIVES, deflection, rotation, tip
-from robomill.blind.second.kernel import FloatArray, compiled
+from robomill.blind.second.kernel import ZERO3, ZERO6, FloatArray, compiled
 from robomill.blind.second.sensing import CYCLE
 
 QUEUE = 64
@@ -25,21 +25,21 @@ class Control(NamedTuple):
     p_FT: FloatArray
     stiffness: FloatArray
     """[10,3] what the controller believes."""
-    table_error: FloatArray
     limit: float
     """m, of each component."""
-    late: float
-    late_order: int
+    table_error: FloatArray = ZERO6
+    late: float = 0.0
+    late_order: int = 0
     """0: dead time; 1 or 2: lag of that order with the same delay in all."""
-    dead: float
+    dead: float = 0.0
     """N; `knee` N wide is the way from nothing to everything."""
-    knee: float
-    frame: FloatArray
+    knee: float = 1.0
+    frame: FloatArray = ZERO3
     """[3] rad."""
-    lost: float
+    lost: float = 0.0
     """Probability that a correction is lost; bursts last `burst` cycles in the mean."""
-    burst: float
-    greed: float
+    burst: float = 2.0
+    greed: float = 0.0
     """1/m, outside: what is sent grows with its own square."""
 
 
@@ -113,4 +113,5 @@ def control(c: Control, s: ControlState, q: FloatArray, wrench: FloatArray, v: F
         if s.lost[0] > 0.0:
             out = s.sent.copy()
     s.sent[:] = out
-    return out
+    sent: FloatArray = out
+    return sent

@@ -1,6 +1,7 @@
 """Cutting force, tooth by tooth: edges cut into discs, the turn of the spindle into slices. SI units, forces on the tool.
 
-Force law of Altintas (FACTS 3.2). The workpiece is a height map with cells of `CELL`; a cell that the tool covers in part is lowered in part.
+Force law of Altintas (FACTS 3.2). The workpiece is a height map; a cell that the tool
+covers in part is lowered in part.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robomill.blind.second.kernel import FloatArray, compiled
+from robomill.blind.second.kernel import ZERO3, FloatArray, compiled
 
 CELL = 0.0005
 """Width of a cell of the workpiece [m]."""
@@ -36,25 +37,25 @@ class Cut(NamedTuple):
     """[3] Pa, tangential, radial, axial."""
     edge: FloatArray
     """[3] N/m."""
-    size_effect: float
-    size_reference: float
-    size_shift: float
+    size_effect: float = 0.0
+    size_reference: float = 25e-6
+    size_shift: float = 1e-6
     """m, added to the chip under the power: the law has no pole."""
-    runout: float
-    runout_angle: float
-    runout_tilt: float
+    runout: float = 0.0
+    runout_angle: float = 0.0
+    runout_tilt: float = 0.0
     """1/m, relative growth of the runout with the height."""
-    yielding: FloatArray
+    yielding: FloatArray = ZERO3
     """[3] m/N along B, the block under its load."""
-    yielding_time: float
-    droop: float
+    yielding_time: float = 0.01
+    droop: float = 0.0
     """s/(N m), outside: the spindle slows down under torque."""
-    grain: float
-    grain_angle: float
+    grain: float = 0.0
+    grain_angle: float = 0.0
     """Outside: force that depends on the direction of the feed in the material."""
-    packing: float
+    packing: float = 0.0
     """1/s, outside: force that grows with the time in the cut."""
-    start_angle: float
+    start_angle: float = 0.0
 
 
 class CutState(NamedTuple):
@@ -82,7 +83,8 @@ def height(top: FloatArray, size: FloatArray, x: float, y: float) -> float:
     v -= j
     low = top[i, j] * (1.0 - v) + top[i, j + 1] * v
     high = top[i + 1, j] * (1.0 - v) + top[i + 1, j + 1] * v
-    return low * (1.0 - u) + high * u
+    between: float = low * (1.0 - u) + high * u
+    return between
 
 
 @compiled
@@ -127,12 +129,12 @@ def engagement(top: FloatArray, size: FloatArray, at: FloatArray, feed: FloatArr
 @compiled
 def chip_of(c: Cut, tooth: int, feed: float, sine: float, z: float) -> float:
     """Chip thickness [m] of a tooth at a height: what the teeth before it have left."""
-    h = feed * sine
     if c.runout == 0.0:
-        return h
+        return feed * sine
+    h = TEETH * feed * sine
     scale = c.runout * (1.0 + c.runout_tilt * z)
     mine = scale * math.cos(c.runout_angle + 2.0 * math.pi * tooth / TEETH)
-    for back in range(1, TEETH + 1):
+    for back in range(1, TEETH):
         other = scale * math.cos(c.runout_angle + 2.0 * math.pi * (tooth - back) / TEETH)
         h = min(h, back * feed * sine + mine - other)
     return max(h, 0.0)
@@ -140,7 +142,7 @@ def chip_of(c: Cut, tooth: int, feed: float, sine: float, z: float) -> float:
 
 @compiled
 def edges(c: Cut, depth: FloatArray, feed: float, theta0: float, theta1: float) -> FloatArray:
-    """Mean force [N] and moment about the tip [N m] in cutting axes (feed, left, up), float64[6], while the spindle turns from theta0 to theta1."""
+    """Mean force [N] and moment about the tip [N m] in cutting axes (feed, left, up), [6], from theta0 to theta1."""
     out = np.zeros(6)
     most = depth.max()
     if most <= 0.0:

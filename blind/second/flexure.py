@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robomill.blind.second.arm import ARM_STATIONS, DRIVES, SIGN, cross, stations
-from robomill.blind.second.kernel import FloatArray, compiled
+from robomill.blind.second.kernel import ZERO3, ZERO6, FloatArray, compiled
 
 GRAVITY = 9.81
 HOLDER = np.array([0.0, 0.0, 0.100])
@@ -26,59 +26,59 @@ class Flexure(NamedTuple):
     """[10,3] N m/rad, about x, y, z of each station."""
     reference: FloatArray
     """[6] torque [N m] at which hardening has its nominal size."""
-    error: FloatArray
-    hardening: FloatArray
-    hardening_power: float
-    asymmetry: FloatArray
-    asymmetry_torque: float
+    error: FloatArray = ZERO6
+    hardening: FloatArray = ZERO6
+    hardening_power: float = 1.0
+    asymmetry: FloatArray = ZERO6
+    asymmetry_torque: float = 0.04
     """Share of `reference` over which one side of an asymmetric spring goes over into the other."""
-    hysteresis: FloatArray
+    hysteresis: FloatArray = ZERO6
     """[6] rad."""
-    hysteresis_torque: FloatArray
-    hysteresis_power: float
-    friction: FloatArray
+    hysteresis_torque: FloatArray = np.ones(6)
+    hysteresis_power: float = 2.0
+    friction: FloatArray = ZERO6
     """[6] N m, beside the spring (Dahl)."""
-    friction_stiffness: float
-    tilt: FloatArray
+    friction_stiffness: float = 0.56
+    tilt: FloatArray = ZERO6
     """[6] rad/(N m)."""
-    tilt_skew: float
+    tilt_skew: float = 0.0
     """Relative difference of the tilt about x and about y."""
-    base: FloatArray
+    base: FloatArray = ZERO3
     """[3] m/N."""
-    base_time: float
-    tool: float
+    base_time: float = 0.01
+    tool: float = 0.0
     """m/N."""
-    payload: float
+    payload: float = 0.0
     """kg."""
-    payload_at: FloatArray
+    payload_at: FloatArray = ZERO3
     """[3] m in F."""
-    counterbalance: float
-    gas_power: float
+    counterbalance: float = 0.0
+    gas_power: float = 1.2
     """Polytropic exponent with which the error of the gas spring follows the angle."""
-    growth: float
+    growth: float = 0.0
     """m."""
-    growth_share: float
-    growth_times: FloatArray
+    growth_share: float = 0.5
+    growth_times: FloatArray = np.array([3600.0, 7200.0])
     """[2] s, of the arm and of the base."""
-    warm_up: float
-    mode: float
+    warm_up: float = 0.0
+    mode: float = 0.0
     """m/N."""
-    mode_omega: float
-    mode_damping: float
-    mode_direction: FloatArray
-    lobed: FloatArray
+    mode_omega: float = 57.0
+    mode_damping: float = 0.02
+    mode_direction: FloatArray = np.array([0.0, 1.0, 0.0])
+    lobed: FloatArray = ZERO6
     """[6] rad/(N m), outside of the catalogue: compliance periodic in the angle."""
-    lobes: float
-    lobe_phase: float
-    creep: FloatArray
+    lobes: float = 200.0
+    lobe_phase: float = 0.0
+    creep: FloatArray = ZERO6
     """[6] rad/(N m), outside: deflection that grows on, with two time constants."""
-    creep_times: FloatArray
-    floor: float
+    creep_times: FloatArray = np.array([0.3, 2.0])
+    floor: float = 0.0
     """m, outside: the floor shakes."""
-    floor_omega: float
-    floor_phase: float
-    floor_direction: FloatArray
-    stiction: FloatArray
+    floor_omega: float = 30.0
+    floor_phase: float = 0.0
+    floor_direction: FloatArray = np.array([0.0, 1.0, 0.0])
+    stiction: FloatArray = ZERO6
     """[6] N m, outside: the joint gives way only beyond this torque."""
 
 
@@ -126,14 +126,15 @@ def hysteresis(c: Flexure, s: FlexureState, i: int, M: float) -> float:
             s.lag[i] += dM
         s.lag[i] = min(max(s.lag[i], -reach), reach)
     x = (M - s.lag[i]) / reach
-    return c.hysteresis[i] * 2.0 ** (1.0 / 6.0) * x / (1.0 + abs(x) ** 6) ** (1.0 / 6.0)
+    lost: float = c.hysteresis[i] * 2.0 ** (1.0 / 6.0) * x / (1.0 + abs(x) ** 6) ** (1.0 / 6.0)
+    return lost
 
 
 @compiled
 def dahl(c: Flexure, s: FlexureState, i: int, M: float, k: float) -> float:
     """Twist [rad] of a spring k with Dahl friction beside it: M = k twist + F, dF = sigma (1 - sgn F/F_max) dtwist."""
     limit, sigma = c.friction[i], c.friction_stiffness * k
-    x0, F0 = s.twist[i], s.held[i]
+    x0, F0 = float(s.twist[i]), float(s.held[i])
     rest = M - k * x0 - F0
     way = 1.0 if rest >= 0.0 else -1.0
     x, F = x0 + rest / (k + sigma), F0
@@ -160,7 +161,7 @@ def drive_twist(c: Flexure, s: FlexureState, i: int, M: float, q: float, h: floa
     load = M
     if c.stiction[i] != 0.0:
         load = math.copysign(max(abs(M) - c.stiction[i], 0.0), M)
-    x = load / k
+    x: float = load / k
     if c.friction[i] > 0.0:
         x = dahl(c, s, i, load, k)
     if c.hysteresis[i] != 0.0:

@@ -55,13 +55,16 @@ class Machine:
     effects: tuple[TrueEffect, ...] = ()
     change: Callable[[Cell], Cell] | None = None
     """What is outside of the catalogue."""
+    tolerances: bool = True
+    """Whether calibrated numbers and hidden constants are its own; else it is the nominal cell."""
 
     def at(self, c: Condition) -> Cell:
         """The machine as it stands in a condition."""
         cell = machine.nominal(machine.Place(c.position, c.turn, BLOCK, c.mode, c.warm_up_time))
         random = np.random.default_rng(self.seed)
-        cell, _ = machine.perturbed(cell, random)
-        cell, _ = effects.constants(cell, random)
+        if self.tolerances:
+            cell, _ = machine.perturbed(cell, random)
+            cell, _ = effects.constants(cell, random)
         cell = effects.switched_on(cell, self.effects)
         return cell if self.change is None else self.change(cell)
 
@@ -104,7 +107,11 @@ def run(m: Machine, c: Condition, random: np.random.Generator | None = None) -> 
     late = followed(cell.drive, path.q, FINE)
     log = simulate(cell, path, late, float(cell.cut.size[2] - BLOCK[2]), noise, chance, _load(c, path.t))
     if not np.all(np.isfinite(log.tip)) or float(np.abs(log.tip - path.p[:: round(CYCLE / FINE)]).max()) > 0.02:
-        raise RunError(f"condition {c.name!r}: the tool leaves its path by more than 20 mm; the loop of force and deflection has run away")
+        raise RunError(
+            f"condition {c.name!r}: the tool leaves its path by more than 20 mm; the loop of force and deflection has run away",
+            "compliance",
+            path.t[-1],
+        )
     return path.t[:: round(CYCLE / FINE)], _columns(cell, path, log, c)
 
 
@@ -196,7 +203,10 @@ def late_clocks(columns: Columns, t: FloatArray, true: Sequence[TrueEffect]) -> 
 
 
 def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[Truth, Callable[[Cell], Cell] | None, logs.LogFault | None]:
-    """Truth, change outside of the catalogue and fault of the log. Kinds of the latter two are this generator's own, whatever the plan says."""
+    """Truth, change outside of the catalogue and fault of the log.
+
+    Kinds of the latter two are this generator's own, whatever the plan says.
+    """
     truth = Truth(plan.kind)
     if plan.kind == "outside":
         kind = outside.OUTSIDE[int(random.integers(len(outside.OUTSIDE)))]
@@ -262,7 +272,7 @@ def _oracle(sealed: Path, truth: Truth, m: Machine, fault: logs.LogFault | None)
     if fault is not None and bad_log is not None and fault.kind not in logs.PER_SET:
         faulty = [{n: v.copy() for n, v in w.items()} for _, w in everything]
         for columns in faulty:
-            fault.apply(columns, CYCLE * np.arange(len(columns["path.path_time"])))
+            fault.apply(columns, CYCLE * np.arange(len(columns["path.path_time"]), dtype=np.float64))
         bad_log = replace(bad_log, detectability=max(ratios(faulty, [w for _, w in everything]).values()))
     ceiling = {}
     instances = [e.instance for e in true if e.physical]

@@ -31,7 +31,10 @@ def coloured(n: int, tau: float, random: np.random.Generator) -> FloatArray:
 
 
 def measured(columns: Columns, tier: str, tau: float, random: np.random.Generator) -> Columns:
-    """What the instruments show: white noise, noise of correlation time tau [s], an offset of each run. The draws do not depend on the tier."""
+    """What the instruments show: white noise, noise of correlation time tau [s], an offset of each run.
+
+    The draws do not depend on the tier.
+    """
     result: Columns = {}
     for array in (*MEASURED, TRACKER):
         white, colour, offset = NOISE.get(array, (0.0, 0.0, 0.0))
@@ -181,7 +184,7 @@ def draw(kind: str, tier: str, random: np.random.Generator) -> LogFault:
     """A fault of a kind, in an array that the tier has. LookupError: no such kind."""
     if kind not in LOG_FAULTS:
         raise LookupError(f"fault {kind!r} of the log: expected one of {', '.join(LOG_FAULTS)}")
-    arrays = ARRAYS if tier != "T0" else ARRAYS[1:]
+    arrays: tuple[str, ...] = ARRAYS if tier != "T0" else ARRAYS[1:]
     if kind in ("lag", "late_clock", "filter"):
         arrays = tuple(a for a in arrays if a in (TRACKER, "sensor.f_T_T", "drive.q_motor"))
     return LOG_FAULTS[kind](random, arrays[int(random.integers(len(arrays)))])

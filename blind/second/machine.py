@@ -16,14 +16,13 @@ from robomill.blind.second.cutting import Cut
 from robomill.blind.second.flexure import Flexure
 from robomill.blind.second.kernel import FloatArray
 from robomill.blind.second.motion import Drive
-from robomill.blind.second.sensing import Sensor
+from robomill.blind.second.sensing import GRAVITY, Sensor
 from robomill.blind.second.torque import Dynamics
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
 from robomill.files import FILES
 
 SYSTEM = FILES / "scenarios" / "milling_cell.toml"
-ZERO6, ZERO3 = np.zeros(6), np.zeros(3)
 
 
 @cache
@@ -58,6 +57,11 @@ def _one(component: str, name: str) -> float:
 
 def _many(component: str, name: str) -> FloatArray:
     return nominal_numbers()[component][name].copy()
+
+
+def _six(name: str) -> FloatArray:
+    """A number of all six channels of the sensor."""
+    return np.concatenate([_many("sensor", f"{name}_f"), _many("sensor", f"{name}_m")])
 
 
 def start_angles() -> FloatArray:
@@ -99,37 +103,56 @@ def nominal(place: Place) -> Cell:
     believed = stiffness.copy()
     stiffness[8] *= _one("compliance", "sensor_stiffness_scale")
     flexure = Flexure(
-        p_FT, stiffness, _many("compliance", "reference_torque"), ZERO6, ZERO6, 1.0, ZERO6, 0.04, ZERO6,
-        _many("compliance", "hysteresis_torque"), 2.0, ZERO6, 0.56, ZERO6, 0.0, ZERO3, 0.01, 0.0, 0.0, _many("compliance", "p_FG_F"),
-        0.0, 1.2, 0.0, 0.5, np.array([3600.0, 7200.0]), place.warm_up, 0.0, 2.0 * math.pi * 9.0, 0.02, np.array([0.0, 1.0, 0.0]),
-        ZERO6, 200.0, 0.0, ZERO6, np.array([0.3, 2.0]), 0.0, 30.0, 0.0, np.array([0.0, 1.0, 0.0]), ZERO6,
-    )  # fmt: skip
+        p_FT,
+        stiffness,
+        _many("compliance", "reference_torque"),
+        hysteresis_torque=_many("compliance", "hysteresis_torque"),
+        payload_at=_many("compliance", "p_FG_F"),
+        warm_up=place.warm_up,
+    )
     drive = Drive(
-        p_FT, _one("drive", "loop_frequency"), _one("drive", "loop_damping"), _many("drive", "half_gap"), _one("drive", "poscorr_limit"),
-        ZERO6, 0.3, ZERO6, np.ones(6), ZERO6, ZERO6, np.zeros(2), ZERO6, 0.02, 1.0, np.zeros((6, 6)), ZERO6, ZERO6, 60.0, 0.2, 0.0, 1,
-    )  # fmt: skip
+        p_FT,
+        _one("drive", "loop_frequency"),
+        _one("drive", "loop_damping"),
+        _many("drive", "half_gap"),
+        _one("drive", "poscorr_limit"),
+    )
     cut = Cut(
-        np.array(place.position), Rotation.from_euler("Z", math.radians(place.turn)).as_matrix(), np.array(place.block),
-        np.array([_one("milling", k) for k in ("Ktc", "Krc", "Kac")]), np.array([_one("milling", k) for k in ("Kte", "Kre", "Kae")]),
-        0.0, _one("milling", "size_reference"), 1e-6, 0.0, 0.0, 0.0, ZERO3, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0,
-    )  # fmt: skip
+        np.array(place.position),
+        Rotation.from_euler("Z", math.radians(place.turn)).as_matrix(),
+        np.array(place.block),
+        np.array([_one("milling", k) for k in ("Ktc", "Krc", "Kac")]),
+        np.array([_one("milling", k) for k in ("Kte", "Kre", "Kae")]),
+        size_reference=_one("milling", "size_reference"),
+    )
     sensor = Sensor(
-        p_FT, np.concatenate([_many("sensor", "range_f"), _many("sensor", "range_m")]),
-        np.concatenate([_many("sensor", "resolution_f"), _many("sensor", "resolution_m")]),
-        np.concatenate([_many("sensor", "offset_f"), _many("sensor", "offset_m")]),
-        np.concatenate([_many("sensor", "model_offset_f"), _many("sensor", "model_offset_m")]),
-        _one("sensor", "load_mass"), _many("sensor", "load_cog_S"), 60.0, _many("sensor", "model_cog_S"), _many("sensor", "hose_coefficients"),
-        _many("sensor", "hose_point_S"), _one("sensor", "filter_cutoff"), math.sqrt(0.5), np.eye(6), ZERO3, ZERO3, 0.0, 600.0,
-        0.0, 0, 0.0, _many("sensor", "load_cog_S"), 0.0, 1.0, 0.0, _many("sensor", "hose_anchor_B"), 0.0, 0.0, 0.0, 3.0, 0.0, 0.0,
-    )  # fmt: skip
-    control = Control(
-        place.mode, p_FT, believed, ZERO6, float(nominal_numbers()["controller"]["limit_cartesian"][0]), 0.0, 0, 0.0, 1.0, ZERO3, 0.0, 2.0, 0.0
-    )  # fmt: skip
+        p_FT,
+        _six("range"),
+        _six("resolution"),
+        _six("offset"),
+        _six("model_offset"),
+        _one("sensor", "load_mass"),
+        _many("sensor", "load_cog_S"),
+        float(-nominal_numbers()["sensor"]["model_weight_B"][2] / GRAVITY),
+        _many("sensor", "model_cog_S"),
+        _many("sensor", "hose_coefficients"),
+        _many("sensor", "hose_point_S"),
+        _one("sensor", "filter_cutoff"),
+        extra_cog=_many("sensor", "load_cog_S"),
+        hose_anchor=_many("sensor", "hose_anchor_B"),
+    )
+    control = Control(place.mode, p_FT, believed, _one("controller", "limit_cartesian"))
     dynamics = Dynamics(
-        p_FT, _many("drive", "body_mass"), _many("drive", "body_com").reshape(6, 3), _many("drive", "body_inertia").reshape(6, 6),
-        _many("drive", "rotor_inertia"), 1.0, _one("drive", "payload_mass"), _many("drive", "payload_com_F"), _many("drive", "payload_inertia"),
-        ZERO6, ZERO6, ZERO6, 30e-6, 0.02, 1.5, ZERO6, 8.0, 0.0, ZERO6,
-    )  # fmt: skip
+        p_FT,
+        _many("drive", "body_mass"),
+        _many("drive", "body_com").reshape(6, 3),
+        _many("drive", "body_inertia").reshape(6, 6),
+        _many("drive", "rotor_inertia"),
+        1.0,
+        _one("drive", "payload_mass"),
+        _many("drive", "payload_com_F"),
+        _many("drive", "payload_inertia"),
+    )
     return Cell(flexure, drive, cut, sensor, control, dynamics, 4)
 
 

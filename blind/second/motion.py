@@ -9,14 +9,15 @@ import numpy as np
 from scipy.signal import lfilter
 
 from robomill.blind.second.arm import A, D, jacobian, links
-from robomill.blind.second.kernel import FloatArray, compiled
+from robomill.blind.second.kernel import ZERO6, FloatArray, compiled
 
 GEAR = np.array([1798.0 / 7.0, 1872.0 / 7.0, 757.0 / 3.0, 221.0, 5032.0 / 21.0, 206793.0 / 1340.0])
 """FACTS 1.4."""
 SINGULAR = 0.05
 """|sin A5| below which the tool may turn a little so that its tip goes where it should (2.5 times the damping of 0.02)."""
 DAMPING = 0.02
-MOVING = 1e-9
+AXIS_LIMIT = math.radians(5.0)
+MOVING = 1e-12
 """Motion in a fine step [rad] that counts as one."""
 
 
@@ -30,33 +31,33 @@ class Drive(NamedTuple):
     """[6] rad, known to the controller."""
     limit: float
     """m, of each component of a correction."""
-    backlash: FloatArray
+    backlash: FloatArray = ZERO6
     """[6] rad, half gap that nobody knows of."""
-    backlash_spread: float
+    backlash_spread: float = 0.3
     """The contact closes gradually, between (1 - spread) and (1 + spread) of it."""
-    gear_error: FloatArray
+    gear_error: FloatArray = ZERO6
     """[6] rad."""
-    gear_order: FloatArray
-    gear_phase: FloatArray
-    offset: FloatArray
+    gear_order: FloatArray = np.ones(6)
+    gear_phase: FloatArray = ZERO6
+    offset: FloatArray = ZERO6
     """[6] rad."""
-    geometry: FloatArray
+    geometry: FloatArray = np.zeros(2)
     """[2] m, excess of link arm and forearm."""
-    reversal: FloatArray
+    reversal: FloatArray = ZERO6
     """[6] rad."""
-    reversal_time: float
-    reversal_power: float
-    coupling: FloatArray
+    reversal_time: float = 0.02
+    reversal_power: float = 1.0
+    coupling: FloatArray = np.zeros((6, 6))
     """[6,6], outside: link i moves with motor j."""
-    windup: FloatArray
+    windup: FloatArray = ZERO6
     """[6] rad (s/rad)^(1/2), outside: behind with the root of the speed."""
-    ringing: FloatArray
+    ringing: FloatArray = ZERO6
     """[6] rad, outside: a decaying oscillation after a reversal."""
-    ringing_omega: float
-    ringing_time: float
-    lag: float
+    ringing_omega: float = 60.0
+    ringing_time: float = 0.2
+    lag: float = 0.0
     """s, of the planned path, in all; `lag_order` 0 is a dead time."""
-    lag_order: int
+    lag_order: int = 1
 
 
 class DriveState(NamedTuple):
@@ -74,9 +75,11 @@ class DriveState(NamedTuple):
     start: FloatArray
 
 
-def standing(q: FloatArray) -> DriveState:
-    """Drives at rest at the axis angles q [6]."""
-    return DriveState(np.zeros((2, 9)), q.copy(), np.zeros(6), q.copy(), np.zeros(6), np.full(6, -1e3), np.zeros((4, 6)), q.copy())
+def standing(q: FloatArray, half_gap: FloatArray) -> DriveState:
+    """Drives at rest at the axis angles q [6], which were last moved upwards: the known gap [6] is closed on that side."""
+    gap = np.zeros((4, 6))
+    gap[0] = half_gap
+    return DriveState(np.zeros((2, 9)), q.copy(), np.ones(6), q + half_gap, np.zeros(6), np.full(6, -1e3), gap, q.copy())
 
 
 @compiled
@@ -86,7 +89,8 @@ def joint_correction(q: FloatArray, p_FT: FloatArray, x: FloatArray) -> FloatArr
     right = np.zeros(6)
     right[:3] = x
     if abs(math.sin(q[4])) >= SINGULAR:
-        return np.linalg.solve(J, right)
+        straight: FloatArray = np.linalg.solve(J, right).astype(np.float64)
+        return straight
     turning = J[3:].copy()
     K = np.zeros((9, 9))
     K[:6, :6] = turning.T.copy() @ turning + DAMPING**2 * np.eye(6)
@@ -94,7 +98,8 @@ def joint_correction(q: FloatArray, p_FT: FloatArray, x: FloatArray) -> FloatArr
     K[6:, :6] = J[:3]
     side = np.zeros(9)
     side[6:] = x
-    return np.linalg.solve(K, side)[:6].copy()
+    turning_too: FloatArray = np.linalg.solve(K, side)[:6].astype(np.float64)
+    return turning_too
 
 
 @compiled
@@ -143,7 +148,7 @@ def driven(
     `wanted` [9] is the correction that has arrived: m along B, and rad of the axes.
     """
     for i in range(9):
-        bound = c.limit if i < 3 else 0.0873
+        bound = c.limit if i < 3 else AXIS_LIMIT
         u = min(max(wanted[i], -bound), bound)
         # half a step with the old rate, half with the new one: second order in h
         force = c.omega**2 * (u - s.correction[0, i]) - 2.0 * c.damping * c.omega * s.correction[1, i]
@@ -172,7 +177,8 @@ def longer(q: FloatArray, p_FT: FloatArray, geometry: FloatArray) -> FloatArray:
     a[2] += geometry[0]
     d[3] += geometry[1]
     right, nominal = links(q, a, d), links(q, A, D)
-    return right[1][5] - nominal[1][5]
+    further: FloatArray = right[1][5] - nominal[1][5]
+    return further
 
 
 def followed(c: Drive, q: FloatArray, h: float) -> FloatArray:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from robomill.blind.second.cell import Cell
+from robomill.blind.second.kernel import FloatArray
 
 
 @dataclass(frozen=True)
@@ -20,10 +21,10 @@ class Outside:
     high: float
     unit: str
     part: str
-    field: str
+    number: str
     joints: int = 0
     """How many joints it may be in; 0: it is in none."""
-    text: str = field(default="", repr=False)
+    text: str = ""
 
     def draw(self, random: np.random.Generator) -> tuple[float, Callable[[Cell], Cell]]:
         """Strength, log-uniform, and the change of the cell."""
@@ -33,12 +34,12 @@ class Outside:
 
         def change(c: Cell) -> Cell:
             group = getattr(c, self.part)
-            old = getattr(group, self.field)
-            new = value
+            old = getattr(group, self.number)
+            new: float | FloatArray = value
             if isinstance(old, np.ndarray):
-                new = old.copy()
-                new[(joint, other) if old.ndim == 2 else joint] += value
-            return c._replace(**{self.part: group._replace(**{self.field: new})})
+                place = (joint, other) if old.ndim == 2 else (joint,)
+                new = old + value * (np.indices(old.shape) == np.reshape(place, (-1, *[1] * old.ndim))).all(axis=0)
+            return c._replace(**{self.part: group._replace(**{self.number: new})})
 
         return value, change
 

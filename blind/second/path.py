@@ -57,7 +57,7 @@ def play(table: FloatArray, h: float, p_FT: FloatArray, q_start: FloatArray, cyc
     end = float(table[-1, 0])
     per = round(cycle / h)
     n = int(np.ceil(end / cycle - 1e-9)) * per
-    t = h * np.arange(n + 1)
+    t: FloatArray = h * np.arange(n + 1, dtype=np.float64)
     time = np.minimum(t, end)
     rows = table[np.clip(np.searchsorted(table[:, 0], time, side="right") - 1, 0, len(table) - 1)]
     dt = time - rows[:, 0]
@@ -83,5 +83,5 @@ def resting(q: FloatArray, p_FT: FloatArray, duration: float, h: float, cycle: f
     n = int(np.ceil(duration / cycle)) * round(cycle / h) + 1
     p, R = tip(q, p_FT)
     quaternion = np.roll(Rotation.from_matrix(R).as_quat(canonical=True), 1)
-    t = h * np.arange(n)
+    t: FloatArray = h * np.arange(n, dtype=np.float64)
     return Played(t, np.tile(p, (n, 1)), np.tile(quaternion, (n, 1)), np.tile(q, (n, 1)), np.zeros((n, 3)), np.zeros(n), np.zeros(n), t)

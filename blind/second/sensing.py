@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robomill.blind.second.arm import cross, rotation, tip
-from robomill.blind.second.kernel import FloatArray, compiled
+from robomill.blind.second.kernel import ZERO3, FloatArray, compiled
 
 CYCLE = 0.004
 GRAVITY = 9.81
@@ -36,32 +36,32 @@ class Sensor(NamedTuple):
     hose_point: FloatArray
     cutoff: float
     """Hz."""
-    damping: float
+    damping: float = math.sqrt(0.5)
     """Of the low-pass; Butterworth has sqrt(1/2)."""
-    gain: FloatArray
+    gain: FloatArray = np.eye(6)
     """[6,6] what the channels show of the wrench, 1 without effects."""
-    turned: FloatArray
+    turned: FloatArray = ZERO3
     """[3] rad."""
-    zero: FloatArray
-    zero_share: float
-    zero_time: float
-    lag: float
+    zero: FloatArray = ZERO3
+    zero_share: float = 0.0
+    zero_time: float = 600.0
+    lag: float = 0.0
     """s, in all; of the order that `lag_order` says (0: dead time)."""
-    lag_order: int
-    extra_mass: float
-    extra_cog: FloatArray
-    inertia: float
-    inertia_filter: float
-    hose_force: float
-    hose_anchor: FloatArray
-    hose_rate: float
+    lag_order: int = 0
+    extra_mass: float = 0.0
+    extra_cog: FloatArray = ZERO3
+    inertia: float = 0.0
+    inertia_filter: float = 1.0
+    hose_force: float = 0.0
+    hose_anchor: FloatArray = ZERO3
+    hose_rate: float = 0.0
     """1/m, growth of the pull with the way to the anchor."""
-    clip: float
-    warming: float
-    warming_time: float
-    bow: float
+    clip: float = 0.0
+    warming: float = 0.0
+    warming_time: float = 3.0
+    bow: float = 0.0
     """1/kN, outside: the reading falls short of large forces."""
-    play: float
+    play: float = 0.0
     """N, outside: mechanical hysteresis of the sensor."""
 
 

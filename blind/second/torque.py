@@ -9,7 +9,7 @@ import numpy as np
 
 from robomill.blind.second.arm import SIGN, A, D, cross, links
 from robomill.blind.second.flexure import GRAVITY, gas_spring
-from robomill.blind.second.kernel import FloatArray, compiled
+from robomill.blind.second.kernel import ZERO6, FloatArray, compiled
 from robomill.blind.second.motion import GEAR
 
 
@@ -29,18 +29,18 @@ class Dynamics(NamedTuple):
     payload: float
     payload_com: FloatArray
     payload_inertia: FloatArray
-    viscous: FloatArray
-    coulomb: FloatArray
-    stribeck: FloatArray
-    presliding: float
+    viscous: FloatArray = ZERO6
+    coulomb: FloatArray = ZERO6
+    stribeck: FloatArray = ZERO6
+    presliding: float = 30e-6
     """rad over which friction builds up after a reversal."""
-    stribeck_speed: float
-    stribeck_power: float
-    cogging: FloatArray
+    stribeck_speed: float = 0.02
+    stribeck_power: float = 1.5
+    cogging: FloatArray = ZERO6
     """[6] N m at the motor, outside: torque periodic in the rotor angle."""
-    cogging_order: float
-    cogging_phase: float
-    load_friction: FloatArray
+    cogging_order: float = 8.0
+    cogging_phase: float = 0.0
+    load_friction: FloatArray = ZERO6
     """[6] 1, outside: friction that grows with the torque of the gear."""
 
 
