@@ -18,7 +18,7 @@ from robomill.orchestration.slaves.protocol import FloatArray, PortData
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.parameters import Convert
 
-ON_TIME, TOGETHER = 0.05, 0.25
+ON_TIME, ALL_APART = 0.05, 0.25
 """Parts of a communication step by which all but one in twenty of the stamps of a log may be apart from evenly spaced ones, and all of them
 together from the communication points: it was sampled at these points, whatever a late stamp says."""
 LEAST_STEPS = 20
@@ -145,7 +145,7 @@ def _without_jitter(t: FloatArray, step: float) -> FloatArray:
     for points in (np.round(t / step), count + np.round(np.median(t / step - count))):  # by the stamps, and by their order
         off = t / step - points
         middle = float(np.median(off))
-        if np.all(np.diff(points) == 1.0) and abs(middle) < TOGETHER and np.quantile(np.abs(off - middle), 0.95) < ON_TIME:
+        if np.all(np.diff(points) == 1.0) and abs(middle) < ALL_APART and np.quantile(np.abs(off - middle), 0.95) < ON_TIME:
             return np.asarray(points * step)
     return t
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from robomill.diagnosis.experiment.measured import ON_TIME
 from robomill.diagnosis.gate.checks import SINGLE, Finding
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -87,8 +88,10 @@ def compared(
     middle = np.median(stack, axis=0)
     rounding = (SINGLE * np.abs(stack).max(axis=(0, 1))) ** 2
     measured = np.median(((stack - middle) ** 2).mean(axis=1), axis=0)
-    usual = np.maximum(np.maximum(scatter(simulated), measured), rounding)
-    found, rate = [], np.gradient(middle, step, axis=0)
+    rate = np.gradient(middle, step, axis=0)
+    stamped = ((ON_TIME * step * rate) ** 2).mean(axis=0)  # a stamp that jitters moves a jump
+    usual = np.maximum(np.maximum(scatter(simulated), measured), rounding + stamped)
+    found = []
     for name, x, (late, error) in zip(names, stack, offsets(group, usual, step), strict=True):
         if abs(late) > max(SURE * error, 0.5 * step):
             text = f"{name} is {1e3 * late:.3g} ms (standard error {1e3 * error:.2g} ms) later than the median of the repeats; expected 0"

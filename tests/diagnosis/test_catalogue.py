@@ -219,7 +219,8 @@ def test_priors_are_densities(prior: Prior) -> None:
         (
             'component = "a"',
             'component = "logging"',
-            "expected 'KIND PATTERN' of the log, with KIND one of lag, smooth, gain, offset; found 'p[1]'",
+            "expected 'KIND PATTERN' of the log, with KIND one of lag, smooth, gain, offset, swap, sign, unit, rotate_1, rotate_2, "
+            "rotate_3; found 'p[1]'",
         ),
         ("[[effect]]", "[[effect", "not valid TOML"),
     ],

@@ -200,7 +200,7 @@ class TestGate:
 
         def kinds(measured: Any) -> list[str]:
             told = replace(run, columns={**run.columns, "sensors.y[2]": measured})
-            return [f.kind for f in gate.against_simulation(told, measured[:, None], simulated, ["sensors.y[2]"], 0.01, np.array([1e-3]))]
+            return [f.kind for f in gate.standstill(told, measured[:, None], simulated, ["sensors.y[2]"], 0.01, np.array([1e-3]))]
 
         assert kinds(noisy) == []
         assert kinds(stuck) == ["constant"]

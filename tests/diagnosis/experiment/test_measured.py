@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
-from robomill.diagnosis.gate import checks as gate
+from robomill.diagnosis.gate.checks import Finding
+from robomill.diagnosis.gate.repeats import compared
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import STEP, SYSTEM, measure
@@ -71,15 +72,20 @@ def test_runs_of_twenty_steps_are_long_enough() -> None:
         sort_by_condition(measure(repeats=2, seconds=19 * STEP), SYSTEM)
 
 
+def beside(group: list[FloatArray]) -> list[Finding]:
+    """What is said of four repeats beside a simulation without noise."""
+    return compared(group, [group[0]], [CHANNEL], ["a", "b", "c", "d"], SYSTEM.step)
+
+
 def test_repeats_that_are_equal_do_not_make_one_an_outlier_that_differs_by_rounding() -> None:
     runs = measure(repeats=4)
     exact = [replace(r, columns={CHANNEL: r.t + (1e-9 if k == 2 else 0.0)}) for k, r in enumerate(runs)]
     (condition,) = sort_by_condition(exact, SYSTEM)
-    assert gate.repeats(condition, [condition.matrix(r, [CHANNEL]) for r in exact], [CHANNEL]) == []
-    off = [replace(r, columns={CHANNEL: r.t + (0.01 if k == 2 else 0.0)}) for k, r in enumerate(runs)]
+    assert beside([condition.matrix(r, [CHANNEL]) for r in exact]) == []
+    off = [replace(r, columns={CHANNEL: r.t + (0.02 if k == 2 else 0.0)}) for k, r in enumerate(runs)]  # or two samples late
     (condition,) = sort_by_condition(off, SYSTEM)
-    (finding,) = gate.repeats(condition, [condition.matrix(r, [CHANNEL]) for r in off], [CHANNEL])
-    assert (finding.kind, finding.fatal) == ("repeat", True)
+    (finding,) = [f for f in beside([condition.matrix(r, [CHANNEL]) for r in off]) if f.fatal]
+    assert finding.kind == "repeat"
 
 
 def test_a_jump_that_one_repeat_has_a_part_of_a_sample_later_is_jitter() -> None:
@@ -87,8 +93,7 @@ def test_a_jump_that_one_repeat_has_a_part_of_a_sample_later_is_jitter() -> None
     jumped = (runs[0].t > 4.0).astype(float)
     late = jumped.copy()
     late[int(np.argmax(jumped))] = 0.97
-    (condition,) = sort_by_condition(runs, SYSTEM)
-    assert gate.repeats(condition, [x[:, None] for x in (jumped, jumped, late, jumped)], [CHANNEL]) == []
+    assert beside([x[:, None] for x in (jumped, jumped, late, jumped)]) == []
     much = np.roll(jumped, 2)
-    (finding,) = gate.repeats(condition, [x[:, None] for x in (jumped, jumped, much, jumped)], [CHANNEL])
+    (finding,) = [f for f in beside([x[:, None] for x in (jumped, jumped, much, jumped)]) if f.fatal]
     assert (finding.kind, finding.channel) == ("repeat", CHANNEL)

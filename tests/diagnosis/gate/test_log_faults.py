@@ -74,6 +74,12 @@ class TestJudged:
         assert kinds(VECTOR, np.zeros_like(VECTOR)) == []
         assert kinds(np.zeros_like(VECTOR), np.zeros_like(VECTOR)) == []
 
+    @pytest.mark.parametrize("late", [0.04, 0.08])
+    def test_a_dead_time_of_a_sensor_is_left_to_the_search(self, late: float) -> None:
+        x = VECTOR.copy()
+        observe(x, T, NAMES, "lag a.f", late)
+        assert kinds(x, VECTOR) == []
+
     def test_a_channel_that_is_wrong_anyway_is_not_judged(self) -> None:
         x = VECTOR * [-1.0, 1.0, 1.0]
         assert judged(x, VECTOR, NAMES, np.full(3, 1e-9), frozenset({0})) == []

@@ -103,8 +103,8 @@ class TestCompared:
     @pytest.mark.parametrize(("times", "kinds"), [(7.0, []), (13.0, [("repeat", True)])])
     def test_a_repeat_is_unlike_the_others_ten_times_as_far_as_simulated_ones(self, times: float, kinds: list[tuple[str, bool]]) -> None:
         """Measured ones with hardly any noise: what counts is what simulated ones scatter."""
-        other = SINE + times * 1e-3 * np.sqrt(2.0) * np.cos(18.0 * np.pi * T)[:, None]
-        assert self.said(*noisy(4, 1e-6), other) == kinds  # UNLIKE
+        other = SINE + times * 0.02 * np.sqrt(2.0) * np.cos(18.0 * np.pi * T)[:, None]
+        assert self.said(*noisy(4, 1e-5), other, simulated=noisy(8, 0.02, seed=2)) == kinds  # UNLIKE
 
     def test_of_two_repeats_none_is_unlike_the_others(self) -> None:
         assert self.said(SINE, 2.0 * SINE) == []
