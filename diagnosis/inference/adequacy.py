@@ -39,9 +39,12 @@ def left_by(before: float, after: float, misfit: float = MISFIT) -> float:
     """
     gap = max(before - LEVEL, 0.0)
     centre, width = (after - LEVEL) / (gap + 1e-12), SPREAD / (gap + 1e-12)
-    u = np.unique(np.clip(np.concatenate([np.linspace(0.0, 1.0, 201), centre + width * np.linspace(-8.0, 8.0, 201)]), 0.0, 1.0))
+    finely = np.concatenate(
+        [np.linspace(0.0, 1.0, 201), misfit * np.linspace(0.0, 10.0, 201), centre + width * np.linspace(-8.0, 8.0, 201)]
+    )
+    u = np.unique(np.clip(finely, 0.0, 1.0))
     log_likelihood = -0.5 * ((u - centre) / width) ** 2
-    step = np.log(np.maximum(np.gradient(u), 1e-300)) if len(u) > 1 else np.zeros(1)
+    step = np.log(np.convolve(np.diff(u), [0.5, 0.5]))  # of the trapezoidal rule
     b = 1.0 / misfit - 1.0
     right = math.log(b) + (b - 1.0) * np.log(np.maximum(1.0 - u, 1e-300))
     return float(logsumexp(log_likelihood + right + step) - logsumexp(log_likelihood + step))

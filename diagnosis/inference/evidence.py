@@ -254,9 +254,7 @@ def _whitening(
     rms = np.array([np.sqrt(sum((c * c).sum(axis=0) for c in change) / samples) for change in changes.values()])
     floor = np.array([TRUST * np.median(r[r > 1e-3 * r.max()]) if r.max() > 0.0 else 0.0 for r in rms.T])
     least = 1e-9 + 1e-6 * np.abs(np.concatenate([n[0] for n in nominals])).max(axis=0)  # what numbers are not good for
-    return whitening(groups, np.maximum(floor, least), begin, left)
-    least = np.where(floor > 0.0, 0.0, 1e-9 + 1e-6 * np.abs(np.concatenate([n[0] for n in nominals])).max(axis=0))
-    return whitening(groups, floor + least, begin, left, there)
+    return whitening(groups, np.maximum(floor, least), begin, left, there)
 
 
 def _scatter(group: Sequence[FloatArray], channels: int) -> FloatArray:

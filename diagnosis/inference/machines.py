@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import logsumexp
 
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
@@ -13,7 +14,7 @@ MACHINES = 2000
 
 
 def p_none(search: Search, log_odds: float, seed: int = 0) -> float:
-    """Part of simulated machines without effects whose largest log odds for a single effect are at least `log_odds`.
+    """Part of simulated machines without effects whose log odds for any single effect are at least `log_odds`.
 
     Of a machine with whitened residual y, only the products with the sensitivities V count: <V, y>. Where noise and tolerances are what the
     space takes them for these are N(0, <V, V>), whatever the number of samples. The rank is (1 + those above) / (1 + MACHINES).
@@ -26,12 +27,12 @@ def p_none(search: Search, log_odds: float, seed: int = 0) -> float:
     values, vectors = np.linalg.eigh(gram)
     draws = np.random.default_rng(seed).standard_normal((MACHINES, len(gram)))
     products = draws @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
-    best = np.full(MACHINES, -np.inf)
+    odds = []
     nominal = log_priors([()], search.candidates)[0]
     for c, prior in zip(search.candidates, log_priors([(c,) for c in search.candidates], search.candidates), strict=True):
         at = [columns[a] for a in c.addresses]
-        best = np.maximum(best, _log_evidence(products[:, at], gram[np.ix_(at, at)], c.both_signs) + prior - nominal)
-    return float((1 + (best >= log_odds).sum()) / (1 + MACHINES))
+        odds.append(_log_evidence(products[:, at], gram[np.ix_(at, at)], c.both_signs) + prior - nominal)
+    return float((1 + (logsumexp(odds, axis=0) >= log_odds).sum()) / (1 + MACHINES))
 
 
 def _log_evidence(products: FloatArray, gram: FloatArray, both_signs: bool) -> FloatArray:

@@ -138,8 +138,8 @@ class Search:
         `linear`: the linear fits of the same models. Where an effect takes the noise out, a single simulation looks worse than it is, so
         the better of both evidences counts for which ones are the best.
         """
-        if not self.simulator.laboratory.seeds:
-            return list(fits)
+        if not self.simulator.laboratory.seeds:  # there is no noise to take out, and what has been simulated holds
+            return [f if f.signature is None or f.sensitivities is None else self._about(f, f.signature, f.sensitivities) for f in fits]
         polished = []
         best = max((f.log_evidence for f in fits), default=0.0)
         expected = {f.model: max(f.log_evidence, p.log_evidence) for f, p in zip(fits, linear, strict=True)}

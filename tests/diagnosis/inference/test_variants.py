@@ -13,7 +13,8 @@ from scipy.signal import lfilter
 
 from robomill.diagnosis.catalogue import COS, SIN, Address, Candidate, Catalogue, Prior, Shape, physical, zoomed
 from robomill.diagnosis.experiment.simulation import Simulator, setting
-from robomill.diagnosis.inference.estimation import Fit, probabilities
+from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.priors import probabilities
 from robomill.diagnosis.inference.search import Search
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import STEP
