@@ -9,11 +9,15 @@ from scipy.special import logsumexp
 
 from robomill.diagnosis.catalogue import LOGGING
 from robomill.diagnosis.inference.estimation import Model
+from robomill.diagnosis.inference.evidence import FORM
+from robomill.orchestration.slaves.protocol import FloatArray
 
 LEVEL, SPREAD = 1.1, 0.1
 """chi2 over that of noise [1] that two systems which are the same but for calibration leave, and its standard deviation."""
 MISFIT = 0.05
 """Mean share [1] of a gap that a right model leaves, because its law is not quite that of the machine: a fifth of the amplitude."""
+KEEPS = 0.5
+"""Standard deviation of the amplitude of a stand-in in other conditions [1]: it does there what it does here more or less by half."""
 EXACT = 0.005
 """The same where a fault of the log is part of the model: what a late clock or a filter does to a log is no law that could be wrong."""
 
@@ -21,6 +25,22 @@ EXACT = 0.005
 def misfit(model: Model) -> float:
     """Mean share [1] of a gap that this model leaves where it is right."""
     return EXACT if any(c.component == LOGGING for c in model) else MISFIT
+
+
+def agreement(amplitudes: FloatArray, precisions: FloatArray) -> float:
+    """Log Bayes factor for a right model against a stand-in, from the amplitudes a that its signature has in several conditions, [k] each.
+
+    Right: a_i ~ N(m, 1 / precision_i + FORM^2), with the same m everywhere, which may be anything. A stand-in: KEEPS in place of FORM.
+    """
+
+    def log_evidence(own: float) -> float:
+        variance = 1.0 / precisions + own * own
+        mean = float((amplitudes / variance).sum() / (1.0 / variance).sum())
+        return -0.5 * float(np.log(variance).sum() + ((amplitudes - mean) ** 2 / variance).sum() + np.log((1.0 / variance).sum()))
+
+    shown = precisions > 0.0
+    amplitudes, precisions = amplitudes[shown], precisions[shown]
+    return log_evidence(FORM) - log_evidence(KEEPS) if len(amplitudes) > 1 else 0.0
 
 
 def unexplained(before: float, after: float) -> float:

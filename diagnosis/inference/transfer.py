@@ -17,15 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from robomill.diagnosis.experiment.simulation import setting
-from robomill.diagnosis.inference.adequacy import MISFIT, left_by, misfit
+from robomill.diagnosis.inference.adequacy import KEEPS, MISFIT, left_by, misfit
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.evidence import gather
 from robomill.diagnosis.inference.search import POLISH, Search
 from robomill.diagnosis.inference.sensitivities import NOMINAL, TOLERANCES, changed
 from robomill.orchestration.slaves.protocol import FloatArray
-
-KEEPS = 0.5
-"""Standard deviation of the amplitude of a stand-in in new conditions [1]: it does there what it does here more or less by half."""
 
 
 @dataclass(frozen=True)

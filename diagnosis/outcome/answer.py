@@ -25,6 +25,7 @@ from robomill.diagnosis.localisation.replay_attribution import Reading
 from robomill.diagnosis.localisation.swap import Share
 from robomill.diagnosis.localisation.where import Where
 from robomill.diagnosis.outcome.closure import HowFar
+from robomill.diagnosis.outcome.families import Family
 from robomill.diagnosis.outcome.next_run import NextRun
 from robomill.diagnosis.outcome.verdict import Tests, Verdict
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
@@ -135,6 +136,8 @@ class Answer:
     """Largest share first."""
     which: tuple[Which, ...] = ()
     """Likeliest first."""
+    families: tuple[Family, ...] = ()
+    """Effects that count as one, or that cannot be told apart; likeliest first."""
     how_far: tuple[HowFar, ...] = ()
     next_run: NextRun | None = None
     isolability: tuple[Pair, ...] | None = None

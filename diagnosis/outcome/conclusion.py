@@ -26,6 +26,7 @@ from robomill.diagnosis.localisation.swap import shapley
 from robomill.diagnosis.localisation.where import Located, Where, combined, direction_of, located
 from robomill.diagnosis.outcome import next_run
 from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Menu, Unknown, Visible, Which, curves_of, titles_of
+from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, how_far, metrics
 from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, over_noise, tested
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -112,7 +113,16 @@ class Conclusion:
             self.search.evidence.whitening.guessed,
         )
         which = self.which(marginal, pairs)
-        answer = Answer(verdict, tuple(self.findings), which=which, isolability=tuple(pairs), gap=gap, transfer=moved, tests=tests)
+        answer = Answer(
+            verdict,
+            tuple(self.findings),
+            which=which,
+            isolability=tuple(pairs),
+            gap=gap,
+            transfer=moved,
+            tests=tests,
+            families=self.families(tests.p_fit),
+        )
         acts = verdict in ("identified", "ambiguous", "unknown")
         adopted = physical(self.best.values) if acts else {}
         if verdict == "none":
@@ -140,6 +150,12 @@ class Conclusion:
         sizes = {a: size for c in fit.model for a, size in c.sizes(fit.values).items()}
         doubt = max(math.hypot(BIAS, WIDER * fit.deviations[a] / (size + 1e-300)) for a, size in sizes.items())
         return transfer(self.search, self.groups, fit, min(doubt, 1.0))
+
+    def families(self, p_fit: float) -> tuple[Family, ...]:
+        """Families with a probability of LISTED or more, `p_fit` included."""
+        found = families(self.fits, self.weights, self.search.evidence.space, self.search.candidates)
+        scaled = [replace(f, probability=p_fit * f.probability, members={n: p_fit * p for n, p in f.members.items()}) for f in found]
+        return tuple(f for f in scaled if f.probability >= LISTED)
 
     def which(self, marginal: Mapping[Candidate, float], pairs: Sequence[isolability.Pair]) -> tuple[Which, ...]:
         """Every candidate with a probability of LISTED or more."""

@@ -12,10 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 from scipy.special import expit
 
 from robomill.diagnosis.catalogue import Candidate
-from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, left_by, misfit
+from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, agreement, left_by, misfit
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
@@ -57,10 +58,23 @@ def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: floa
     """The tests of an answer; `nothing`: probability of the nominal model by the diagnosed runs, `moved`: new conditions."""
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
     fits = math.log((1.0 - OUTSIDE) / OUTSIDE) + left_by(over_noise(search, nominal), over_noise(search, best), misfit(best.model))
+    fits += held_together(search, best)
     if moved is not None:
         odds += moved.gain
         fits += moved.worth
     return Tests(alpha, p_none, float(expit(fits)), float(expit(-odds)))
+
+
+def held_together(search: Search, fit: Fit) -> float:
+    """Log Bayes factor for a right model against a stand-in, from how alike its amplitude is in all diagnosed conditions (`agreement`)."""
+    if not fit.model or fit.signature is None:
+        return 0.0
+    space = search.evidence.space.without(list(fit.values))
+    parts = np.zeros((space.y.size, len(space.blocks)))
+    for i, block in enumerate(space.blocks.values()):
+        parts[block, i] = fit.signature[block]
+    sizes, left = np.diag(space.dot(parts, parts)), space.dot(parts, (space.y - fit.signature)[:, None])[:, 0]
+    return agreement(1.0 + left / np.maximum(sizes, 1e-300), sizes)
 
 
 def judged(

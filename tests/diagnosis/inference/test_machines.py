@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 from scipy.stats import kstest
 
 from robomill.diagnosis.catalogue import COS, SIN, Candidate
@@ -42,14 +43,14 @@ def search(candidates: tuple[Candidate, ...], columns: FloatArray, nuisances: Fl
 
 
 def best_odds(of: Any, y: FloatArray) -> float:
-    """Largest log odds for a single effect: the density of normal distributions, and priors."""
+    """Log odds for any single effect: the density of normal distributions, and priors."""
     nuisances = of.evidence.space.nuisances.toarray()
     nominal = log_density(y, nuisances) + log_priors([()], of.candidates)[0]
     odds = []
     for c, prior in zip(of.candidates, log_priors([(c,) for c in of.candidates], of.candidates), strict=True):
         own = np.stack([of.evidence.sensitivities[a] for a in c.addresses], axis=1)
         odds.append(log_density(y, nuisances, own) + prior - nominal)
-    return max(odds)
+    return float(logsumexp(odds))
 
 
 PHASED = replace(candidate("p", "runout"), parameters=(f"p{COS}phase", f"p{SIN}phase"))
