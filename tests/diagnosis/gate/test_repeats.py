@@ -113,3 +113,13 @@ class TestCompared:
     def test_a_repeat_whose_clock_was_started_later_is_noted_and_not_stopped(self) -> None:
         late = np.interp(T - 0.8 * STEP, T, SINE[:, 0])[:, None]
         assert self.said(*noisy(3), late) == [("offset", False)]
+
+    @pytest.mark.parametrize("phases", [(0.3, 2.1, -1.6, 3.0), (0.0, 0.1, 3.0), (1.0, 1.0, 1.2, -2.0)])
+    def test_a_phase_that_is_another_in_every_run_stops_no_log(self, phases: tuple[float, ...]) -> None:
+        """A runout: a hundred times the noise, of which the simulation knows that it differs from run to run."""
+        rng = np.random.default_rng(3)
+        turned = [x + 0.1 * np.sin(40.0 * np.pi * T + p)[:, None] for x, p in zip(noisy(6), phases, strict=False)]
+        known = [x + 0.1 * np.sin(40.0 * np.pi * T + rng.uniform(-np.pi, np.pi))[:, None] for x in noisy(8, seed=2)]
+        assert not any(fatal for _, fatal in self.said(*turned, simulated=known))
+        if len({round(p) for p in phases}) > 3:  # most repeats differ: nothing is odd, whatever the simulation knows
+            assert not any(fatal for _, fatal in self.said(*turned))
