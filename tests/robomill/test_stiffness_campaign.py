@@ -111,7 +111,8 @@ def with_loads(source: str, name: str) -> Slave:
     }
     units = {"q": "rad", "f": "N"}
     ports = [PortData(port, "output", unit=units[port[0]], start=0.0) for port in series]
-    return Playback.of_series(name, ports, series, STATIC.step * np.arange(len(loads.q) * HELD))
+    times = np.asarray(STATIC.step * np.arange(len(loads.q) * HELD), dtype=np.float64)
+    return Playback.of_series(name, ports, series, times)
 
 
 @pytest.mark.slow
