@@ -78,9 +78,10 @@ def diagnosed(campaign: Campaign, store: Store | None = None) -> Answer:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("joint", "error"), [(2, 0.15), (3, -0.3)])
-def test_a_stiffness_error_is_found_and_placed(joint: int, error: float) -> None:
-    answer = diagnosed(measured(joint, error, seed=10 * joint))
+@pytest.mark.parametrize(("joint", "error", "seed"), [(2, 0.15, 500), (1, 0.15, 501), (3, 0.15, 502)])
+def test_a_stiffness_error_is_found_and_placed(joint: int, error: float, seed: int) -> None:
+    """The machines of docs/campaigns.md, which says what they show and what not."""
+    answer = diagnosed(measured(joint, error, seed))
     first = answer.which[0]
     assert answer.verdict in ("identified", "ambiguous")
     assert (first.effect, first.location) == ("stiffness_error", f"joint {joint}")
@@ -110,7 +111,8 @@ def with_loads(source: str, name: str) -> Slave:
     }
     units = {"q": "rad", "f": "N"}
     ports = [PortData(port, "output", unit=units[port[0]], start=0.0) for port in series]
-    return Playback.of_series(name, ports, series, STATIC.step * np.arange(len(loads.q) * HELD))
+    times = np.asarray(STATIC.step * np.arange(len(loads.q) * HELD), dtype=np.float64)
+    return Playback.of_series(name, ports, series, times)
 
 
 @pytest.mark.slow
