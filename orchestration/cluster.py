@@ -17,7 +17,7 @@ def connect(scheduler: str) -> Any:
         raise ValueError(f"--scheduler {scheduler}: needs Dask; install it with: pip install robomill[cluster]") from None
     dask: Any = distributed  # it has no types
     try:
-        return dask.Client(scheduler, timeout=SECONDS, set_as_default=False)
+        return dask.Client(scheduler, timeout=SECONDS)
     except (OSError, ValueError) as error:
         raise ValueError(
             f"--scheduler {scheduler}: no Dask scheduler there ({error}); expected an address such as tcp://host:8786, "

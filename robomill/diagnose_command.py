@@ -65,10 +65,12 @@ def run(options: Namespace) -> int:
     """Exit status 0: answered; 1: the log is not usable."""
     from robomill.progress import progress_bar
 
+    _check_named(options)
+    file = catalogue_file(options)
     campaign = campaign_of(options)
     system = campaign.system
     systems = [system, *(p.system for p in campaign.parts if p.system is not system)]
-    catalogue = catalogue_of(*systems, file=catalogue_file(options))
+    catalogue = catalogue_of(*systems, file=file)
     store = Store(options.out / SIMULATIONS, sources(*systems))
     if len(store) and not options.json:
         print(
@@ -124,15 +126,20 @@ def _check(options: Namespace, campaign: Campaign, catalogue: Catalogue, store: 
     return 0
 
 
-def campaign_of(options: Namespace) -> Campaign:
-    """The campaign that is named, or that of a system and its runs. ValueError where both are given, or neither."""
-    if options.campaign is None:
-        if options.system is None or not options.runs:
-            raise ValueError("expected SYSTEM.toml RUN..., or --campaign FILE.toml: nothing to diagnose is named")
-        return Campaign.of(load_system(options.system), [Run.load(f) for f in options.runs], [Run.load(f) for f in options.held_out])
-    if given := [str(f) for f in (options.system, *options.runs, *options.held_out) if f is not None]:
+def _check_named(options: Namespace) -> None:
+    """ValueError where both a campaign and a system with runs are named, or neither."""
+    if options.campaign is None and not (options.system and options.runs):
+        raise ValueError("expected SYSTEM.toml RUN..., or --campaign FILE.toml: nothing to diagnose is named")
+    given = [str(f) for f in (options.system, *options.runs, *options.held_out) if f is not None]
+    if options.campaign is not None and given:
         raise ValueError(f"--campaign {options.campaign} names systems and runs itself; {given[0]} is one more: put it into the file")
-    return load_campaign(options.campaign, load_system)
+
+
+def campaign_of(options: Namespace) -> Campaign:
+    """The campaign that is named, or that of a system and its runs."""
+    if options.campaign is not None:
+        return load_campaign(options.campaign, load_system)
+    return Campaign.of(load_system(options.system), [Run.load(f) for f in options.runs], [Run.load(f) for f in options.held_out])
 
 
 def catalogue_file(options: Namespace) -> Path:

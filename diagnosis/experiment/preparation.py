@@ -39,9 +39,9 @@ class _Settable:
     """The parameters of a system as it is in one condition."""
 
     units: dict[Address, str]
-    """Of each element."""
+    """Unit of each element."""
     values: dict[Address, float]
-    """Of each real element [unit]."""
+    """Value of each real element [unit]."""
 
     @property
     def names(self) -> frozenset[Address]:

@@ -11,7 +11,7 @@ import pytest
 
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
-from robomill.cell.experiments import folder_of, is_experiment, known_parameters, load_experiment, remarks, run_condition
+from robomill.cell.experiments import folder_of, is_experiment, known_parameters, load_experiment, remarks, run_condition, run_experiment
 from robomill.cell.milling import with_parameters
 from robomill.cell.scenario import ScenarioError
 from robomill.cli import main
@@ -21,6 +21,7 @@ from robomill.models.components.applied_load import MODEL
 from robomill.models.model.declaration import record
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import base_name
 from tests import ROOT
 from tests.tolerances import ROUNDOFF
 
@@ -219,3 +220,10 @@ class TestAppliedLoad:
         assert "the times of the profile do not increase from row 1 (counted from zero) to the next" in MODEL.message(
             status, record(data), math.nan
         )
+
+
+def test_only_the_columns_that_are_named_are_recorded(tmp_path):
+    experiment = replace(load_experiment(ROOT / "scenarios" / "next_runs" / "loads.toml"), columns=("drive.q_motor",), repeats=1)
+    (summary,) = run_experiment(experiment, tmp_path, ["static push along x"])
+    assert {base_name(c) for c in Run.load(tmp_path / summary.folder).columns} == {"drive.q_motor"}
+    assert summary.max_displacement_m is summary.max_force_n is None

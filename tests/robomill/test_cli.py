@@ -187,6 +187,14 @@ class TestBadInput:
         told = refused(capsys, "diagnose", str(SCENARIOS / "milling_cell.toml"), "runs", "--catalogue", "mine.toml")
         assert "no catalogue mine.toml; without --catalogue it is catalogue.toml beside the system, or the milling cell's" in told
 
+    def test_a_diagnosis_is_of_a_campaign_or_of_a_system_and_its_runs(self, cell, capsys):
+        system = str(SCENARIOS / "milling_cell.toml")
+        for given in ((), (system,)):
+            assert "expected SYSTEM.toml RUN..., or --campaign FILE.toml" in refused(capsys, "diagnose", *given)
+        told = refused(capsys, "diagnose", system, "--campaign", "c.toml")
+        assert f"--campaign c.toml names systems and runs itself; {system} is one more: put it into the file" in told
+        assert "no campaign c.toml" in refused(capsys, "diagnose", "--campaign", "c.toml")
+
     def test_static_loads_replace_nothing_unasked(self, tmp_path, monkeypatch, capsys):
         (tmp_path / "summary.json").write_text("{}")
         arguments = ("run", str(SCENARIOS / "static_loads.toml"), "--no-pictures", "--out", str(tmp_path))

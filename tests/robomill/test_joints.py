@@ -72,10 +72,10 @@ def measure(folder: Path, effects: Sequence[Instance]) -> list[Run]:
     rng, made = np.random.default_rng(5), []
     names = [c for c in clean.columns if base_name(c) in (*MEASURED, TRACKER) and clean.ports[c].type == "real"]
     sensor = {"sensor.f_S_raw": 0.5, "sensor.m_S_raw": 0.05, "sensor.f_T_T": 0.3, "sensor.m_T_T": 0.03}
-    for _ in range(3):
+    for k in range(3):
         size = {c: NOISE[base_name(c)][0] if base_name(c) in NOISE else sensor.get(base_name(c), 0.0) for c in names}
         columns = {c: clean.columns[c] + size[c] * rng.normal(size=len(clean.t)) for c in names}
-        made.append(Run(folder, clean.t, columns, clean.ports, {"parameters": known(CUT, "segments.npy")}))
+        made.append(Run(folder / f"run{k}", clean.t, columns, clean.ports, {"parameters": known(CUT, str(folder / "segments.npy"))}))
     return made
 
 
