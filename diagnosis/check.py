@@ -4,7 +4,8 @@ The sensitivities are those that a diagnosis begins with; nothing is fitted. Wha
 at its usual size, or where another can stand for it:
 
 - repeats: noise falls with their number, tolerances do not;
-- channels: outputs of the systems that are not measured, taken to be as noisy, for their range, as the measured ones are (median).
+- channels: outputs of the systems that are not measured, taken to be as noisy, for their range, as the measured ones are (median);
+- runs: the kinds of runs that the next one is designed from, as they begin, by themselves.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 
 from robomill.diagnosis.catalogue import Address, Candidate, Catalogue
 from robomill.diagnosis.experiment.campaign import Campaign
+from robomill.diagnosis.experiment.design import Design, Kind
 from robomill.diagnosis.experiment.preparation import Prepared, prepared
 from robomill.diagnosis.experiment.simulation import Laboratory, Report, Simulator
 from robomill.diagnosis.experiment.store import Store
@@ -29,6 +31,7 @@ from robomill.diagnosis.inference.isolability import CONFUSABLE
 from robomill.diagnosis.inference.sensitivities import Sensitivities, changed
 from robomill.diagnosis.inference.visibility import SHOWS, Seen, Sight, settled
 from robomill.diagnosis.outcome.answer import Effort, effort_of
+from robomill.diagnosis.outcome.next_run import laboratory as laboratory_of
 from robomill.orchestration.assembly import Resolver, run
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 from robomill.orchestration.system.parameters import Convert, same_unit_only
@@ -38,11 +41,13 @@ CHECK_SCHEMA = "robomill-check/1"
 
 @dataclass(frozen=True)
 class Help:
-    """An array that is not measured."""
+    """An array that is not measured, or a kind of run as it begins."""
 
     name: str
     distance: float
     """Deviations of noise between the effect, at the size that is looked at, and what it is nearest to."""
+    minutes: float = 0.0
+    """What a run takes; 0 for an array."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +73,8 @@ class Shown:
     repeats: int | None
     """Repeats of each condition with which the usual size shows, if nothing else changes; None: no number of them is enough."""
     channels: list[Help]
-    """What would show it, or tell it apart; the best first."""
+    runs: list[Help]
+    """What would show it, or tell it apart; the best first, runs by the squared distance per minute."""
 
 
 @dataclass(frozen=True)
@@ -110,8 +116,9 @@ def check(
     workers: int = 1,
     report: Report | None = None,
     store: Store | None = None,
+    kinds: Sequence[Kind] = (),
 ) -> Checked:
-    """What the runs of a campaign can show; DataError where they do not fit their systems."""
+    """What the runs of a campaign can show; DataError where they do not fit their systems. `kinds`: runs that could be made."""
     began = time.monotonic()
     start = prepared(campaign, catalogue, resolver, convert)
     laboratory, n = start.laboratory, start.n
@@ -125,9 +132,14 @@ def check(
         wanting = [s for s in sights if _state(s) != "shows" or s.alike]
         with _wider(laboratory, n, simulator) as wide:
             channels = _channels(start, found.evidence, wide, wanting, groups)
+        runs, more = _runs(kinds, found.evidence, simulator, wanting)
         effort = effort_of(began, simulator)
         repeats = {laboratory.conditions[i].name: len(g) for i, g in enumerate(groups)}
-        effects = tuple(s for sight in sights for s in _shown(sight, min(repeats.values()), channels.get(sight.candidate, [])))
+        effects = tuple(
+            s
+            for sight in sights
+            for s in _shown(sight, min(repeats.values()), channels.get(sight.candidate, []), runs.get(sight.candidate, []))
+        )
         here = {c.name for c in found.candidates}
         active = [c for c, on in zip(laboratory.channels, found.evidence.active, strict=True) if on]
         silent = [c for c, on in zip(laboratory.channels, found.evidence.active, strict=True) if not on]
@@ -141,7 +153,11 @@ def check(
             _sets(sights),
             tuple(_missing(repeats, found.evidence, effects)),
             start.skipped,
-            replace(effort, simulations=effort.simulations + wide.count, taken_over=effort.taken_over + wide.found),
+            replace(
+                effort,
+                simulations=effort.simulations + wide.count + more.simulations,
+                taken_over=effort.taken_over + wide.found + more.taken_over,
+            ),
         )
 
 
@@ -150,7 +166,7 @@ def _state(sight: Sight) -> str:
     return "shows" if least <= sight.candidate.prior.scale else "if large" if sight.visible else "not"
 
 
-def _shown(sight: Sight, repeats: int, channels: list[Help]) -> list[Shown]:
+def _shown(sight: Sight, repeats: int, channels: list[Help], runs: list[Help]) -> list[Shown]:
     c, fixed = sight.candidate, sight.by_tolerance
     listed = []
     for name, smallest in sight.smallest.items():
@@ -161,7 +177,20 @@ def _shown(sight: Sight, repeats: int, channels: list[Help]) -> list[Shown]:
         state = _state(sight)
         listed.append(
             Shown(
-                c.effect, c.component, c.location, name, c.unit, smallest, c.prior.scale, c.maximum, fixed, state, alike, needed, channels
+                c.effect,
+                c.component,
+                c.location,
+                name,
+                c.unit,
+                smallest,
+                c.prior.scale,
+                c.maximum,
+                fixed,
+                state,
+                alike,
+                needed,
+                channels,
+                runs,
             )
         )
     return listed
@@ -199,10 +228,11 @@ def _missing(repeats: Mapping[str, int], evidence: Evidence, effects: Sequence[S
         more = max((e.repeats for e in effects if e.state != "shows" and e.repeats is not None), default=0)
         few = f"; repeats alone would show {len(helped)} of them, with {more} of each condition all of these" if helped else ""
         out.append(f"excitation: {len(hidden)} of {len({(e.effect, e.location) for e in effects})} do not show at their usual size{few}")
-    counts = Counter(e.channels[0].name for e in effects if e.channels)
-    if counts:
-        best = sorted(counts.items(), key=lambda item: (-item[1], item[0]))[:3]
-        out.append(f"channels: {', '.join(f'{name} would show or split {n}' for name, n in best)}")
+    for what, first in (("channels", [e.channels[:1] for e in effects]), ("runs", [e.runs[:1] for e in effects])):
+        counts = Counter(h.name for helps in first for h in helps)
+        if counts:
+            best = sorted(counts.items(), key=lambda item: (-item[1], item[0]))[:3]
+            out.append(f"{what}: {', '.join(f'{name} would show or split {n}' for name, n in best)}")
     return out
 
 
@@ -243,9 +273,37 @@ def _channels(
             if extent > 0.0:
                 weights = [math.sqrt(len(g) / DEPENDENCE) / (noise * extent) for g in groups]
                 helps.append(Help(array, _apart(s, changes, members, weights)))
-        limit = SHOWS if _state(s) != "shows" else CONFUSABLE
-        found[s.candidate] = sorted((h for h in helps if h.distance >= limit), key=lambda h: -h.distance)[:3]
+        found[s.candidate] = sorted((h for h in helps if h.distance >= _limit(s)), key=lambda h: -h.distance)[:3]
     return found
+
+
+def _runs(
+    kinds: Sequence[Kind], evidence: Evidence, simulator: Simulator, wanting: Sequence[Sight]
+) -> tuple[dict[Candidate, list[Help]], Effort]:
+    """Kinds of runs that would show a candidate at the size that is looked at, or tell it from all that are like it; and what that took."""
+    scales = {a: c.prior.scale for s in wanting for c in (s.candidate, *s.alike) for a in c.addresses}
+    if not kinds or not scales:
+        return {}, Effort()
+    offers = [Design(k, tuple(q.start for q in k.quantities)).offer() for k in kinds]
+    with simulator.beside(laboratory_of(simulator.laboratory, offers)) as beside:
+        every = range(len(kinds))
+        nominals = [b for b in beside.repeated(every, (), 1, "other runs") if b is not None]
+        changes = changed(beside, every, scales, nominals, "other runs")
+    apply, active = evidence.whitening.apply, evidence.active
+    white = {
+        a: [apply(c[:, active], k.repeats / DEPENDENCE).reshape(-1, 1) for c, k in zip(change, kinds, strict=True)]
+        for a, change in changes.items()
+    }
+    found: dict[Candidate, list[Help]] = {}
+    for s in wanting:
+        helps = [Help(k.name, _apart(s, white, [0], [float(i == j) for j in every]), k.minutes) for i, k in enumerate(kinds)]
+        found[s.candidate] = sorted((h for h in helps if h.distance >= _limit(s)), key=lambda h: -(h.distance**2) / h.minutes)[:3]
+    return found, Effort(0.0, beside.count, beside.found)
+
+
+def _limit(sight: Sight) -> float:
+    """Distance from which it is shown, or told apart."""
+    return SHOWS if _state(sight) != "shows" else CONFUSABLE
 
 
 def _apart(sight: Sight, changes: Mapping[Address, list[FloatArray]], members: Sequence[int], weights: Sequence[float]) -> float:

@@ -46,7 +46,7 @@ def _row(places: list[Shown]) -> tuple[str, ...]:
     sizes = sorted(p.smallest for p in places)
     span = [units.quantity(size, unit) for size in (sizes[:1] if len(sizes) == 1 else (sizes[0], sizes[-1]))]
     shares = sorted({round(100.0 * p.by_tolerance) for p in places})
-    helps = dict.fromkeys(p.channels[0].name for p in places if p.channels)
+    helps = dict.fromkeys(h.name for p in places for h in (*p.channels[:1], *p.runs[:1]))
     hidden = [(_together([p.location for p in places if p.state == state]), end) for state, end in (("if large", ""), ("not", " (never)"))]
     return (
         _together([p.location for p in places if p.state == "shows"]) or "-",

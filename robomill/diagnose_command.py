@@ -78,7 +78,7 @@ def run(options: Namespace) -> int:
         )
     kinds = kinds_file(options)
     if options.check:
-        return _check(options, campaign, catalogue, store)
+        return _check(options, campaign, catalogue, store, kinds)
     with progress_bar(options.json) as progress, TemporaryDirectory() as folder:
         try:
             found = diagnose_campaign(
@@ -108,15 +108,17 @@ def run(options: Namespace) -> int:
     return 1 if found.answer.verdict == "bad_log" else 0
 
 
-def _check(options: Namespace, campaign: Campaign, catalogue: Catalogue, store: Store) -> int:
+def _check(options: Namespace, campaign: Campaign, catalogue: Catalogue, store: Store, kinds: Path) -> int:
     """What the runs can show. The simulations stay where they are: the diagnosis takes them over."""
     from robomill.check_table import show
     from robomill.progress import progress_bar
 
     if options.repair:
         raise ValueError("--repair goes with a diagnosis, which --check does not make; leave one of them out")
-    with progress_bar(options.json) as progress:
-        found = check(campaign, catalogue, resolver=resolve, convert=convert, workers=max(1, options.jobs), report=progress, store=store)
+    with progress_bar(options.json) as progress, TemporaryDirectory() as folder:
+        made = menu(campaign.system, Path(folder), kinds).kinds()
+        jobs = max(1, options.jobs)
+        found = check(campaign, catalogue, resolver=resolve, convert=convert, workers=jobs, report=progress, store=store, kinds=made)
     if options.json:
         print(as_json(found.result))
     else:

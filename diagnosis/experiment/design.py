@@ -101,7 +101,8 @@ def searched(kinds: Sequence[Kind], worth: Worth, most: Callable[[Kind], float],
     for kind in sorted(kinds, key=lambda k: (k.minutes, k.name)):
         if most(kind) > max(found.values(), default=-np.inf):
             looked_at([Design(kind, tuple(q.start for q in kind.quantities))])
-    for here in sorted((d for d, w in found.items() if w > 0.0), key=lambda d: -found[d]) or list(found):
+    for begun in sorted((d for d, w in found.items() if w > 0.0), key=lambda d: -found[d]) or list(found):
+        here = begun
         for part in STEPS:
             for i in random.permutation(len(here.kind.quantities)):
                 if most(here.kind) <= max(found.values()) or len(found) >= budget:

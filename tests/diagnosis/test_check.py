@@ -21,7 +21,7 @@ from robomill.diagnosis.outcome.answer import as_json
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
 from tests.diagnosis.demo import NOISE, RANGE, SYSTEM, catalogue, measure, resolve
-from tests.diagnosis.outcome.test_next_run import TWINS
+from tests.diagnosis.outcome.test_next_run import TWINS, kinds
 
 
 def checked(folder: Path, runs: list[Run], more: str = "", **options: Any) -> Checked:
@@ -91,6 +91,14 @@ class TestSets:
         assert [h.name for h in twin.channels] == ["force.f", "masses.x"]
         assert of(found, "stiffness", "spring 1").confusable_with == []
         assert found.missing == ("channels: force.f would show or split 2",)
+
+    def test_a_run_with_another_force_would_split_them_and_a_stronger_one_would_not(self, tmp_path: Path) -> None:
+        heavy = [
+            replace(k, quantities=tuple(replace(q, start=0.5 if q.name == "weight" else q.start) for q in k.quantities)) for k in kinds()
+        ]
+        twin = of(checked(tmp_path, measure(repeats=3), TWINS, kinds=heavy), "actuator", "actuator")
+        assert [h.name for h in twin.runs] == ["hung", "hung, long"]  # the same, in fewer minutes
+        assert twin.runs[0].distance == twin.runs[1].distance >= 3.0
 
     def test_where_the_force_is_measured_they_split(self, tmp_path: Path) -> None:
         rng, runs = np.random.default_rng(3), []
