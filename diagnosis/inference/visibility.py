@@ -2,7 +2,8 @@
 
 All from whitened sensitivities v at the nominal system and the inner product <u, v> in which tolerances are marginalised
 (`estimation`): a size x, in prior scales, lies sqrt(x' <V, V> x) standard deviations from the nominal system, and the best size of
-another candidate leaves a part of that. Nothing depends on what was measured but for its noise.
+another candidate leaves a part of that. What was measured counts by its noise, and, where an
+effect bends, by which of its sensitivities the diagnosis begins with (`sensitivities`).
 """
 
 from __future__ import annotations
