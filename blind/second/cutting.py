@@ -135,7 +135,7 @@ def chip_of(c: Cut, tooth: int, feed: float, sine: float, z: float) -> float:
     scale = c.runout * (1.0 + c.runout_tilt * z)
     mine = scale * math.cos(c.runout_angle + 2.0 * math.pi * tooth / TEETH)
     for back in range(1, TEETH):
-        other = scale * math.cos(c.runout_angle + 2.0 * math.pi * (tooth - back) / TEETH)
+        other = scale * math.cos(c.runout_angle + 2.0 * math.pi * (tooth + back) / TEETH)  # ahead in the turn: it was here before
         h = min(h, back * feed * sine + mine - other)
     return max(h, 0.0)
 

@@ -172,7 +172,6 @@ def perturbed(c: Cell, draws: np.random.Generator) -> tuple[Cell, dict[str, dict
     cut = c.cut._replace(
         chip=off(c.cut.chip, RELATIVE["chip"]),
         edge=off(c.cut.edge, RELATIVE["edge"]),
-        start_angle=float(2.0 * math.pi * draws.random()),
     )
     load = c.sensor.mass + ABSOLUTE["load"] * draws.standard_normal()
     zero = np.repeat([ABSOLUTE["offset_f"], ABSOLUTE["offset_m"]], 3) * draws.standard_normal(6)
