@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 from robomill.blind.second.cell import Cell
 from robomill.blind.second.control import Control
 from robomill.blind.second.cutting import Cut
-from robomill.blind.second.flexure import Flexure
+from robomill.blind.second.flexure import GRAVITY, Flexure
 from robomill.blind.second.kernel import FloatArray
 from robomill.blind.second.motion import Drive
-from robomill.blind.second.sensing import GRAVITY, Sensor
+from robomill.blind.second.sensing import Sensor
 from robomill.blind.second.torque import Dynamics
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system

@@ -17,7 +17,7 @@ SINGULAR = 0.05
 """|sin A5| below which the tool may turn a little so that its tip goes where it should (2.5 times the damping of 0.02)."""
 DAMPING = 0.02
 AXIS_LIMIT = math.radians(5.0)
-MOVING = 1e-12
+AT_SPEED = 1e-12
 """Motion in a fine step [rad] that counts as one."""
 
 
@@ -119,7 +119,7 @@ def behind_gear(c: Drive, s: DriveState, t: float, h: float, q_motor: FloatArray
             for n in range(3):
                 s.gap[n + 1, i] = pulled(s.gap[n + 1, i], moved[i], c.backlash[i] * (1.0 + (n - 1) * c.backlash_spread))
                 link[i] -= s.gap[n + 1, i] / 3.0
-        sense = np.sign(moved[i]) if abs(moved[i]) > MOVING else s.motor_sense[i]
+        sense = np.sign(moved[i]) if abs(moved[i]) > AT_SPEED else s.motor_sense[i]
         if sense != s.motor_sense[i]:
             if s.motor_sense[i] != 0.0:
                 s.reversed_at[i] = t
@@ -161,7 +161,7 @@ def driven(
     q_motor = np.zeros(6)
     for i in range(6):
         moved = planned[i] - s.commanded[i]
-        if abs(moved) > MOVING:
+        if abs(moved) > AT_SPEED:
             s.sense[i] = np.sign(moved)
         s.commanded[i] = planned[i]
         q_motor[i] = q[i] + c.half_gap[i] * s.sense[i]

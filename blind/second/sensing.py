@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from robomill.blind.second.arm import cross, rotation, tip
+from robomill.blind.second.flexure import GRAVITY
 from robomill.blind.second.kernel import ZERO3, FloatArray, compiled
 
 CYCLE = 0.004
-GRAVITY = 9.81
 WINDOW = 15
 HISTORY = 64
 """Samples that a lag can reach back to."""

@@ -28,7 +28,7 @@ from robomill.orchestration.slaves.protocol import FloatArray
 Model = tuple[Candidate, ...]
 """Candidates that are switched on together; () is the nominal model."""
 
-FORM: Address = ("", "form")
+FORM_ERROR: Address = ("", "form")
 """Name of the nuisances that stand for what effects do otherwise than their laws say."""
 
 SAME_SIGNATURE = 0.97
@@ -131,7 +131,7 @@ class Space:
             return self
         across, m = self._across @ columns, self.nuisances.shape[1]
         products = np.block([[self._products, across], [across.T, columns.T @ columns]])
-        names = [*self.names, *[("", "")] * (m - len(self.names)), *[FORM] * columns.shape[1]]
+        names = [*self.names, *[("", "")] * (m - len(self.names)), *[FORM_ERROR] * columns.shape[1]]
         together = hstack([self.nuisances, csc_array(columns)], format="csc")
         wide = Space(self.y, self.blocks, together, names, products, self.gone)
         wide.alike = self.alike

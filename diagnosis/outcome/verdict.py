@@ -27,7 +27,7 @@ Verdict = Literal["none", "identified", "ambiguous", "unknown", "bad_log"]
 
 FALSE_ALARM = 0.02
 """Probability [1] of an effect on a machine that has none, where the user asks for no other (DIAGNOSIS: at most 2 % of the nulls)."""
-OUTSIDE = 0.2
+UNLISTED = 0.2
 """Probability [1] before the data that what is wrong is in no catalogue (judgement; DIAGNOSIS: 15 % of the machines of its benchmark)."""
 UNKNOWN = 1.4
 """chi2, over that of noise, from which there is a gap even if no candidate explains any of it: LEVEL and three times SPREAD."""
@@ -57,7 +57,7 @@ def over_noise(search: Search, fit: Fit) -> float:
 def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: float, moved: Transfer | None, alpha: float) -> Tests:
     """The tests of an answer; `nothing`: probability of the nominal model by the diagnosed runs, `moved`: new conditions."""
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
-    fits = math.log((1.0 - OUTSIDE) / OUTSIDE) + left_by(over_noise(search, nominal), over_noise(search, best), misfit(best.model))
+    fits = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(over_noise(search, nominal), over_noise(search, best), misfit(best.model))
     fits += held_together(search, best)
     if moved is not None:
         odds += moved.gain
@@ -102,5 +102,5 @@ def changes(search: Search, best: Fit, other: Changing) -> bool:
     """Whether something that changes with time, which is in no catalogue, is likelier than the best model."""
     odds = best.log_evidence + log_priors([best.model], search.candidates)[0]
     beyond = best.chi2 - LEVEL * float(search.evidence.expected.sum())  # of what a strong effect leaves, something always goes with time
-    likelier = other.log_odds + math.log(OUTSIDE / (1.0 - OUTSIDE)) > odds
+    likelier = other.log_odds + math.log(UNLISTED / (1.0 - UNLISTED)) > odds
     return likelier and other.by_change > 0.5 * MISFIT * max(beyond, 0.0)

@@ -20,7 +20,7 @@ def test_a_joint_offset_is_named_and_has_its_expected_gain_in_new_conditions(tmp
     diagnose_case(tmp_path / "cases" / "0001", tmp_path)
     result = json.loads((tmp_path / "diagnosis.json").read_text())
     assert result["verdict"] == "identified"
-    assert result["transfer"]["stands"]
+    assert result["transfer"]["worth"] > 0.0
     first = result["which"][0]
     low, high = first["parameters"][truth["parameter"]]["interval"]
     assert low < truth["value"] < high

@@ -34,7 +34,7 @@ def test_an_effect_of_any_phase_is_found_with_its_amplitude(tmp_path: Path, phas
         assert low < value < high
     assert first["parameters"]["ripple"]["value"] == pytest.approx(0.4, rel=WELL)
     assert first["parameters"]["ripple_phase"]["unit"] == "rad"
-    assert found.result["transfer"]["stands"]
+    assert found.result["transfer"]["worth"] > 0.0
     write(found, system(), [*runs, *held], found_in, tmp_path / "answer")
     written = {name: p["value"] for name, p in adopt.read(tmp_path / "answer" / "adopt.ssv")["drive"].items()}
     assert written == pytest.approx(truth, abs=WELL)  # a phase [rad] is known as well as its amplitude, relative

@@ -10,7 +10,7 @@ from scipy.integrate import dblquad, quad
 from scipy.stats import multivariate_normal
 
 from robomill.diagnosis.catalogue import Candidate, Prior
-from robomill.diagnosis.inference.estimation import FORM, Fit, Model, Space, leave_one_out, quadratic_fit, solved
+from robomill.diagnosis.inference.estimation import FORM_ERROR, Fit, Model, Space, leave_one_out, quadratic_fit, solved
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import EXACT, ROUNDOFF, discretisation
 
@@ -123,7 +123,7 @@ class TestSpace:
         assert wide.within(wide.gram(V), [0, 1]) == pytest.approx(V.T @ C @ V, rel=INVERTED)
         assert wide.chi2 == pytest.approx(space.y @ C @ space.y, rel=INVERTED)
         assert wide.log_determinant == pytest.approx(np.linalg.slogdet(covariance(together))[1], rel=INVERTED)
-        assert wide.names == (*space.names, *[FORM] * k)
+        assert wide.names == (*space.names, *[FORM_ERROR] * k)
         rows = wide.rows(["second"])
         part = wide.only(["second"])
         assert part.dot(part.y, part.y) == pytest.approx(space.y[rows] @ inverse(together[rows]) @ space.y[rows], rel=INVERTED)

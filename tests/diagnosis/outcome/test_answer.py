@@ -13,7 +13,7 @@ from robomill.diagnosis.outcome import verdict
 from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Unknown, Which, as_json, to_json
 from robomill.diagnosis.outcome.closure import HowFar
 
-FIRST = ["schema", "verdict", "gate", "where", "which", "how_far", "next_run"]
+FIRST = ["schema", "verdict", "gate", "where", "which", "families", "how_far", "next_run"]
 GAP = Gap(1.0, 0.1, 0.0, 0.1, 0.02, noise_is_a_guess=False)
 FITTED = Where("drive", 0.9, [0.8, 1.0], "joint 3", "B.y", "compliance.p_BT_B[2]", [[0.0, 1.0]])
 REPLAYED = Replayed("drive", 0.9, None, "", "B.y", "compliance.p_BT_B[2]", [], 20.0, ("sensor",), ("drive.q",), None, {}, [])

@@ -18,7 +18,7 @@ from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
 from robomill.diagnosis.outcome import verdict
-from robomill.diagnosis.outcome.verdict import FALSE_ALARM, OUTSIDE, UNKNOWN, believed, changes, judged
+from robomill.diagnosis.outcome.verdict import FALSE_ALARM, UNKNOWN, UNLISTED, believed, changes, judged
 from tests.diagnosis.demo import catalogue
 from tests.tolerances import ROUNDOFF
 
@@ -44,7 +44,7 @@ class TestTested:
         effect = catalogue(tmp_path).candidates[:1]
         found = verdict.tested(search(), fit(before), fit(after, effect), nothing, 0.3, None, 0.05)
         assert (found.false_alarm, found.p_none) == (0.05, 0.3)
-        assert found.p_fit == pytest.approx(expit(math.log((1.0 - OUTSIDE) / OUTSIDE) + left_by(before, after)), rel=ROUNDOFF)
+        assert found.p_fit == pytest.approx(expit(math.log((1.0 - UNLISTED) / UNLISTED) + left_by(before, after)), rel=ROUNDOFF)
         assert found.nothing == pytest.approx(nothing, rel=1e3 * ROUNDOFF)
 
     def test_new_conditions_add_their_gain_to_the_odds_and_their_worth_to_the_fit(self, tmp_path: Path) -> None:
@@ -52,14 +52,14 @@ class TestTested:
         moved = Transfer(4.0, 1.5, -3.0, 20.0, 0.1, 0.6, 0.1)
         found = verdict.tested(search(), fit(9.0), fit(1.3, effect), 0.02, 0.01, moved, 0.02)
         assert found.nothing == pytest.approx(expit(-(math.log(0.98 / 0.02) - 3.0)), rel=1e2 * ROUNDOFF)
-        odds = math.log((1.0 - OUTSIDE) / OUTSIDE) + left_by(9.0, 1.3) + moved.worth
+        odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(9.0, 1.3) + moved.worth
         assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
 
     def test_a_fault_of_the_log_must_leave_less(self, tmp_path: Path) -> None:
         clock = tuple(c for c in catalogue(tmp_path).candidates if c.component == LOGGING)[:1]
         effect = catalogue(tmp_path).candidates[:1]
         exact, other = (verdict.tested(search(), fit(50.0), fit(3.0, model), 0.0, 0.001, None, 0.02).p_fit for model in (clock, effect))
-        assert exact == pytest.approx(expit(math.log((1.0 - OUTSIDE) / OUTSIDE) + left_by(50.0, 3.0, EXACT)), rel=1e2 * ROUNDOFF)
+        assert exact == pytest.approx(expit(math.log((1.0 - UNLISTED) / UNLISTED) + left_by(50.0, 3.0, EXACT)), rel=1e2 * ROUNDOFF)
         assert exact < other
 
     @pytest.mark.parametrize(("nothing", "says"), [(0.0, 0.0), (1.0, 1.0)])
@@ -110,7 +110,7 @@ class TestJudged:
     ("by_change", "odds", "left", "there"),
     [
         (20.0, 2.0, LEVEL, True),  # creep that looks like hysteresis
-        (20.0, 1.0, LEVEL, False),  # what is in no catalogue has the odds OUTSIDE before the data, which is -1.4 nats
+        (20.0, 1.0, LEVEL, False),  # what is in no catalogue has the odds UNLISTED before the data, which is -1.4 nats
         (62.0, 40.0, 20.0, False),  # a runout leaves much at this step, and a part of it goes with time
         (600.0, 40.0, 20.0, True),
     ],
