@@ -47,7 +47,7 @@ class Fit:
     log_evidence: float
     """Log of the evidence over that of the nominal model [nats]."""
     chi2: float
-    """Whitened sum of squares that remains, <y - s, y - s>: nuisances fitted."""
+    """Whitened sum of squares that remains, <y - s, y - s>: nuisances fitted, `form` not."""
     signature: FloatArray | None = None
     """s(x) at the best values: whitened change against the nominal simulation, [n]."""
     sensitivities: FloatArray | None = None
