@@ -30,6 +30,8 @@ DEPENDENCE = 10.0
 """Samples that are worth one: what two systems that are not quite the same leave is no noise, it goes in one direction for a while."""
 FORM = 0.04
 """Part of what an effect does, by condition and array, that a law which is right may miss (standard deviation)."""
+GUESSED = 3.0
+"""chi2 of noise over that of its fast part [1], where nothing was repeated (judgement: the noise of trackers and drives is coloured)."""
 LATENESS = 0.2
 """Communication steps that the channels of a component may be late: outputs hold for a step, and a step later others see them."""
 BEGINNING, SETTLING = 25, 0.1
@@ -73,6 +75,11 @@ class Evidence:
     """Which of the active channels a condition has: those that it lacks are zero in all that is whitened, and say nothing."""
     halves: list[tuple[FloatArray, FloatArray]]
     """What two independent means of nominal simulations are away from the mean of all, whitened."""
+
+    @property
+    def noise(self) -> float:
+        """chi2 that noise alone leaves; where nothing was repeated only its fast part is known, and the slow one may be GUESSED times that."""
+        return float(self.expected.sum()) * (GUESSED if self.whitening.guessed else 1.0)
 
     def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
         """Whitened change [n] of simulations of all conditions, [samples, all channels] each, against the nominal ones.

@@ -89,7 +89,7 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     assert signature is not None
     space = e.space
     before, after = _chi2(space, space.y, None), _chi2(space, space.y - signature, doubt * signature)
-    noise, size = float(e.expected.sum()), float(space.dot(signature, signature))
+    noise, size = e.noise, float(space.dot(signature, signature))
     wide = space.widened(e.form(fit.model[:1], signature, np.zeros((0, 0)), np.zeros(0)))
     seen = float(wide.dot(signature, signature)) + 1e-300
     amplitude = float(wide.dot(signature, space.y)) / seen

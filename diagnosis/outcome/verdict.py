@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import expit
 
 from robomill.diagnosis.catalogue import Candidate
-from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, agreement, left_by, misfit
+from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, SPREAD, agreement, left_by, misfit
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
@@ -29,7 +29,7 @@ FALSE_ALARM = 0.02
 """Probability [1] of an effect on a machine that has none, where the user asks for no other (DIAGNOSIS: at most 2 % of the nulls)."""
 UNLISTED = 0.2
 """Probability [1] before the data that what is wrong is in no catalogue (judgement; DIAGNOSIS: 15 % of the machines of its benchmark)."""
-UNKNOWN = 1.4
+UNKNOWN = LEVEL + 3.0 * SPREAD
 """chi2, over that of noise, from which there is a gap even if no candidate explains any of it: LEVEL and three times SPREAD."""
 IDENTIFIED = 0.8
 """Probability from which one answer is given."""
@@ -51,7 +51,7 @@ class Tests:
 
 def over_noise(search: Search, fit: Fit) -> float:
     """chi2 that a model leaves, over that which noise alone is expected to leave."""
-    return fit.chi2 / float(search.evidence.expected.sum())
+    return fit.chi2 / search.evidence.noise
 
 
 def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: float, moved: Transfer | None, alpha: float) -> Tests:
@@ -84,10 +84,9 @@ def judged(
 
     `faulty`: a fault of the log is part of the best model.
     """
-    if not best.model or not believed(tests):
+    refuted = tests.p_fit < 1.0 - tests.p_fit or (other is not None and changes(search, best, other))
+    if not best.model or not believed(tests) or refuted:  # then nothing is there, if machines without effects leave as much
         return "unknown" if over_noise(search, nominal) > UNKNOWN else "none"
-    if tests.p_fit < 1.0 - tests.p_fit or (other is not None and changes(search, best, other)):
-        return "unknown"
     if faulty:
         return "bad_log"
     return "identified" if all(probabilities[c] >= IDENTIFIED for c in best.model) else "ambiguous"
@@ -101,6 +100,6 @@ def believed(tests: Tests) -> bool:
 def changes(search: Search, best: Fit, other: Changing) -> bool:
     """Whether something that changes with time, which is in no catalogue, is likelier than the best model."""
     odds = best.log_evidence + log_priors([best.model], search.candidates)[0]
-    beyond = best.chi2 - LEVEL * float(search.evidence.expected.sum())  # of what a strong effect leaves, something always goes with time
+    beyond = best.chi2 - LEVEL * search.evidence.noise  # of what a strong effect leaves, something always goes with time
     likelier = other.log_odds + math.log(UNLISTED / (1.0 - UNLISTED)) > odds
     return likelier and other.by_change > 0.5 * MISFIT * max(beyond, 0.0)
