@@ -78,7 +78,7 @@ class Evidence:
 
     @property
     def noise(self) -> float:
-        """chi2 that noise alone leaves; where nothing was repeated only its fast part is known, and the slow one may be GUESSED times that."""
+        """chi2 that noise alone leaves. Where nothing was repeated only its fast part is known: all of it counts as GUESSED times that."""
         return float(self.expected.sum()) * (GUESSED if self.whitening.guessed else 1.0)
 
     def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:

@@ -208,7 +208,7 @@ class TestPhases:
 
 
 EFFECT, CLOCK = candidate("p"), replace(candidate("lag a.*"), component=LOGGING)
-AROUND_NOISE: Any = SimpleNamespace(candidates=(EFFECT,), evidence=SimpleNamespace(expected=np.ones(1000)))
+AROUND_NOISE: Any = SimpleNamespace(candidates=(EFFECT,), evidence=SimpleNamespace(expected=np.ones(1000), noise=1000.0))
 
 
 def fitted(left: float, *model: Candidate) -> Fit:
@@ -246,17 +246,17 @@ NOTICED: list[tuple[Any, str, float, Callable[[], Any], Any, Any]] = [
     (priors, "NOTHING", 2.0, lambda: math.exp(priors.log_priors([()], (EFFECT,))[0]), 0.3, 0.6),
     # a probability that cannot be doubled: twice the odds
     (priors, "ANOTHER", 4 / 3, lambda: math.exp(priors.log_priors([(EFFECT,)], (EFFECT,))[0]), 0.7 * 0.25, 0.7 / 9.0),
-    (adequacy, "LEVEL", 2.0, lambda: adequacy.unexplained(11.1, 3.2), 0.21, 1.0 / 8.9),
-    (adequacy, "SPREAD", 2.0, lambda: adequacy.left_by(5.0, 1.8, 0.05) > -0.2, False, True),
+    (adequacy, "LEVEL", 2.0, lambda: adequacy.unexplained(11.3, 3.3), 0.2, 0.7 / 8.7),
+    (adequacy, "SPREAD", 2.0, lambda: adequacy.left_by(5.0, 2.2, 0.05) > 0.0, False, True),
     (adequacy, "MISFIT", 2.0, lambda: adequacy.misfit((EFFECT,)), 0.05, 0.1),
     (adequacy, "MISFIT", 2.0, lambda: fits(50.0, 15.0, EFFECT) > 0.5, False, True),
     (adequacy, "EXACT", 2.0, lambda: adequacy.misfit((EFFECT, CLOCK)), 0.005, 0.01),
-    (adequacy, "EXACT", 2.0, lambda: fits(50.0, 3.0, CLOCK) > 0.5, False, True),
+    (adequacy, "EXACT", 2.0, lambda: fits(50.0, 3.4, CLOCK) > 0.5, False, True),
     (evidence, "FORM", 2.0, form, 4.0, 8.0),
     (machines, "MACHINES", 2, rank, 1.0 / 2001.0, 1.0 / 4001.0),
     (transfer, "KEEPS", 2.0, lambda: transfer.Transfer(5.0, 1.1, 1.0, 1.0, 0.0, 0.8, 0.1).promise > 0.0, False, True),
     (verdict, "UNLISTED", 2.0, lambda: fits(1.0, 1.0, EFFECT) > 0.7, True, False),
-    (verdict, "UNKNOWN", 2.0, lambda: judged(1.5, 0.9, 0.5), "unknown", "none"),
+    (verdict, "UNKNOWN", 2.0, lambda: judged(3.0, 0.9, 0.5), "unknown", "none"),
     (verdict, "IDENTIFIED", 1.2, lambda: judged(9.0, 0.9, 0.001), "identified", "ambiguous"),
 ]
 """Module, constant, times what, what depends on it, before and after."""
