@@ -51,7 +51,7 @@ class Machine:
     """A machine: how it differs from the nominal cell, at any place."""
 
     seed: tuple[int, ...]
-    """Of tolerances and hidden constants."""
+    """Where the draws of tolerances and hidden constants begin."""
     effects: tuple[TrueEffect, ...] = ()
     change: Callable[[Cell], Cell] | None = None
     """What is outside of the catalogue."""

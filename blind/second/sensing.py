@@ -37,7 +37,7 @@ class Sensor(NamedTuple):
     cutoff: float
     """Hz."""
     damping: float = math.sqrt(0.5)
-    """Of the low-pass; Butterworth has sqrt(1/2)."""
+    """Damping of the low-pass; Butterworth has sqrt(1/2)."""
     gain: FloatArray = np.eye(6)
     """[6,6] what the channels show of the wrench, 1 without effects."""
     turned: FloatArray = ZERO3

@@ -20,7 +20,8 @@ MISFIT = 0.05
 KEEPS = 0.5
 """Standard deviation of the amplitude of a stand-in in other conditions [1]: it does there what it does here more or less by half."""
 EXACT = 0.005
-"""The same where a fault of the log is part of the model: what a late clock or a filter does to a log is no law that could be wrong."""
+"""Mean share [1] of a gap that a right model leaves where a fault of the log is part of it: what a late clock does to a log is no law that
+could be wrong."""
 
 
 def misfit(model: Model) -> float:

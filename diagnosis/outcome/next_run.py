@@ -148,7 +148,7 @@ class _Trial:
         return length / math.sqrt(variance)
 
     def distances(self, design: Design) -> dict[tuple[int, int], float]:
-        """Of all pairs of fits."""
+        """Separation of all pairs of fits."""
         return {p: self.distance(design, *p) for p in self.shares}
 
     def separation(self, design: Design) -> float:

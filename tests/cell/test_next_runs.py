@@ -19,6 +19,10 @@ from robomill.orchestration.system.definition import System
 from tests import SCENARIOS
 
 CELL = load_system(SCENARIOS / "milling_cell.toml")
+COMPLIANT = 2e-4
+"""m: what gravity bends the robot differently by at another place."""
+NEARLY_LINEAR = 0.05
+"""Relative: gear hysteresis and the path of the load make a push nearly, not quite, proportional."""
 PLAIN = """
 [[kind]]
 name = "chirp"
@@ -60,9 +64,9 @@ def test_every_kind_can_be_made_and_what_is_wrong_with_the_machine_shows_in_it(t
 
 def test_values_change_the_run(tmp_path):
     at_rest = tip(CELL, "static push", tmp_path / "a")[0]
-    assert tip(CELL, "static push", tmp_path / "b", x=1500.0)[0] - at_rest == pytest.approx([0.2, 0.0, 0.0], abs=2e-4)
+    assert tip(CELL, "static push", tmp_path / "b", x=1500.0)[0] - at_rest == pytest.approx([0.2, 0.0, 0.0], abs=COMPLIANT)
     pushed = [np.ptp(tip(CELL, "static push", tmp_path / str(load), load=load)[200:, 1]) for load in (200.0, 400.0)]
-    assert pushed[1] == pytest.approx(2.0 * pushed[0], rel=0.05)
+    assert pushed[1] == pytest.approx(2.0 * pushed[0], rel=NEARLY_LINEAR)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from tests.diagnosis.test_masquerade import TRUTHS
 
 STIFF = {"masses": {"stiffness_error[2]": -0.08}}
 SMALL = {"sensors": {"gain_error[1]": 0.004}}
-"""Of which noise and tolerances, not the form of the effect, say how well it is known."""
+"""A gain of which noise and tolerances, not the form of the effect, say how well it is known."""
 FLOOR = 0.05
 """Part of an interval: the floor of the noise is TRUST of the median of what all effects do, which six more move by a few per cent."""
 INDIFFERENT = 0.01

@@ -271,7 +271,7 @@ class TestChannelsThatAConditionLacks:
         assert found.whitening.factor[1, 1] == pytest.approx(floor, rel=RIDGE)
 
     def test_the_noise_of_a_channel_is_that_of_the_conditions_that_have_it(self) -> None:
-        """Of zeros in the other condition it would be less by the root of two."""
+        """With the zeros of the other condition it would be less by the root of two."""
         found = self.evidence(repeats=6)
         samples = ROWS * 5
         noise = found.whitening.deviation[1]

@@ -95,7 +95,7 @@ def test_the_rank_counts_itself_and_falls_with_the_odds() -> None:
 
 
 def test_one_column_has_a_closed_form() -> None:
-    """Of <v, y>^2 / <v, v> = z^2, log odds are (z^2 g / (1 + g) - log(1 + g)) / 2 and those of the priors, g = <v, v>."""
+    """With <v, y>^2 / <v, v> = z^2, log odds are (z^2 g / (1 + g) - log(1 + g)) / 2 and those of the priors, g = <v, v>."""
     v = 0.5 * np.random.default_rng(1).normal(size=(N, 1))
     of = search((candidate("a"),), v, np.zeros((N, 0)))
     g, (prior, nominal) = float(v[:, 0] @ v[:, 0]), log_priors([(candidate("a"),), ()], (candidate("a"),))

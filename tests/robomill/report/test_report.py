@@ -25,7 +25,7 @@ from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.design import Kind, Offer, Quantity
 from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Estimate, Gap, Menu, Which
-from robomill.diagnosis.outcome.verdict import Verdict, stands
+from robomill.diagnosis.outcome.verdict import Verdict
 from robomill.models.robot.kinematics import forward
 from robomill.orchestration.runs.run import Run
 from robomill.report import robot, units
@@ -151,7 +151,7 @@ class TestContent:
 
     def test_ambiguous_names_the_set_and_the_next_run(self, page: Callable[[str], Path]) -> None:
         text = _text(page("ambiguous"))
-        assert re.search(r"causes that these runs cannot tell apart: \w+, sensor 1 \([\d.]+ %\) at 4\d(?:\.\d)? % or \w+, sensor 1", text)
+        assert re.search(r"causes that these runs cannot tell apart: \w+, sensor 1 \([\d.]+ %\) at \d\d(?:\.\d)? % or \w+, sensor 1", text)
         assert re.search(r"(gain|scale), sensor 1 against (gain|scale), sensor 1 0\.0 cannot be told apart", text)
         assert "No run that was looked at would tell apart gain, sensor 1 and scale, sensor 1" in text
         assert "harder push" in text
@@ -162,24 +162,23 @@ class TestContent:
         assert "Something real that is not in the catalogue, in masses or sensors" in text  # the masses' positions are not measured
         assert "it shows most in sensors.y[1]" not in text  # by its title
         assert "it shows most in displacement error, element 1." in text
-        assert "values should not be believed" in text
         assert "By the connections alone, what was measured cannot tell apart force, masses and sensors" in text
         assert "--adopt" not in text
 
     def test_what_does_not_hold_in_new_conditions_is_said_so(self, page: Callable[[str], Path]) -> None:
         text = _text(page("unknown elsewhere"))
         assert "Something real that is not in the catalogue, in masses: the best model does not hold in new conditions" in text
-        assert re.search(r"the model gains −[\d.]+ nats in log score; if it were right, it should gain about [\d.]+", text)
+        assert re.search(r"the model gains −?[\d.]+ nats in log score; if it were right, it should gain about [\d.]+", text)
         assert "--adopt" not in text
 
-    def test_what_stands_in_new_conditions_but_not_all_along_is_said_so(self, subject: Callable[[str], Subject]) -> None:
+    def test_what_holds_in_new_conditions_but_leaves_much_is_said_so(self, subject: Callable[[str], Subject]) -> None:
         s = subject("unknown elsewhere")
         moved = s.answer.transfer
-        assert stands(moved) is False
-        held = replace(moved, gain=100.0, expected_gain=100.0, after=1.0)
-        assert stands(held) is True
-        other = _saying(s, transfer=held)
-        assert "the best model does not hold all along the runs" in verdict_sentence(other)
+        assert moved is not None
+        assert moved.worth < 0.0
+        held = replace(moved, before=50.0, after=1.0, amplitude=1.0)
+        assert held.worth > 0.0
+        assert re.search(r"the best model leaves [\d.]+\s% of the gap", verdict_sentence(_saying(s, transfer=held)))
 
     def test_what_changes_with_time_is_described_by_what_it_is_like(self, page: Callable[[str], Path]) -> None:
         text = _text(page("growing"))
