@@ -46,6 +46,8 @@ OWN = "next_runs.toml"
 """File of kinds beside a system."""
 _CUT, _LOAD = "milling", "load"
 _KIND = {"name", "minutes"}
+TEMPLATE = ".template"
+"""What ends the name of a table of a program that is no TOML until it is filled in."""
 _MORE = {"system", "repeats", "range", "seconds", "program", "position", "abc", "size", "load", "weight", "parameters"}
 _CONDITION = {"name", "program", "position", "abc", "size", "load", "weight", "minutes", "parameters"}
 _FIELD = re.compile(r"\$\{([^}]*)\}")
@@ -177,7 +179,7 @@ def prepare(system: System, kind: str, folder: Path, values: Mapping[str, float]
         return NextRun(kind, made, entry.get("parameters", {}).parameters(), entry["seconds"].positive(), k.minutes, k.repeats)
     folder.mkdir(parents=True, exist_ok=True)
     source = entry["program"].file()
-    program = folder / source.name
+    program = folder / source.name.removesuffix(TEMPLATE)
     program.write_text(_rendered(source.read_text(encoding="utf-8"), set_to, entry["program"]), encoding="utf-8")
     c = replace(read_condition(_as_condition(entry)), program=program)
     experiment = Experiment(file, kind, kind, "next run", k.repeats, file, {}, {}, (c,))

@@ -65,8 +65,8 @@ def run(options: Namespace) -> int:
     """Exit status 0: answered; 1: the log is not usable."""
     from robomill.progress import progress_bar
 
-    campaign = campaign_of(options)
     file = catalogue_file(options)
+    campaign = campaign_of(options)
     system = campaign.system
     systems = [system, *(p.system for p in campaign.parts if p.system is not system)]
     catalogue = catalogue_of(*systems, file=file)
@@ -145,8 +145,9 @@ def catalogue_file(options: Namespace) -> Path:
     named: Path | None = options.catalogue
     if named is not None and not named.is_file():
         raise FileNotFoundError(f"no catalogue {named}; without --catalogue it is {CATALOGUE} beside the system, or the milling cell's")
-    beside: Path = (options.campaign or options.system).parent / CATALOGUE
-    return named or (beside if beside.is_file() else FILES / "scenarios" / CATALOGUE)
+    first: Path | None = options.campaign or options.system
+    beside = None if first is None else first.parent / CATALOGUE
+    return named or (beside if beside is not None and beside.is_file() else FILES / "scenarios" / CATALOGUE)
 
 
 def catalogue_of(*systems: System, file: Path) -> Catalogue:

@@ -223,7 +223,7 @@ class TestAppliedLoad:
 
 
 def test_only_the_columns_that_are_named_are_recorded(tmp_path):
-    experiment = replace(load_experiment(ROOT / "scenarios" / "next_runs" / "loads.toml"), columns=("drive.q_motor",), repeats=1)
-    (summary,) = run_experiment(experiment, tmp_path, ["static push along x"])
+    experiment = replace(load_experiment(ROOT / "scenarios" / "experiments" / "static_loads.toml"), columns=("drive.q_motor",), repeats=1)
+    (summary,) = run_experiment(experiment, tmp_path, ["push +x"])
     assert {base_name(c) for c in Run.load(tmp_path / summary.folder).columns} == {"drive.q_motor"}
     assert summary.max_displacement_m is summary.max_force_n is None
