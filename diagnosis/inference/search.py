@@ -159,9 +159,9 @@ class Search:
         x = np.array([fit.values[a] for a in addresses]) / scales
         form = self.evidence.form(fit.model, signature, sensitivities, x)
         better = quadratic_fit(fit.model, signature, sensitivities, x, self.evidence.space, form)
-        if form is not None:  # what the form may do otherwise counts in evidence and deviations; it is no part of what the model explains
+        if form is not None:  # what the form may do otherwise counts in the evidence; it is no part of what the model explains
             plain = quadratic_fit(fit.model, signature, sensitivities, x, self.evidence.space)
-            better.values, better.chi2 = plain.values, plain.chi2
+            better.values, better.deviations, better.chi2 = plain.values, plain.deviations, plain.chi2
         move = np.array([better.values[a] for a in addresses]) / scales - x
         better.sensitivities, better.signature = sensitivities, signature + sensitivities @ move
         return better

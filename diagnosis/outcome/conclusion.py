@@ -95,8 +95,8 @@ class Conclusion:
         faulty = bool(clocks) and not self.repair
         odds = float(np.log(max(1.0 - self.weights[0], 1e-300)) - np.log(max(self.weights[0], 1e-300)))
         tests = tested(search, nominal, self.best, float(self.weights[0]), p_none(search, odds), moved, self.false_alarm)
-        marginal = {c: p * tests.p_fit for c, p in marginal.items()}
-        verdict = judged(search, tests, nominal, self.best, other, marginal, faulty)
+        believed = {c: p * tests.p_fit for c, p in marginal.items()}
+        verdict = judged(search, tests, nominal, self.best, other, believed, faulty)
         for c in clocks:
             value, (kind, _, pattern) = self.best.values[c.addresses[0]], c.parameters[0].partition(" ")
             text = SAID[kind].format(
@@ -112,7 +112,7 @@ class Conclusion:
             min(unexplained(over_noise(search, nominal), over_noise(search, self.best)), 1.0),
             self.search.evidence.whitening.guessed,
         )
-        which = self.which(marginal, pairs)
+        which = self.which(marginal, pairs, tests.p_fit)
         answer = Answer(
             verdict,
             tuple(self.findings),
@@ -157,8 +157,8 @@ class Conclusion:
         scaled = [replace(f, probability=p_fit * f.probability, members={n: p_fit * p for n, p in f.members.items()}) for f in found]
         return tuple(f for f in scaled if f.probability >= LISTED)
 
-    def which(self, marginal: Mapping[Candidate, float], pairs: Sequence[isolability.Pair]) -> tuple[Which, ...]:
-        """Every candidate with a probability of LISTED or more."""
+    def which(self, marginal: Mapping[Candidate, float], pairs: Sequence[isolability.Pair], p_fit: float) -> tuple[Which, ...]:
+        """Every candidate with a probability of LISTED or more if the best model is right; said is its product with `p_fit`."""
         listed = []
         sets: dict[str, list[str]] = {}
         for one, other in (p.pair for p in pairs if p.confusable):
@@ -168,7 +168,7 @@ class Conclusion:
             if p < LISTED:
                 continue
             fit = max((f for f in self.fits if c in f.model), key=lambda f: float(self.weights[self.fits.index(f)]))
-            listed.append(Which(c.effect, c.component, c.location, p, self.parameters(c, fit), sets.get(c.name, [])))
+            listed.append(Which(c.effect, c.component, c.location, p * p_fit, self.parameters(c, fit), sets.get(c.name, [])))
         return tuple(listed)
 
     def parameters(self, c: Candidate, fit: Fit) -> dict[str, Estimate]:

@@ -162,6 +162,7 @@ class TestContent:
         assert "Something real that is not in the catalogue, in masses or sensors" in text  # the masses' positions are not measured
         assert "it shows most in sensors.y[1]" not in text  # by its title
         assert "it shows most in displacement error, element 1." in text
+        assert "values should not be believed" in text
         assert "By the connections alone, what was measured cannot tell apart force, masses and sensors" in text
         assert "--adopt" not in text
 
