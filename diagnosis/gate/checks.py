@@ -134,7 +134,7 @@ def standstill(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], 
         stretch = _still(x[moving, i])
         still, longest = len(stretch), len(_still(s[:, i], single))
         there = s[moving, i][stretch]
-        passed = np.ptp(there) > max(LIMIT * spread, MOVED * noise[i]) if still else False
+        passed = np.ptp(there) > max(LIMIT * spread, MOVED * noise[i], single) if still else False
         if still > REST * len(x) and (still > LONGER * longest + LONGER_BY or passed):
             text = f"stands still for {still * step:.3g} s; expected up to {longest * step:.3g} s, as its simulation; record it anew"
             found.append(Finding(name, "constant", still * step, "s", text))

@@ -129,3 +129,12 @@ class TestBesideTheSimulation:
         n = np.arange(1000) / 500.0
         simulated = np.where(n < 1.0, n, 1.0 - back * (n - 1.0))
         assert beside([np.minimum(n, 1.0)], [simulated]) == kinds  # LIMIT
+
+
+def test_a_log_in_single_precision_may_stand_still_where_its_simulation_creeps_by_less_than_that() -> None:
+    """An axis at 2.26 rad goes to and fro by 1.3 urad, and then creeps by 0.3 urad, of which single precision shows nothing."""
+    s = 2.26 + 1.3e-6 * np.interp(T, [0.0, 1.0, 2.0], [0.0, 1.0, 0.5]) + 3e-7 * np.clip((T - 2.0) / 8.0, 0.0, 1.0)
+    x = np.where(T < 2.0, s, s[200])
+    assert beside([x], [s]) == []
+    far = s + 1e-5 * np.clip(T - 2.0, 0.0, None)  # so far that single precision would show it
+    assert beside([x], [far]) == ["constant"]
