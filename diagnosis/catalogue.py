@@ -203,11 +203,6 @@ class Candidate:
         plain = tuple(p.partition(AT)[0] for p in self.parameters)
         return (*plain[0].split(COS),) if self.has_phase else plain
 
-    @property
-    def per_run(self) -> bool:
-        """Whether something of it is another one in every run: the mean over repeats is not what one of them shows."""
-        return self.phase_per_run
-
     def with_shapes(self, values: Sequence[float]) -> Candidate:
         """The variant whose shape parameters have these values."""
         fixed = tuple(((self.component, s.parameter), v) for s, v in zip(self.shapes, values, strict=True))
@@ -245,24 +240,6 @@ class Candidate:
         """Least and largest value of the parameters [unit]; both parts of an amplitude at their largest are the largest amplitude."""
         largest = self.maximum / math.sqrt(2.0) if self.has_phase else self.maximum
         return (-largest if self.both_signs else 0.0), largest
-
-
-def zoomed(candidate: Candidate, around: Candidate) -> tuple[Candidate, ...]:
-    """Variants of `candidate` about one of them, `around`, on a grid of half its spacing: one shape parameter moves at a time.
-
-    Again about one of these, the spacing is halved again. Nothing for a candidate whose shape parameters are those of the nominal system.
-    """
-    if not around.fixed:
-        return ()
-    finer = replace(candidate, shapes=tuple(replace(s, spacing=0.5 * s.spacing) for s in around.shapes))
-    centre = [v for _, v in around.fixed]
-    found: dict[tuple[float, ...], Candidate] = {}
-    for i, shape in enumerate(finer.shapes):
-        for side in (-1.0, 1.0):
-            values = (*centre[:i], shape.beside(centre[i], side), *centre[i + 1 :])
-            if list(values) != centre:
-                found[values] = finer.with_shapes(values)
-    return tuple(found.values())
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Faults of the log as models: what they do to a channel is a linear operator, and it is weighed like any other explanation.
 
-Faults of a size (late, filtered, amplified, offset, turned) are candidates of the search (`log_faults`). A wrong sign, a usual mistake in
-units, interchanged axes and another frame have no size that is fitted. They are judged before the search by a Bayes factor
+Faults of a size (late, filtered, amplified, offset, turned) are weighed by the search, where the catalogue has them. A wrong sign, a usual
+mistake in units, interchanged axes and another frame have no size that is fitted. They are judged before the search by a Bayes factor
 (Kass & Raftery 1995, J. Am. Stat. Assoc. 90, 773): a channel is its simulation under the operator, plus a deviation
 
     e ~ N(0, noise^2 + max(TOLERANCE^2 var, left)),
@@ -20,7 +20,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import LOGGING, Candidate, Prior
 from robomill.diagnosis.gate.checks import SINGLE, Finding
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
@@ -47,40 +46,6 @@ TOLERANCE = 0.15
 """Part of a signal by which a machine that is logged well may be off: the largest gain error of a sensor in the catalogue."""
 DECISIVE = 150.0
 """Bayes factor, times the number of operators that are tried, from which a fault is believed: Kass & Raftery's "very strong"."""
-_SIZES = {
-    "lag": ("s", 0.02, 1e-3, 0.3),
-    "smooth": ("s", 0.03, 2e-3, 0.5),
-    "gain": ("1", 0.05, 5e-3, 0.5),
-    "rotate_1": ("rad", 0.05, 5e-3, 0.6),
-    "rotate_2": ("rad", 0.05, 5e-3, 0.6),
-    "rotate_3": ("rad", 0.05, 5e-3, 0.6),
-}
-"""Kind of fault -> unit, scale of the prior, smallest finding, bound: clocks, filters, gains and misalignment of the cell's catalogue."""
-
-
-def log_faults(channels: Sequence[str]) -> list[Candidate]:
-    """Candidates of component LOGGING for each array of a log, and for each channel that may be late by itself.
-
-    The elements of an array are late, filtered or amplified together; a triple may be turned about each of its axes.
-    """
-    places: dict[str, list[str]] = {kind: [] for kind in _SIZES}
-    for name, members in arrays(channels).items():
-        for kind in ("lag", "smooth", "gain"):
-            places[kind].append(name)
-        if len(members) > 1:
-            places["lag"] += [channels[i] for i in members]
-        if len(members) == VECTOR:
-            for kind in ("rotate_1", "rotate_2", "rotate_3"):
-                places[kind].append(name)
-    made = []
-    for kind, where in places.items():
-        unit, scale, least, largest = _SIZES[kind]
-        prior = Prior("log-normal" if kind == "smooth" else "normal", scale)
-        both = kind != "smooth"  # a filter has no negative time constant
-        for place in where:
-            parameters = (f"{kind} {place}",)
-            made.append(Candidate(f"log_{kind}", LOGGING, place, parameters, least, largest, prior, unit, both, len(where)))
-    return made
 
 
 def arrays(channels: Sequence[str]) -> dict[str, list[int]]:

@@ -9,10 +9,10 @@ import pytest
 from scipy.integrate import quad
 
 from robomill.cell.equipment import load_system
-from robomill.diagnosis.catalogue import AT, LOGGING, Candidate, Catalogue, CatalogueError, Prior, Tolerance, physical, zoomed
+from robomill.diagnosis.catalogue import AT, LOGGING, Candidate, Catalogue, CatalogueError, Prior, Tolerance, physical
 from robomill.fmus.components import COMPONENTS
 from tests import SCENARIOS
-from tests.tolerances import ROUNDOFF, physics
+from tests.tolerances import physics
 
 ENTRY = """
 [[effect]]
@@ -116,16 +116,6 @@ def test_variants_exclude_each_other_and_those_of_other_places_with_other_values
     assert not x.variants[1].excludes(y.variants[4])  # n = 2 at both, s[1] and s[2] are two numbers
     assert x.variants[1].excludes(y.variants[2])
     assert x.variants[1].excludes(y)  # n is that of the nominal system there
-
-
-def test_a_zoom_halves_the_grid_within_its_bounds(tmp_path: Path) -> None:
-    x, _ = shaped(tmp_path)
-    assert zoomed(x, x) == ()
-    found = zoomed(x, x.variants[1])  # s = 0.1, n = 2
-    assert [[v for _, v in variant.fixed] for variant in found] == [[pytest.approx(0.2, rel=ROUNDOFF), 2.0], [0.1, 1.0], [0.1, 3.0]]
-    again = zoomed(x, found[0])
-    assert [v.fixed[0][1] for v in again[:2]] == [pytest.approx(0.1 * 2.0**0.5, rel=ROUNDOFF), pytest.approx(0.2 * 2.0**0.5, rel=ROUNDOFF)]
-    assert {v.name for v in (*found, *again)} == {x.name}
 
 
 def test_a_system_without_the_shape_keeps_the_effect(tmp_path: Path) -> None:

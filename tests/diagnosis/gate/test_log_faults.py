@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import LOGGING, OBSERVATIONS
 from robomill.diagnosis.experiment.observation import observe
-from robomill.diagnosis.gate.log_faults import FACTORS, judged, log_faults
+from robomill.diagnosis.gate.log_faults import FACTORS, judged
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import ROUNDOFF
 
@@ -83,29 +82,6 @@ class TestJudged:
     def test_a_channel_that_is_wrong_anyway_is_not_judged(self) -> None:
         x = VECTOR * [-1.0, 1.0, 1.0]
         assert judged(x, VECTOR, NAMES, np.full(3, 1e-9), frozenset({0})) == []
-
-
-class TestCandidates:
-    CHANNELS = ("a.f[1]", "a.f[2]", "a.f[3]", "b.y")
-
-    def test_each_array_and_each_channel_of_one_has_its_faults(self) -> None:
-        made = {c.parameters[0] for c in log_faults(self.CHANNELS)}
-        assert made == {
-            *(f"{kind} {name}" for kind in ("lag", "smooth", "gain") for name in ("a.f", "b.y")),
-            *(f"lag {name}" for name in self.CHANNELS[:3]),
-            *(f"rotate_{axis} a.f" for axis in (1, 2, 3)),
-        }
-
-    def test_they_are_faults_of_the_log_that_a_simulation_can_have(self) -> None:
-        full = np.random.default_rng(1).standard_normal((1000, 4))
-        for c in log_faults(self.CHANNELS):
-            assert c.component == LOGGING
-            assert c.parameters[0].split()[0] in OBSERVATIONS
-            assert 0.0 < c.minimum < c.prior.scale < c.maximum
-            changed = full.copy()
-            observe(changed, T, self.CHANNELS, c.parameters[0], c.prior.scale)
-            assert not np.array_equal(changed, full)
-            assert c.locations == sum(o.effect == c.effect for o in log_faults(self.CHANNELS))
 
 
 class TestObserved:

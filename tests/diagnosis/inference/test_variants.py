@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robomill.diagnosis.catalogue import COS, SIN, Address, Candidate, Catalogue, Prior, Shape, physical, zoomed
-from robomill.diagnosis.experiment.simulation import Simulator, setting
+from robomill.diagnosis.catalogue import COS, SIN, Address, Candidate, Catalogue, Prior, Shape, physical
+from robomill.diagnosis.experiment.simulation import Simulator
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.search import Search
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -76,26 +76,6 @@ def test_a_mode_of_another_frequency_and_damping_is_found_by_the_grid() -> None:
     plain = Found(mode, MADE_OTHERWISE, replace(MODE, variants=(), shapes=()), candidate("other"))
     closed = [1.0 - f.best.chi2 / f.search.evidence.space.chi2 for f in (plain, found)]
     assert closed[1] > 2.0 * closed[0]
-
-
-def test_zooming_about_the_best_variant_comes_to_the_frequency_and_the_damping() -> None:
-    found = Found(mode, MADE_OTHERWISE, MODE, candidate("other"))
-    best, space = found.best.model[0], found.search.evidence.space
-
-    def left(c: Candidate) -> float:
-        """chi2 that the best size of a variant leaves."""
-        size = MADE_OTHERWISE["a", "mode"]
-        signature = found.search.mean_signature(setting({c.addresses[0]: size}))
-        assert signature is not None
-        best_size = float(space.dot(signature, space.y) / space.dot(signature, signature))
-        return float(space.dot(space.y - best_size * signature, space.y - best_size * signature))
-
-    for _ in range(6):
-        finer = zoomed(MODE, best)
-        best = min((replace(best, shapes=finer[0].shapes), *finer), key=left)
-    values = dict(best.fixed)
-    assert values["a", "frequency"] == pytest.approx(13.0, abs=physics(13.0, WELL))
-    assert values["a", "damping"] == pytest.approx(0.05, abs=physics(0.05, 5.0 * WELL))
 
 
 def test_the_mode_of_the_nominal_system_needs_no_variant() -> None:
