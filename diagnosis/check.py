@@ -244,7 +244,7 @@ def _wider(laboratory: Laboratory, n: int, simulator: Simulator) -> Simulator:
         step = (c.system or laboratory.system).step
         simulated = run(laboratory.configured(i), None, stop=2 * step, resolver=laboratory.resolver, convert=laboratory.convert)
         outputs |= {name: None for name, p in simulated.ports.items() if p.type == "real"}
-    return simulator.beside(replace(laboratory, conditions=conditions, channels=list(outputs), _logged=None))
+    return simulator.beside(replace(laboratory, conditions=conditions, channels=list(outputs)))
 
 
 def _channels(

@@ -19,6 +19,8 @@ class InProcessSlave:
     `plain=True` runs the model uncompiled: for the debugger, print and coverage.
     """
 
+    restarts = True
+
     def __init__(self, model: Model, name: str | None = None, plain: bool = False) -> None:
         self.name = name or model.name
         self.interface = interface_of(model)

@@ -84,7 +84,7 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
     warnings: list[str] = list(system.warnings)
     try:
         for c in system.components:
-            with _attributed(system, c):
+            with attributed(system, c):
                 slaves[c.name] = _open(system, c, resolver)
             warnings += [f"component {c.name!r}: {text}" for text in getattr(slaves[c.name], "warnings", ())]
         for c in system.components:
@@ -94,7 +94,7 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
         parameters: dict[str, dict[str, Scalar]] = {}
         starts: dict[str, dict[str, Scalar]] = {}
         for c in system.components:
-            with _attributed(system, c):
+            with attributed(system, c):
                 parameters[c.name] = _configure(system, c, slaves[c.name], convert)
                 if c.inputs:
                     starts[c.name] = prepare(c.name, slaves[c.name].ports, c.inputs, convert, causality="input")
@@ -147,7 +147,7 @@ def run(
             raise OrchestrationError("resume needs the folder of the run")
         with assemble(system, resolver, convert) as assembly:
             memory = Memory(assembly.about())
-            _master(assembly, (memory, *observers), manipulators, None).run(end, start, progress, system.stop_when)
+            master_of(assembly, (memory, *observers), manipulators).run(end, start, progress, system.stop_when)
         return memory.run()
     r, place = system.recording, Path(folder)
     with _claimed(place) as lock:
@@ -162,7 +162,7 @@ def run(
                 return saved
             recorder.resume_after = saved.done if saved is not None else None
             save = (r.checkpoint_every, _saver(assembly, recorder)) if r.checkpoint_every else None
-            master = _master(assembly, (recorder, *observers), manipulators, place)
+            master = master_of(assembly, (recorder, *observers), manipulators, place)
             with _watched(system, place):
                 master.run(end, start, progress, system.stop_when, saved, save)
         return Run.load(place)
@@ -194,7 +194,10 @@ def _watched(system: System, folder: Path) -> Iterator[None]:
         watch.done()
 
 
-def _master(assembly: Assembly, observers: Sequence[Observer], manipulators: Sequence[Manipulator], folder: Path | None) -> Master:
+def master_of(
+    assembly: Assembly, observers: Sequence[Observer], manipulators: Sequence[Manipulator] = (), folder: Path | None = None
+) -> Master:
+    """The master that runs the assembled system as the system says; `folder` is only named in messages."""
     s = assembly.system
     return Master(
         assembly.slaves, assembly.wiring, s.step, s.algorithm, observers, manipulators, s.check_ranges, folder, s.iteration, s.loop
@@ -250,7 +253,7 @@ def _configure(system: System, c: Component, slave: Slave, convert: Convert) -> 
 
 
 @contextmanager
-def _attributed(system: System, c: Component) -> Iterator[None]:
+def attributed(system: System, c: Component) -> Iterator[None]:
     """What is raised inside gets the file, the line and the component's name."""
     try:
         yield

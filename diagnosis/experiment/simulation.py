@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -14,8 +15,9 @@ from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.observation import observe
 from robomill.diagnosis.experiment.pool import pool
 from robomill.diagnosis.experiment.store import Store
-from robomill.orchestration.assembly import Resolver, run
+from robomill.orchestration.assembly import Resolver
 from robomill.orchestration.errors import OrchestrationError
+from robomill.orchestration.rig import Rig
 from robomill.orchestration.slaves.protocol import FloatArray, PortData
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.parameters import Convert, same_unit_only
@@ -53,8 +55,14 @@ class Laboratory:
     refinement: Refinement | None = None
     ports: Mapping[str, PortData] = field(default_factory=dict)
     """The channels, as the system has them."""
-    _logged: tuple[tuple[int, Setting], FloatArray | None] | None = field(default=None, repr=False)
+    _logged: tuple[tuple[int, Setting], FloatArray | None] | None = field(default=None, init=False, repr=False)
     """The simulation to which faults of the log were last applied."""
+    _rigs: dict[tuple[int, int], tuple[Condition, Rig]] = field(default_factory=dict, init=False, repr=False)
+    """(thread, index of a condition) -> that condition, and its system opened with the channels that say anything there."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but what belongs to this process: worker processes open systems of their own."""
+        return {**self.__dict__, "_logged": None, "_rigs": {}}
 
     def factor(self, index: int) -> int:
         """Points of the grid of condition `index` in a block: as long as `decimation` communication steps of the system, or nearly."""
@@ -133,19 +141,29 @@ class Laboratory:
 
     def _simulate(self, index: int, changes: Setting) -> FloatArray | None:
         """All samples of the channels, [n, channels]."""
-        condition = self.conditions[index]
-        system, nominal = self.configured(index), self.nominal_of(index)
+        condition, nominal = self.conditions[index], self.nominal_of(index)
+        values: dict[str, dict[str, float]] = {}
         for (component, parameter), value in physical(dict(self.effective(index, changes))).items():
-            system = system.with_parameters(component, {parameter: value + nominal.get((component, parameter), 0.0)})
+            values.setdefault(component, {})[parameter] = value + nominal.get((component, parameter), 0.0)
         try:
-            result = run(system, None, stop=float(condition.grid[-1]), resolver=self.resolver, convert=self.convert)
+            result = self._rig(index).run(values, float(condition.grid[-1]))
         except OrchestrationError:
             if not changes:
                 raise
             return None
         nothing = np.zeros(len(result.t))
-        columns = [result.columns.get(name, nothing) if condition.has(name) else nothing for name in self.channels]
+        columns = [result.columns.get(name, nothing) for name in self.channels]
         return np.stack([np.interp(condition.grid, result.t, column) for column in columns], axis=1)
+
+    def _rig(self, index: int) -> Rig:
+        """The system of condition `index`, opened; a thread has its own."""
+        condition, key = self.conditions[index], (threading.get_ident(), index)
+        known, rig = self._rigs.get(key, (None, None))
+        if rig is None or known is not condition:  # the conditions of a laboratory may be replaced
+            shown = [name for name in self.channels if condition.has(name)]
+            rig = Rig(self.configured(index), self.resolver, self.convert, shown)
+            self._rigs[key] = condition, rig
+        return rig
 
 
 def decimate(full: FloatArray, factor: int) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,14 +16,24 @@ from robomill.orchestration.system.wiring import Wiring
 
 @dataclass
 class Memory:
-    """Observer that keeps every row; `run()` gives them as a `Run` at any time."""
+    """Observer that keeps every row; `run()` gives them as a `Run` at any time.
+
+    `columns`: outputs (`component.port`) that are kept, as far as they are there; None: all.
+    """
 
     about: Mapping[str, Any] = field(default_factory=dict)
-    keeps_columns = True
+    columns: Collection[str] | None = None
+
+    @property
+    def keeps_columns(self) -> bool:
+        """Whether arrays that it is shown become its own: of some columns it copies what it keeps."""
+        return self.columns is None
 
     def begin(self, wiring: Wiring, step: float) -> None:
         """Forget what was there before."""
-        self._wiring = wiring
+        kept = [i for i, name in enumerate(wiring.column_names()) if self.columns is None or name in self.columns]
+        self._ports = {f"{c}.{p.name}": p for c, p in (wiring.outputs[i] for i in kept)}
+        self._kept: Any = slice(None) if self.columns is None else kept
         self._blocks: list[FloatArray] = []  # t and the outputs, a row each
         self._t: list[float] = []  # rows that came one by one since the last block
         self._rows: list[FloatArray] = []
@@ -32,16 +42,16 @@ class Memory:
     def observe(self, t: float, outputs: FloatArray) -> None:
         """Keep a copy of the outputs."""
         self._t.append(t)
-        self._rows.append(outputs.copy())
+        self._rows.append(outputs[self._kept].copy())
 
     def observe_columns(self, columns: FloatArray, count: int) -> None:
         """Keep many steps at once, as they stand: the first `count` of t [s] and the outputs."""
         self._gather()
-        self._blocks.append(columns[:, :count])
+        self._blocks.append(columns[:, :count] if self.columns is None else columns[[0, *(1 + i for i in self._kept)], :count])
 
     def _gather(self) -> None:
         if self._t:
-            rows = np.array(self._rows).reshape(len(self._rows), self._wiring.n_outputs)
+            rows = np.array(self._rows).reshape(len(self._rows), len(self._ports))
             self._blocks.append(np.vstack([self._t, rows.T]))
             self._t, self._rows = [], []
 
@@ -52,8 +62,8 @@ class Memory:
     def run(self) -> Run:
         """What has been observed so far."""
         self._gather()
-        t, *data = np.concatenate([np.empty((1 + self._wiring.n_outputs, 0)), *self._blocks], axis=1)
-        columns = {f"{c}.{p.name}": column for (c, p), column in zip(self._wiring.outputs, data, strict=True)}
-        ports = {f"{c}.{p.name}": plain(p) for c, p in self._wiring.outputs}
+        t, *data = np.concatenate([np.empty((1 + len(self._ports), 0)), *self._blocks], axis=1)
+        columns = dict(zip(self._ports, data, strict=True))
+        ports = {name: plain(p) for name, p in self._ports.items()}
         info = {**self.about, "outcome": self._outcome, "message": self._message}
         return Run(Path(), t, columns, ports, info)

@@ -23,6 +23,8 @@ class Playback:
     the last row. In a compiled loop it is compiled.
     """
 
+    restarts = True
+
     def __init__(
         self,
         name: str,
@@ -46,6 +48,7 @@ class Playback:
         self._data[:HEAD] = n, m, adds, clamps, 0
         held, self._u, self._y, times, table = np.split(self._data[HEAD:], np.cumsum([m, m, m, n]))
         held[:], times[:], table[:] = [p.type != "real" for p in ports], t, rows.ravel()
+        self._time = 0.0
         self._unused = np.zeros(len(ignored))
         """Where a compiled loop puts the inputs that change nothing."""
         into = [PortData(passing(p.name), "input", p.type, p.unit, 0.0) for p in ports] if adds else []

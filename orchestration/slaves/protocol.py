@@ -12,7 +12,8 @@ a recording (`orchestration.slaves.playback`). The master calls it in this order
 
 `leave_initialisation()` is there where it does something; a slave that was not told to leave does so in its first step.
 A slave may also have `native()`: addresses for the compiled loop (`orchestration.slaves.native`), and `warnings`: texts, what one should
-know before it runs.
+know before it runs. One with `restarts = True` gives its state before it is initialised, too, and can be put back to it whatever has
+happened since, to be configured and run again; the addresses that it has given stay valid (`orchestration.rig`).
 
 `Slave` and `Port` are protocols: who implements them need not import this file. Ports are scalars.
 An element of an array is a port called `base[1]`, `base[2]` or `base[1,2]` (counted from one); the

@@ -1,0 +1,88 @@
+"""Simulations of the conditions: each with its own system and parameters, the same bits in whatever order and process."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from robomill.cell.binding import convert, resolve
+from robomill.cell.equipment import load_system
+from robomill.diagnosis.experiment.measured import Condition
+from robomill.diagnosis.experiment.simulation import Laboratory, Setting, setting
+from robomill.files import FILES
+from robomill.orchestration.assembly import run
+
+CELL = load_system(FILES / "scenarios" / "milling_cell.toml")
+STIFF = CELL.with_parameters("compliance", {"stiffness_error[2]": 0.1})
+CHANNELS = ("compliance.d_T_B[1]", "drive.torque_motor[2]", "sensor.f_T_T[3]")
+SETTINGS = (
+    (),
+    setting({("drive", "tracking_lag"): 0.02, ("compliance", "stiffness_error[2]"): -0.1}),
+    setting({("milling", "tool_wear"): 0.4, ("sensor", "seed"): 2.0}),
+    setting({("drive", "backlash[1]"): 1e9}),
+)
+"""The last one cannot run."""
+
+
+def condition(name: str, steps: int, parameters: Mapping[str, Mapping[str, Any]], **more: Any) -> Condition:
+    return Condition(name, parameters, (), CELL.step * np.arange(steps), **more)
+
+
+@pytest.fixture
+def laboratory() -> Laboratory:
+    conditions = [
+        condition("a", 40, {}),
+        condition("b", 30, {"drive": {"tracking_lag": 0.01}}, nominal={("drive", "tracking_lag"): 0.01}),
+        condition("c", 40, {}, system=STIFF, channels=frozenset(CHANNELS[:2])),
+    ]
+    return Laboratory(CELL, conditions, CHANNELS, resolve, convert)
+
+
+def anew(laboratory: Laboratory, index: int, changes: Setting) -> npt.NDArray[np.float64]:
+    """The channels from a system that is opened for this simulation alone."""
+    c = laboratory.conditions[index]
+    cell = laboratory.configured(index)
+    for (component, parameter), value in changes:
+        nominal = (c.nominal or {}).get((component, parameter), 0.0)
+        cell = cell.with_parameters(component, {parameter: value + nominal})
+    found = run(cell, None, stop=float(c.grid[-1]), resolver=resolve, convert=convert)
+    columns = [np.interp(c.grid, found.t, found.columns[name]) if c.has(name) else np.zeros(len(c.grid)) for name in CHANNELS]
+    return np.stack(columns, axis=1)
+
+
+def test_simulations_in_any_order_are_those_of_systems_that_are_opened_anew(laboratory: Laboratory) -> None:
+    expected = {(i, s): anew(laboratory, i, s) for i in range(3) for s in SETTINGS[:-1]}
+    for s in (*SETTINGS, *reversed(SETTINGS)):
+        for i in range(3):
+            found = laboratory.simulate(i, s)
+            assert (found is None) == (s == SETTINGS[-1])
+            assert found is None or found.tobytes() == expected[i, s].tobytes()
+    shown = [expected[i, ()].tobytes() for i in range(3)]
+    assert len(set(shown)) == 3, "each condition has a system or parameters of its own"
+
+
+def test_a_condition_that_is_replaced_gets_a_system_of_its_own(laboratory: Laboratory) -> None:
+    before = laboratory.simulate(0, ())
+    first, *others = laboratory.conditions
+    laboratory.conditions = [replace(first, parameters={"drive": {"tracking_lag": 0.03}}), *others]
+    after = laboratory.simulate(0, ())
+    assert before is not None
+    assert after is not None
+    assert before.tobytes() != after.tobytes()
+    assert after.tobytes() == anew(laboratory, 0, ()).tobytes()
+
+
+def test_another_process_opens_systems_of_its_own(laboratory: Laboratory) -> None:
+    here = laboratory.simulate(1, SETTINGS[1])
+    sent = pickle.loads(pickle.dumps(replace(laboratory, resolver=resolve)))
+    there = sent.simulate(1, SETTINGS[1])
+    assert here is not None
+    assert there.tobytes() == here.tobytes()
+    narrow = replace(laboratory, channels=CHANNELS[:1])  # what it has opened is not that of other channels
+    assert narrow.simulate(1, SETTINGS[1]).tobytes() == np.ascontiguousarray(here[:, :1]).tobytes()
