@@ -21,11 +21,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from robomill.diagnosis.catalogue import physical
 from robomill.diagnosis.experiment.segments import array_of
 from robomill.diagnosis.experiment.simulation import Laboratory, Setting, decimate, refined
-from robomill.orchestration.assembly import run
 from robomill.orchestration.errors import OrchestrationError
+from robomill.orchestration.rig import Rig
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.playback import Playback
 from robomill.orchestration.slaves.protocol import FloatArray, Slave
@@ -79,15 +78,18 @@ class ComponentReplay:
         self.mean = mean
         self._inputs = {c: self._sources(c) for c in (k.name for k in self.system.components)}
         self._alone: dict[str, dict[str, FloatArray]] = {}
+        self._rigs: dict[str, Rig] = {}
 
     # Simulations
 
-    def _changed(self, changes: Setting, seed: int = 1) -> System:
-        system, nominal = self.system, self.laboratory.nominal_of(self.index)
+    def _values(self, changes: Setting, seed: int = 1) -> dict[str, dict[str, float]]:
         seeds = tuple((a, float(seed)) for a in self.laboratory.seeds)
-        seeded = physical(dict(self.laboratory.effective(self.index, (*changes, *seeds))))
-        for (component, parameter), value in seeded.items():
-            system = system.with_parameters(component, {parameter: value + nominal.get((component, parameter), 0.0)})
+        return self.laboratory.values(self.index, (*changes, *seeds))
+
+    def _changed(self, changes: Setting, seed: int = 1) -> System:
+        system = self.system
+        for component, values in self._values(changes, seed).items():
+            system = system.with_parameters(component, values)
         return system
 
     def _known(self, mean: FloatArray) -> npt.NDArray[np.bool_]:
@@ -97,6 +99,9 @@ class ComponentReplay:
         return np.asarray([c.partition(".")[0] not in driven for c in self.channels] & small)
 
     def _run(self, system: System, playbacks: Sequence[Playback] = ()) -> Run:
+        return self._rig(system, playbacks).run({}, float(self.grid[-1]))
+
+    def _rig(self, system: System, playbacks: Sequence[Playback] = ()) -> Rig:
         slaves = {t.name: t for t in playbacks}
         others = self.laboratory.resolver
 
@@ -107,7 +112,7 @@ class ComponentReplay:
                 raise LookupError(f"source {source!r}")
             return others(source, name)
 
-        return run(system, None, stop=float(self.grid[-1]), resolver=resolve, convert=self.laboratory.convert)
+        return Rig(system, resolve, self.laboratory.convert)
 
     def _coarse(self, bias: FloatArray) -> FloatArray | None:
         """What would be left of signals that are right, but of a smaller communication step, [n, channels]."""
@@ -163,17 +168,26 @@ class ComponentReplay:
 
         `changes`: parameters that are changed [unit of the parameter]; `shifts`: column of an input -> what is added to it, [n].
         """
-        system = self._changed(changes)
-        by_source: dict[str, dict[str, FloatArray]] = {}
-        for name, values in self._inputs[component].items():
-            shift = shifts.get(name) if shifts else None
-            by_source.setdefault(name.partition(".")[0], {})[name] = values if shift is None else values + shift
-        playbacks = [self._playback(source, series) for source, series in by_source.items() if source != component]
-        connections = [c for c in system.connections if c.target.partition(".")[0] == component]
-        parts = (*(Component(t.name, PLAYBACK) for t in playbacks), system.component(component))
-        result = self._run(replace(system, components=parts, connections=tuple(connections), stop_when=None), playbacks)
+        if shifts:
+            rig = self._driven(component, shifts)
+        elif component in self._rigs:
+            rig = self._rigs[component]
+        else:
+            rig = self._rigs[component] = self._driven(component, {})
+        result = rig.run({c: v for c, v in self._values(changes).items() if c == component}, float(self.grid[-1]))
         prefix = component + "."
         return {k: self._on_grid(result, k) for k in result.columns if k.startswith(prefix)}
+
+    def _driven(self, component: str, shifts: Mapping[str, FloatArray]) -> Rig:
+        """A component alone, opened, behind the inputs that it has in the replay of the mean run, with `shifts` added."""
+        by_source: dict[str, dict[str, FloatArray]] = {}
+        for name, values in self._inputs[component].items():
+            shift = shifts.get(name)
+            by_source.setdefault(name.partition(".")[0], {})[name] = values if shift is None else values + shift
+        playbacks = [self._playback(source, series) for source, series in by_source.items() if source != component]
+        connections = [c for c in self.system.connections if c.target.partition(".")[0] == component]
+        parts = (*(Component(t.name, PLAYBACK) for t in playbacks), self.system.component(component))
+        return self._rig(replace(self.system, components=parts, connections=tuple(connections), stop_when=None), playbacks)
 
     def swapped(self, components: frozenset[str]) -> FloatArray:
         """The closed loop with the mean residual of the replay added to the outputs of these components; all channels, [n, channels].

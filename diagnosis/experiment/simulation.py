@@ -141,12 +141,9 @@ class Laboratory:
 
     def _simulate(self, index: int, changes: Setting) -> FloatArray | None:
         """All samples of the channels, [n, channels]."""
-        condition, nominal = self.conditions[index], self.nominal_of(index)
-        values: dict[str, dict[str, float]] = {}
-        for (component, parameter), value in physical(dict(self.effective(index, changes))).items():
-            values.setdefault(component, {})[parameter] = value + nominal.get((component, parameter), 0.0)
+        condition = self.conditions[index]
         try:
-            result = self._rig(index).run(values, float(condition.grid[-1]))
+            result = self._rig(index).run(self.values(index, changes), float(condition.grid[-1]))
         except OrchestrationError:
             if not changes:
                 raise
@@ -154,6 +151,14 @@ class Laboratory:
         nothing = np.zeros(len(result.t))
         columns = [result.columns.get(name, nothing) for name in self.channels]
         return np.stack([np.interp(condition.grid, result.t, column) for column in columns], axis=1)
+
+    def values(self, index: int, changes: Setting) -> dict[str, dict[str, float]]:
+        """What the parameters of condition `index` are with these changes: component -> parameter -> value [unit of the parameter]."""
+        nominal = self.nominal_of(index)
+        found: dict[str, dict[str, float]] = {}
+        for (component, parameter), value in physical(dict(self.effective(index, changes))).items():
+            found.setdefault(component, {})[parameter] = value + nominal.get((component, parameter), 0.0)
+        return found
 
     def _rig(self, index: int) -> Rig:
         """The system of condition `index`, opened; a thread has its own."""
