@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -103,8 +104,11 @@ class Space:
         precision = (np.eye(m) + self._products)[here]
         self._inner = np.zeros((m, m))
         self._inner[here] = np.linalg.inv(precision)
-        self.chi2 = float(self.dot(y, y))
+        self._on_y: FloatArray = self._across @ y
+        self.chi2 = float(y @ y - self._on_y @ (self._inner @ self._on_y))
         self.log_determinant = float(np.linalg.slogdet(precision)[1])
+        self._parts: dict[tuple[str, ...], FloatArray] = {}
+        """B'B of the rows of some conditions."""
         self._without: dict[frozenset[Address], Space] = {}
         self.alike: dict[Address, dict[Address, float]] = {}
         """parameter -> nuisances that do the same as it, and their standard deviation in its unit."""
@@ -115,8 +119,24 @@ class Space:
         if not gone:
             return self
         if gone not in self._without:
-            self._without[gone] = Space(self.y, self.blocks, self.nuisances, self.names, self._products, gone | self.gone)
+            self._without[gone] = self.lacking(gone)
         return self._without[gone]
+
+    def lacking(self, gone: Collection[Address]) -> Space:
+        """Space where these nuisances do not count; the data and the sensitivities are shared.
+
+        With the inverse [[P, Q], [Q', R]] of I + B'B, R of those that are gone, the inverse for the others alone is P - Q R^-1 Q', and
+        det R is the factor that its determinant has less (Schur complement).
+        """
+        made = copy(self)
+        made.gone, made._without, made.alike = self.gone | frozenset(gone), {}, {}
+        out = [i for i, name in enumerate(self.names) if name in gone and name not in self.gone]
+        across, within = self._inner[:, out], self._inner[np.ix_(out, out)]
+        made._inner = self._inner - across @ np.linalg.solve(within, across.T)
+        made._inner[out], made._inner[:, out] = 0.0, 0.0
+        made.chi2 = float(self.y @ self.y - self._on_y @ (made._inner @ self._on_y))
+        made.log_determinant = self.log_determinant + float(np.linalg.slogdet(within)[1])
+        return made
 
     def less(self, names: Collection[Address]) -> Space:
         """A space of its own that has all nuisances but these; this one where none of them is here."""
@@ -167,6 +187,12 @@ class Space:
         right = left if b is a else self._across @ b
         return np.asarray(a.T @ b - left.T @ (self._inner @ right))
 
+    def against(self, vector: FloatArray) -> tuple[float, float]:
+        """<v, y> and <v, v> of a vector [n]."""
+        seen = self._across @ vector
+        inner = self._inner @ seen
+        return float(vector @ self.y - inner @ self._on_y), float(vector @ vector - inner @ seen)
+
     def gram(self, matrix: FloatArray) -> Gram:
         """Products of the columns of a matrix [n, k], for `within` of this space and of those that are it `without` some nuisances."""
         return Gram(matrix.T @ matrix, self._across @ matrix)
@@ -183,8 +209,10 @@ class Space:
 
     def only(self, blocks: Sequence[str]) -> Space:
         """Space restricted to the rows of some conditions; it has no blocks."""
-        rows = np.concatenate([np.arange(self.y.size)[self.blocks[b]] for b in blocks])
-        return Space(self.y[rows], {}, self.nuisances.tocsr()[rows], self.names, None, self.gone)
+        rows = self.rows(blocks)
+        made = Space(self.y[rows], {}, self.nuisances.tocsr()[rows], self.names, self._parts.get(tuple(blocks)), self.gone)
+        self._parts[tuple(blocks)] = made._products
+        return made
 
     def rows(self, blocks: Sequence[str]) -> FloatArray:
         """Indices of the rows of y that belong to some conditions."""
@@ -321,7 +349,8 @@ def leave_one_out(fit: Fit, space: Space) -> dict[str, LeftOut]:
         sensitivities = fit.sensitivities[rest]
         refit = solve(fit.model, inner.dot(sensitivities, sensitivities), inner.dot(sensitivities, target), 0.0, 0.0, scales, low, high)
         x = np.array([refit.values[a] for a in addresses]) / scales
-        there, plain = own.only([name]), space.only([name])
+        plain = space.only([name])
+        there = plain.lacking(own.gone)
         left = there.y - fit.signature[here]
         moved = left - fit.sensitivities[here] @ (x - best)
         gains[name] = LeftOut(

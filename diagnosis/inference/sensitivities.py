@@ -140,9 +140,10 @@ class Sensitivities:
 
         `one`, `other`: per prior scale, [n, parameters]; of an amplitude with a phase that of the part that is farther away.
         """
-        own = self.evidence.space.without(candidate.addresses)
-        cross = own.dot(other, one)
-        left = np.diag(own.dot(one, one) - cross.T @ np.linalg.pinv(own.dot(other, other)) @ cross)
+        both, k = np.concatenate([other, one], axis=1), other.shape[1]
+        products = self.evidence.space.without(candidate.addresses).dot(both, both)
+        cross = products[:k, k:]
+        left = np.diag(products[k:, k:] - cross.T @ np.linalg.pinv(products[:k, :k]) @ cross)
         return abs(size) * math.sqrt(max(float(left.max()), 0.0))
 
     def _shown(self, address: Address) -> FloatArray:
@@ -226,8 +227,9 @@ class Sensitivities:
         found, gains = {}, {}
         for a, c in self.single.items():
             own, sensitivity = self.evidence.space.without([a]), self.evidence.sensitivities[a]
-            x = float(own.dot(sensitivity, own.y) / (own.dot(sensitivity, sensitivity) + 1e-300))
-            gains[a] = self.evidence.space.chi2 - own.chi2 + _gain(own, sensitivity, c)
+            product, square = own.against(sensitivity)
+            x = product / (square + 1e-300)
+            gains[a] = self.evidence.space.chi2 - own.chi2 + _taken(product, square, c)
             if abs(x) < SMALLER and 0.5 * gains[a] > NOTED:
                 found[a] = [x * 1.6**k for k in range(math.ceil(math.log(SMALLER / abs(x), 1.6)) + 1)]
         best = max(gains.values(), default=0.0)
@@ -314,5 +316,9 @@ def _cosine(a: FloatArray, b: FloatArray) -> float:
 
 def _gain(space: Space, sensitivity: FloatArray, candidate: Candidate) -> float:
     """chi2 that the sensitivity v takes away at its best size: <v, y>^2 / <v, v>; 0 where that size has a sign it cannot have."""
-    product, square = float(space.dot(sensitivity, space.y)), float(space.dot(sensitivity, sensitivity))
+    return _taken(*space.against(sensitivity), candidate)
+
+
+def _taken(product: float, square: float, candidate: Candidate) -> float:
+    """chi2 that a sensitivity v takes away, from its products <v, y> and <v, v>; see `_gain`."""
     return product * product / (square + 1e-300) if product > 0.0 or candidate.both_signs else 0.0

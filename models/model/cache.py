@@ -99,12 +99,13 @@ def source_files(module: str) -> dict[str, Path]:
             raise ModuleNotFoundError(f"no source file of module {name!r}, which {module!r} imports")
         found[name] = file
         package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-        for source, names in _imports(file, file.stat().st_mtime_ns):
-            if names is None:
-                waiting += [source] if _followed(source, own) else []
+        for written, names in _imports(file, file.stat().st_mtime_ns):
+            source = importlib.util.resolve_name(written, package)
+            if not _followed(source, own):
                 continue
-            source = importlib.util.resolve_name(source, package)
-            if _followed(source, own):
+            if names is None:
+                waiting.append(source)
+            else:
                 modules = [n for member in names if _file(n := f"{source}.{member}")]
                 waiting += modules if len(modules) == len(names) else [source, *modules]
     return dict(sorted(found.items()))
