@@ -99,33 +99,17 @@ def source_files(module: str) -> dict[str, Path]:
             raise ModuleNotFoundError(f"no source file of module {name!r}, which {module!r} imports")
         found[name] = file
         package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-        for written, names in _imports(file, file.stat().st_mtime_ns):
-            source = importlib.util.resolve_name(written, package)
-            if not _followed(source, own):
-                continue
-            if names is None:
-                waiting.append(source)
-            else:
-                modules = [n for member in names if _file(n := f"{source}.{member}")]
-                waiting += modules if len(modules) == len(names) else [source, *modules]
+        with _PARSING:
+            tree = ast.parse(file.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                waiting += [alias.name for alias in node.names if _followed(alias.name, own)]
+            elif isinstance(node, ast.ImportFrom):
+                source = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+                if _followed(source, own):
+                    modules = [n for alias in node.names if _file(n := f"{source}.{alias.name}")]
+                    waiting += modules if len(modules) == len(node.names) else [source, *modules]
     return dict(sorted(found.items()))
-
-
-@cache
-def _imports(file: Path, changed: int) -> tuple[tuple[str, tuple[str, ...] | None], ...]:
-    """(module, None) of each `import` of a file, (module as written, names) of each `from`; `changed`: when the file was [ns].
-
-    Each model asks for the files that all models share: they are read once.
-    """
-    with _PARSING:
-        tree = ast.parse(file.read_text(encoding="utf-8"))
-    found: list[tuple[str, tuple[str, ...] | None]] = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            found += [(alias.name, None) for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            found.append(("." * node.level + (node.module or ""), tuple(alias.name for alias in node.names)))
-    return tuple(found)
 
 
 def _followed(module: str, own: set[str]) -> bool:

@@ -6,11 +6,14 @@ import shutil
 
 import pytest
 
+from benchmarks import simulations
 from benchmarks.contenders import C_LOOP, Contender, Ring
 from benchmarks.measure import Duel, Start, duel
 from benchmarks.network import calls
 from benchmarks.report import Measured, write
 from benchmarks.runners import MasterError, Worker
+from robomill.cell.equipment import load_system
+from robomill.files import FILES
 from tests.tolerances import EXACT
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="the benchmarks compile C on the spot")
@@ -82,3 +85,11 @@ def test_the_page_names_who_is_missing(fought, tmp_path):
     assert "left out: not installed" in page
     assert "9 of 9 rows have the bits of the C loop" in page
     assert (tmp_path / "masters.png").read_bytes()[:4] == (tmp_path / "scaling.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_simulations_of_a_system_that_stays_open_are_compared_with_those_of_one_that_is_opened_anew():
+    costs = simulations.measure(load_system(FILES / "scenarios" / "milling_cell.toml"), 0.04, 2)
+    assert (costs.steps, len(costs.anew), len(costs.open)) == (10, 2, 2)
+    text = simulations.page(costs, (0.5, 0.5))
+    assert "(10 steps of 4 ms)" in text
+    assert text.count("\n| ") == 3
