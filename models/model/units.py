@@ -330,11 +330,10 @@ def convert(value: float, stated: str, wanted: str) -> float:
         raise ValueError(f"{value:.15g} has no unit; expected a text with one, such as {examples}; units that fit: {', '.join(fit)}")
     if stated == wanted:
         return value
-    fit = f"units that fit: {', '.join(fitting(wanted))}"
     try:
         given = unit_of(stated)
     except ValueError as error:
-        raise ValueError(f"{error}; {fit}") from None
+        raise ValueError(f"{error}; units that fit: {', '.join(fitting(wanted))}") from None
     target = _known(wanted)
     if target is None:
         raise ValueError(
@@ -345,7 +344,7 @@ def convert(value: float, stated: str, wanted: str) -> float:
     if given.exponents != target.exponents:
         apart = _sum(given.exponents, target.exponents, -1)
         why = "they differ by rad, which is a unit of its own" if set(apart) == {"rad"} else "it measures something else"
-        raise ValueError(f"{value:.15g} {stated} cannot be expressed in {wanted}: {why}; {fit}")
+        raise ValueError(f"{value:.15g} {stated} cannot be expressed in {wanted}: {why}; units that fit: {', '.join(fitting(wanted))}")
     if (given.factor, given.offset) == (target.factor, target.offset):
         return value
     return (given.factor * value + given.offset - target.offset) / target.factor
