@@ -221,6 +221,7 @@ def _cut(entry: Entry) -> Cut:
         if value <= 0.0:
             raise entry[key].expected("a positive time")
     return Cut(
+        f"{entry.place}: {entry.name}",
         _instant(entry["from"]) if "from" in entry else None,
         _instant(entry["to"]) if "to" in entry else None,
         times.get("period"),
