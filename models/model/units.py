@@ -28,7 +28,7 @@ class Unit:
 
     factor: float
     exponents: Mapping[str, int]
-    """Of the `BASE` units, in their order; none is zero."""
+    """Powers of the `BASE` units, in their order; none is zero."""
     offset: float
     si: str
     """The SI unit that measures the same, in the same parts: `N.m/rad` of `kN.mm/deg`."""

@@ -114,7 +114,7 @@ def test_topics_of_other_rates_come_onto_one_clock_and_are_cut_where_another_top
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("[elbow]", "[knee]", "unknown column '/joint_states/position[knee]'; available: /joint_states/position[shoulder], "),
+        ("[elbow]", "[knee]", "available: /joint_states/position[shoulder], /joint_states/position[elbow]"),
         ("/ft/wrench.force.x", "/ft/force.x", "unknown column '/ft/force.x'; did you mean"),
         ('"/ft/wrench.force.x"', '"/phase/data"', "column '/phase/data' holds texts, such as 'air'; expected numbers"),
         ("[clock]", '[log]\nstamps = "sent"\n[clock]', "unknown stamps 'sent'; available: header, received"),
