@@ -14,7 +14,7 @@ import numpy.typing as npt
 from robomill.logs.cutting import TICK, Instant
 from robomill.logs.mapping import ISO, Clock
 from robomill.logs.reading import FloatArray, Log, LogError
-from robomill.models.model.units import unit_of
+from robomill.models.model.units import compatible, unit_of
 
 _NS = 1e-9
 _EPOCH = datetime.datetime.fromtimestamp(0, datetime.UTC)
@@ -36,6 +36,9 @@ class Timing:
         """LogError for a column that is no clock."""
         if clock.column is None:
             return Timing(clock, log, None, log.epoch)
+        stated = log.units.get(clock.column, "")
+        if clock.format is None and compatible(stated, "s") and unit_of(stated) != unit_of(clock.unit):
+            raise LogError(f"{log.file}: clock {clock.column!r}: wrong unit: the mapping says {clock.unit!r}, the log states {stated!r}")
         if clock.format is None:
             t, epoch = unit_of(clock.unit).factor * log[clock.column] + clock.offset, log.epoch
         else:

@@ -39,7 +39,8 @@ def test_units_of_the_row_are_those_of_the_signals(tmp_path: Path) -> None:
 def test_a_unit_other_than_that_of_the_row_is_refused(tmp_path: Path) -> None:
     log = written(tmp_path, GERMAN, "cp1252")
     signal = '[[signal]]\nport = "a.f"\ncolumn = "fx"\nunit = "N"\n'
-    assert "wrong unit: the mapping says 'N', the log states 'kN'" in refused(tmp_path, LOG + CLOCK + signal, log)
+    assert "wrong unit: the mapping says 'N', the log states 'kN'" in refused(tmp_path, LOG + CLOCK.replace('"s"', '"ms"') + signal, log)
+    assert "clock 'time': wrong unit: the mapping says 's', the log states 'ms'" in refused(tmp_path, LOG + CLOCK + signal, log)
 
 
 def test_blanks_and_tabulators_part_columns(tmp_path: Path) -> None:
