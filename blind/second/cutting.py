@@ -1,7 +1,8 @@
 """Cutting force, tooth by tooth: edges cut into discs, the turn of the spindle into slices. SI units, forces on the tool.
 
 Force law of Altintas (FACTS 3.2). The workpiece is a height map; a cell that the tool
-covers in part is lowered in part.
+covers in part is lowered in part. The edges must not read cells that the tool itself is lowering, so the map lags by a
+few millimetres of travel; what was cut since then is known exactly, as the places of the tool (the trail).
 """
 
 from __future__ import annotations
@@ -24,6 +25,16 @@ ONSET = 5e-6
 ZONE, CONTACT = 1e-4, 0.06
 """Depth [m] and time [s] over which the end face comes into contact (docs/components/milling_force.md)."""
 LEAST_CHIP = 1e-6
+BETWEEN = 0.25 * CELL
+"""Travel [m] between two places of the trail; the scallops between their discs are BETWEEN^2/(8 R) = 0.2 um high."""
+OWN = 2.0 * CELL
+"""Travel [m] of the trail that the edges do not look at: a tool that springs back by less stays in its cut."""
+LAG = math.sqrt((RADIUS + 2.0 * CELL) ** 2 - RADIUS**2)
+"""Travel [m] by which the map lags: even the edges at the sides are then two cells ahead of what has been taken from it.
+
+Half a cell of partial cover and 1.41 cells of interpolation need 1.91 cells.
+"""
+TRAIL, OWN_TRAIL = math.ceil(LAG / BETWEEN) + 1, math.ceil(OWN / BETWEEN)
 
 
 class Cut(NamedTuple):
@@ -62,12 +73,16 @@ class CutState(NamedTuple):
     """The workpiece and what cutting remembers: `memory` is angle, contact, time in the cut, spindle torque, shift of the block [3]."""
 
     top: FloatArray
+    """Heights of the map [m], without what was cut along the trail."""
+    trail: FloatArray
+    """[TRAIL,3] m, where the tool has cut lately, oldest first; infinitely far before it has."""
     memory: FloatArray
 
 
 def fresh(size: FloatArray) -> CutState:
     """An uncut block of that size [3] m, heights over its nominal top."""
-    return CutState(np.zeros((math.ceil(size[0] / CELL), math.ceil(size[1] / CELL))), np.zeros(7))
+    top = np.zeros((math.ceil(size[0] / CELL), math.ceil(size[1] / CELL)))
+    return CutState(top, np.full((TRAIL, 3), np.inf), np.zeros(7))
 
 
 @compiled
@@ -105,24 +120,41 @@ def remove(top: FloatArray, size: FloatArray, x: float, y: float, z: float, raw:
 
 
 @compiled
-def engagement(top: FloatArray, size: FloatArray, at: FloatArray, feed: FloatArray, raw: float) -> FloatArray:
-    """Axial depth [m] of the material in front of the edge, by direction [BINS], tip `at` [3] and unit feed [2] in P.
+def move(s: CutState, size: FloatArray, at: FloatArray, raw: float) -> None:
+    """Note that the tool has cut at `at` [3]; a new place drives the oldest of the trail into the map."""
+    last = s.trail[-1]
+    if math.hypot(at[0] - last[0], at[1] - last[1]) < BETWEEN:
+        last[2] = min(last[2], at[2])
+        return
+    oldest = s.trail[0]
+    if oldest[2] < np.inf:
+        remove(s.top, size, oldest[0], oldest[1], oldest[2], raw)
+    for k in range(TRAIL - 1):
+        s.trail[k] = s.trail[k + 1]
+    s.trail[-1] = at
 
-    Read two cells ahead of the circle at the same distance from the path, where the tool itself has cut nothing yet.
-    """
+
+@compiled
+def standing(s: CutState, size: FloatArray, x: float, y: float, places: int) -> float:
+    """Height [m] of the material at a place: that of the map, less the cut from so many oldest places of the trail; -1 beside the block."""
+    z = height(s.top, size, x, y)
+    for k in range(places):
+        if (x - s.trail[k, 0]) ** 2 + (y - s.trail[k, 1]) ** 2 < RADIUS**2:
+            z = min(z, s.trail[k, 2])
+    return z
+
+
+@compiled
+def engagement(s: CutState, size: FloatArray, at: FloatArray, feed: FloatArray) -> FloatArray:
+    """Axial depth [m] of the material at the edge, by direction [BINS], tip `at` [3] and unit feed [2] in P."""
     depth = np.zeros(BINS)
-    ring = RADIUS + 2.0 * CELL
     for b in range(BINS):
         phi = (b + 0.5) * math.pi / BINS
         ahead, left = RADIUS * math.sin(phi), RADIUS * math.cos(phi)
-        if height(top, size, at[0] + ahead * feed[0] - left * feed[1], at[1] + ahead * feed[1] + left * feed[0]) < -0.5:
-            continue
-        ahead = math.sqrt(ring * ring - left * left)
         x, y = at[0] + ahead * feed[0] - left * feed[1], at[1] + ahead * feed[1] + left * feed[0]
-        z = height(top, size, x, y)
-        if z < -0.5:
-            z = raw  # the rim of the block: the ring is outside, the edge still inside
-        depth[b] = max(z - at[2], 0.0)
+        z = standing(s, size, x, y, TRAIL - OWN_TRAIL)
+        if z > -0.5:
+            depth[b] = max(z - at[2], 0.0)
     return depth
 
 
@@ -191,7 +223,7 @@ def end_face(c: Cut, s: CutState, h: float, at: FloatArray, down: float, omega: 
     for i in range(12):
         for k in range(3):
             r, a = RADIUS * (0.3 + 0.3 * k), 2.0 * math.pi * i / 12.0
-            z = height(s.top, c.size, at[0] + r * math.cos(a), at[1] + r * math.sin(a))
+            z = standing(s, c.size, at[0] + r * math.cos(a), at[1] + r * math.sin(a), TRAIL)
             found += float(k + 1) * min(max((z - at[2]) / ZONE + 1.0, 0.0), 1.0) if z > -0.5 else 0.0
             looked += k + 1
     s.memory[1] += (1.0 - math.exp(-h / CONTACT)) * (found / looked - s.memory[1])
@@ -234,13 +266,13 @@ def cut(c: Cut, s: CutState, h: float, raw: float, p: FloatArray, v: FloatArray,
     feed = np.array([1.0, 0.0])
     if speed > 1e-6:
         feed = along[:2] / speed
-        depth = engagement(s.top, c.size, at, feed, raw)
+        depth = engagement(s, c.size, at, feed)
         wrench = edges(c, depth, 2.0 * math.pi * speed / (TEETH * turning), theta0 + c.start_angle, s.memory[0] + c.start_angle)
     thrust, torque = end_face(c, s, h, at, -along[2], turning, raw)
     wrench[2] += thrust
     wrench[5] += torque
     wrench *= outside_factor(c, s, h, feed, math.sqrt(wrench[0] ** 2 + wrench[1] ** 2))
-    remove(s.top, c.size, at[0], at[1], at[2], raw)
+    move(s, c.size, at, raw)
     f, m = np.zeros(3), np.zeros(3)
     for i in range(3):
         f[i] = c.R_BP[i, 0] * (feed[0] * wrench[0] - feed[1] * wrench[1]) + c.R_BP[i, 1] * (feed[1] * wrench[0] + feed[0] * wrench[1])

@@ -31,6 +31,24 @@ def slot(c, depth, feed, steps=400, start=(-0.02, 0.0)):
     return np.mean(forces[-turns // 2 // 6 * 6 :], axis=0), state
 
 
+def heights(c, state):
+    """The map with all that is cut."""
+    top = state.top.copy()
+    for x, y, z in state.trail[np.isfinite(state.trail[:, 2])]:
+        cutting.remove(top, c.size, x, y, z, 0.0)
+    return top
+
+
+def along(c, state, start, stop, depth, feed):
+    """Ways of the tip [m] straight from start to stop [2] m, and the size of the force [N] there."""
+    way = np.subtract(stop, start)
+    length = float(np.hypot(*way))
+    unit = np.array([*way, 0.0]) / length
+    x = np.arange(round(length / (feed * 1e-3))) * feed * 1e-3
+    force = [cutting.cut(c, state, 1e-3, 0.0, np.array([*start, -depth]) + s * unit, feed * unit, OMEGA)[0] for s in x]
+    return x, np.linalg.norm(force, axis=1)
+
+
 def closed(c, depth, feed):
     """Altintas: mean force of a slot (FACTS 3.2) on the tool, feed along x, axial force into the work."""
     chip, a = 2.0 * math.pi * feed / (TEETH * OMEGA), TEETH * depth
@@ -63,8 +81,9 @@ def test_what_is_removed_is_the_volume_of_the_slot():
     _, state = slot(c, 4e-3, 0.04)
     length = 0.04 * 0.399
     expected = 4e-3 * (2.0 * RADIUS * length + math.pi * RADIUS**2)
-    cell = c.size[0] / state.top.shape[0] * c.size[1] / state.top.shape[1]
-    assert -state.top.sum() * cell == pytest.approx(expected, rel=SLICED)
+    top = heights(c, state)
+    cell = c.size[0] / top.shape[0] * c.size[1] / top.shape[1]
+    assert -top.sum() * cell == pytest.approx(expected, rel=SLICED)
 
 
 def test_there_is_no_force_in_the_air_nor_in_a_slot_that_is_cut():
@@ -74,6 +93,62 @@ def test_there_is_no_force_in_the_air_nor_in_a_slot_that_is_cut():
     assert np.array_equal(cutting.cut(c, state, 1e-3, 0.0, np.array([0.0, 0.0, 1e-3]), np.array([0.04, 0.0, 0.0]), OMEGA)[0], still)
     again, _, _ = cutting.cut(c, state, 1e-3, 0.0, np.array([-0.016, 0.0, -4e-3]), np.array([0.04, 0.0, 0.0]), OMEGA)
     assert np.linalg.norm(again) < 0.03 * np.linalg.norm(closed(c, 4e-3, 0.04))
+
+
+FEED, DEPTH = 0.04, 4e-3
+STEP = FEED * 1e-3
+"""Feed in a fine step [m]."""
+
+
+def test_a_block_is_entered_where_it_begins():
+    c = machine.nominal(PLACE).cut
+    side = -0.5 * c.size[0]
+    x, force = along(c, cutting.fresh(c.size), (side - 0.012, 0.0), (side, 0.0), DEPTH, FEED)
+    met = x[np.flatnonzero(force > 0.0)[0]] - 0.012 + RADIUS
+    assert met == pytest.approx(0.0, abs=discretisation(2.0, STEP, 1))
+
+
+def test_a_wall_before_a_finished_slot_is_met_where_it_stands():
+    c = machine.nominal(PLACE).cut
+    state = cutting.fresh(c.size)
+    end = along(c, state, (-0.052, 0.0), (0.0, 0.0), DEPTH, FEED)[0][-1] - 0.052
+    along(c, state, (-0.01, 0.02), (-0.03, 0.02), DEPTH, FEED)  # elsewhere, so that the slot is no fresh one
+    x, force = along(c, state, (-0.01, 0.0), (0.004, 0.0), DEPTH, FEED)
+    met = x[np.flatnonzero(force > 0.5 * force[-60:].mean())[0]] - 0.01
+    # the wall is known to half a cell
+    assert met == pytest.approx(end, abs=discretisation(0.5, cutting.CELL, 1))
+
+
+def test_a_wall_beside_the_path_is_engaged_by_its_width():
+    c = machine.nominal(PLACE).cut
+    for width in (0.003, 0.0071, 0.012):
+        state = cutting.fresh(c.size)
+        along(c, state, (-0.052, 0.0), (0.052, 0.0), DEPTH, FEED)
+        for k in range(500):
+            at = np.array([-0.02 + k * STEP, width, -DEPTH])
+            depth = cutting.engagement(state, c.size, at, np.array([1.0, 0.0]))
+            cutting.move(state, c.size, at, 0.0)
+        cosines = np.cos(np.arange(cutting.BINS + 1) * math.pi / cutting.BINS)
+        engaged = (depth * RADIUS * -np.diff(cosines)).sum() / DEPTH
+        # a bin is 0.42 mm wide in the middle, and the wall is known to a part of a cell
+        assert engaged == pytest.approx(width, abs=discretisation(0.5, cutting.CELL, 1))
+
+
+def test_a_tool_that_turns_back_is_in_its_own_slot_at_once():
+    c = machine.nominal(PLACE).cut
+    state = cutting.fresh(c.size)
+    along(c, state, (-0.052, 0.0), (0.0, 0.0), DEPTH, FEED)
+    _, force = along(c, state, (0.0, 0.0), (-0.02, 0.0), DEPTH, FEED)
+    assert force.max() < 0.05 * np.linalg.norm(closed(c, DEPTH, FEED))
+
+
+def test_a_tool_that_goes_down_on_the_spot_cuts_by_its_depth():
+    c = machine.nominal(PLACE).cut
+    state = cutting.fresh(c.size)
+    for k in range(200):
+        cutting.cut(c, state, 1e-3, 0.0, np.array([0.0, 0.0, -2e-5 * k]), np.array([0.0, 0.0, -0.02]), OMEGA)
+    assert cutting.standing(state, c.size, 0.0, 0.0, cutting.TRAIL) == -2e-5 * 199
+    assert cutting.standing(state, c.size, 1.01 * RADIUS, 0.0, cutting.TRAIL) == 0.0
 
 
 DIFFERENCE = 1e4 * ROUNDOFF
