@@ -155,11 +155,14 @@ def catalogue_of(*systems: System, file: Path) -> Catalogue:
 
     There the component goes by the name of its model.
     """
-    catalogue = Catalogue.load(file)
+    own: dict[Path, Catalogue] = {}
     for c, model in _from_outside(*systems):
-        own = companion(model, CATALOGUE)
-        if own.is_file():
-            catalogue = catalogue.joined(Catalogue.load(own).about(model.name, c.name))
+        beside = companion(model, CATALOGUE).resolve()
+        if beside.is_file() and beside != file.resolve():  # a package may have several components, and one file about all of them
+            own[beside] = own.get(beside, Catalogue.load(beside)).about(model.name, c.name)
+    catalogue = Catalogue.load(file)
+    for brought in own.values():
+        catalogue = catalogue.joined(brought)
     return catalogue
 
 
