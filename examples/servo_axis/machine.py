@@ -49,7 +49,7 @@ def draw(seed: int, effects: dict[str, float]) -> np.ndarray:
         "table_inertia": 8e-3 * (1.0 + 0.01 * rng.normal()),
         "stiffness": 600.0 * (1.0 + 0.02 * rng.normal()),
         "damping": 0.15 * math.exp(0.2 * rng.normal()),
-        "bristle": 3000.0 * math.exp(0.3 * rng.normal()),
+        "bristle": 1e4 * math.exp(0.3 * rng.normal()),
         "current_lag": 2e-4 * math.exp(0.2 * rng.normal()),
         "slide_speed": 0.5 * math.exp(0.4 * rng.normal()),
         "cogging_phase": rng.uniform(0.0, 2.0 * math.pi),

@@ -108,6 +108,9 @@ UNITS: dict[str, Unit] = {
     "N.m/A": Unit(1.0, {**_NM, "A": -1}),
     "W": Unit(1.0, {"kg": 1, "m": 2, "s": -3}),
     "kW": Unit(1e3, {"kg": 1, "m": 2, "s": -3}),
+    "W/K": Unit(1.0, {"kg": 1, "m": 2, "s": -3, "K": -1}),
+    "K/W": Unit(1.0, {"kg": -1, "m": -2, "s": 3, "K": 1}),
+    "J/K": Unit(1.0, {**_NM, "K": -1}),
     "K": Unit(1.0, {"K": 1}),
     "degC": Unit(1.0, {"K": 1}, 273.15),
     "m/K": Unit(1.0, {"m": 1, "K": -1}),
@@ -125,6 +128,7 @@ UNITS: dict[str, Unit] = {
     "um/(N.m)": Unit(1e-6, {"kg": -1, "m": -1, "s": 2}),
     "1/N": Unit(1.0, {"kg": -1, "m": -1, "s": 2}),
     "1/K": Unit(1.0, {"K": -1}),
+    "K/s": Unit(1.0, {"K": 1, "s": -1}),
 }
 """Names of the table are those of ports and in the metadata of runs; where people write, `canonical` spellings do as well."""
 
