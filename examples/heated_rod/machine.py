@@ -3,7 +3,7 @@
     python machine.py logs                         # a rod with something wrong, drawn by the seed; logs/truth.json says what
     python machine.py logs --effect loss_error=0.4 # or one that is named; --effect none for a rod that is as it should be
 
-It is another formulation, on purpose: forty cells, a part of the loss is radiation, the heater is switched on and off every two seconds,
+It is another formulation, on purpose: forty cells, a part of the loss is radiation, the heater is switched on and off in pulses,
 the thermocouples are of second order, the room is not always as warm, and capacities, conductance and loss are those of this one rod,
 drawn by the seed. robomill reads nothing of this file.
 """
@@ -16,8 +16,8 @@ from pathlib import Path
 import numba
 import numpy as np
 
-CYCLE, FINE = 5.0, 0.02
-"""Cycle of the controller and of the log, and step of the integration [s]."""
+CYCLE, PULSE, FINE = 5.0, 2.5, 0.02
+"""Cycle of the controller and of the log, that of the pulses of the heater, step of the integration [s]."""
 CONDITIONS = {"bake": (60.0, 80.0, 65.0, 40.0), "anneal": (80.0, 50.0, 90.0, 60.0)}
 """Name -> levels [degC]."""
 HOLD, RATE = 900.0, 0.1
@@ -70,7 +70,7 @@ def plan(levels: tuple[float, ...]) -> np.ndarray:
 def _run(p, setpoint, room):  # type: ignore[no-untyped-def]  # compiled
     power_error, loss_error, capacity_error, conductance_error, extra, slower, gain, offset, drift, control_error = p[:10]
     block_capacity, block_loss, rod_capacity, rod_loss, conductivity, contact, radiated, split = p[11:]
-    cells, n, m = 40, len(setpoint), int(round(CYCLE / FINE))
+    cells, n, m, pulse = 40, len(setpoint), int(round(CYCLE / FINE)), int(round(PULSE / FINE))
     capacity = rod_capacity * (1.0 + capacity_error) / cells
     between = conductivity * (1.0 + conductance_error) * cells  # the rod as a whole has conductivity, W/K
     loss = rod_loss * (1.0 + loss_error) / cells
@@ -92,7 +92,7 @@ def _run(p, setpoint, room):  # type: ignore[no-untyped-def]  # compiled
         if power == wanted:
             integral += (1.0 + control_error) * error * CYCLE / 600.0
         for j in range(m):
-            on = ((k * m + j) % int(round(2.0 / FINE))) < power / 60.0 * int(round(2.0 / FINE))
+            on = (j % pulse) + 0.5 < power / 60.0 * pulse
             flow[0] = head * (block - rod[0])
             for i in range(1, cells):
                 flow[i] = between * (rod[i - 1] - rod[i])
@@ -100,7 +100,7 @@ def _run(p, setpoint, room):  # type: ignore[no-untyped-def]  # compiled
             block += FINE / block_capacity * (on * 60.0 * (1.0 + power_error) - flow[0] - block_loss * (block - room))
             for i in range(cells):
                 a, r = rod[i] + 273.15, room + 273.15
-                lost = loss * ((1.0 - radiated) * (a - r) + radiated * (a**4 - r**4) / (4.0 * 293.15**3))
+                lost = loss * ((1.0 - radiated) * (a - r) + radiated * (a**4 - r**4) / (4.0 * 314.0**3))  # calibrated at 60 degC
                 rod[i] += FINE / capacity * (flow[i] - flow[i + 1] - lost)
             seen[0], seen[1], seen[2] = block, 0.5 * (rod[cells // 2 - 1] + rod[cells // 2]), 0.5 * (rod[cells - 3] + rod[cells - 2])
             for i in range(3):
