@@ -156,9 +156,10 @@ def catalogue_of(*systems: System, file: Path) -> Catalogue:
     There the component goes by the name of its model.
     """
     own: dict[Path, Catalogue] = {}
+    systems_own = {(s.folder / CATALOGUE).resolve() for s in systems}  # beside a system, it goes by the names there, and --catalogue replaces it
     for c, model in _from_outside(*systems):
         beside = companion(model, CATALOGUE).resolve()
-        if beside.is_file() and beside != file.resolve():  # a package may have several components, and one file about all of them
+        if beside.is_file() and beside not in systems_own:  # a package may have several components, and one file about all of them
             own[beside] = own.get(beside, Catalogue.load(beside)).about(model.name, c.name)
     catalogue = Catalogue.load(file)
     for brought in own.values():
@@ -214,6 +215,8 @@ def lines(answer: Answer) -> list[str]:
     for w in answer.where:
         if w.component != LOGGING:
             out.append(f"where: {w.component} ({w.location}), {100 * w.share:.0f} % of the gap, strongest in {w.direction}")
+    if answer.not_replayed:
+        out.append(f"where: {answer.not_replayed}")
     for e in answer.which[:6]:
         values = ", ".join(f"{k} = {v.value:.4g} [{v.interval[0]:.4g} .. {v.interval[1]:.4g}] {v.unit}" for k, v in e.parameters.items())
         out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}, {values}")
