@@ -42,11 +42,10 @@ PLAYBACK = "playback:"
 HALF_A_TICK = 0.5e-9
 """Times that lie closer together than this [s] are one: half a tick of the master's clock."""
 KNOWN = 1e-3
-"""Relative deviation up to which the signal of a component without inputs (a program) is taken as it is simulated."""
+"""Relative deviation that counts as none: up to it the signal of a component without inputs (a program) is taken as it is simulated, and
+so large is the push that shows what adds up: the answer is that of the motion that was measured."""
 NULLS = 3
 """Repeats that the replay of right signals is made for."""
-PUSH = 1e-3
-"""Size of the push, in standard deviations of the channel over time: small, so that the answer is that of the motion that was measured."""
 ADDS_UP = 0.5
 """Order of growth from which an output adds up what goes in: half way between one that settles (0) and an integrator (1)."""
 
@@ -144,7 +143,7 @@ class ComponentReplay:
 
     def _adding(self) -> dict[str, float]:
         """Order of growth of the arrays in which a push is not forgotten, from ADDS_UP on."""
-        since_start = np.broadcast_to(PUSH * np.std(self.mean, axis=0), self.mean.shape)
+        since_start = np.broadcast_to(KNOWN * np.std(self.mean, axis=0), self.mean.shape)
         since_middle = np.where(self.grid[:, None] >= 0.5 * self.grid[-1], since_start, 0.0)
         base = self._matrix(self.base)
         start, middle = (self._matrix(self._open(self.mean + push, 1)) - base for push in (since_start, since_middle))
