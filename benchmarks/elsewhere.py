@@ -211,7 +211,8 @@ def said(result: Result) -> str:
     values: Mapping[str, Any] = {p: f"{v[0]:.3g} [{v[1]:.3g} .. {v[2]:.3g}]" for p, v in result.named.items()}
     truth = {p: f"{v:.3g}" for p, v in result.truth.items()}
     closure = "" if result.closure is None else f", closure {100 * result.closure:.0f} %"
-    return f"{result.system} {result.kind} {result.seed}: {result.score}: {result.verdict} {dict(values)}; truth {truth}{closure}, {result.seconds} s"
+    head = f"{result.system} {result.kind} {result.seed}: {result.score}: {result.verdict}"
+    return f"{head} {dict(values)}; truth {truth}{closure}, {result.seconds} s"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

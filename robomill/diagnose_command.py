@@ -156,7 +156,9 @@ def catalogue_of(*systems: System, file: Path) -> Catalogue:
     There the component goes by the name of its model.
     """
     own: dict[Path, Catalogue] = {}
-    systems_own = {(s.folder / CATALOGUE).resolve() for s in systems}  # beside a system, it goes by the names there, and --catalogue replaces it
+    systems_own = {
+        (s.folder / CATALOGUE).resolve() for s in systems
+    }  # beside a system, it goes by the names there, and --catalogue replaces it
     for c, model in _from_outside(*systems):
         beside = companion(model, CATALOGUE).resolve()
         if beside.is_file() and beside not in systems_own:  # a package may have several components, and one file about all of them

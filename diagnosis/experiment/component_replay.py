@@ -51,7 +51,7 @@ ADDS_UP = 0.5
 
 
 def order_of_growth(since_start: FloatArray, since_middle: FloatArray) -> float:
-    """The order p of a response that grows as t^p after a push, from what pushes since the start and since the middle do in the last quarter.
+    """The order p of a response that grows as t^p after a push: by what pushes since the start and since the middle do in the last quarter.
 
     There the pushes are 7/8 and 3/8 of the run old on average, so p = log(|since_start| / |since_middle|) / log(7 / 3), with the norms of
     both responses [n, channels] over the last quarter of their rows. 0 where the push does nothing.

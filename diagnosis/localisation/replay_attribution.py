@@ -42,7 +42,9 @@ MORE = 1.5
 def not_alone(outputs: Sequence[str]) -> str:
     """Why these measured outputs are not replayed."""
     names = f"{', '.join(outputs[:-1])} and {outputs[-1]}" if len(outputs) > 1 else outputs[0]
-    return f"not replayed alone: {names}: driven with measured inputs, small errors add up there without end (it integrates, or is unstable)"
+    return (
+        f"not replayed alone: {names}: driven with measured inputs, small errors add up there without end (it integrates, or is unstable)"
+    )
 
 
 BRIDGED = 50

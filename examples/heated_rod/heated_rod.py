@@ -139,8 +139,14 @@ ROD = Model(
     (
         Variable("power", "input", "Power of the heater that is asked for", "W"),
         Variable(
-            "temperature", "output", "Temperature of the block, in the middle and at the end of the rod", "K", (SENSORS,), [ROOM] * SENSORS,
-            display_unit="degC", depends_on=(),
+            "temperature",
+            "output",
+            "Temperature of the block, in the middle and at the end of the rod",
+            "K",
+            (SENSORS,),
+            [ROOM] * SENSORS,
+            display_unit="degC",
+            depends_on=(),
         ),
         Variable("ambient", "parameter", "Temperature of the room", "K", (), ROOM, 0.0, display_unit="degC"),
         Variable("block_capacity", "parameter", "Heat capacity of the block", "J/K", (), 100.0, 1e-3),

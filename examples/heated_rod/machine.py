@@ -70,7 +70,7 @@ def plan(levels: tuple[float, ...]) -> np.ndarray:
 def _run(p, setpoint, room):  # type: ignore[no-untyped-def]  # compiled
     power_error, loss_error, capacity_error, conductance_error, extra, slower, gain, offset, drift, control_error = p[:10]
     block_capacity, block_loss, rod_capacity, rod_loss, conductivity, contact, radiated, split = p[11:]
-    cells, n, m, pulse = 40, len(setpoint), int(round(CYCLE / FINE)), int(round(PULSE / FINE))
+    cells, n, m, pulse = 40, len(setpoint), round(CYCLE / FINE), round(PULSE / FINE)
     capacity = rod_capacity * (1.0 + capacity_error) / cells
     between = conductivity * (1.0 + conductance_error) * cells  # the rod as a whole has conductivity, W/K
     loss = rod_loss * (1.0 + loss_error) / cells
@@ -104,7 +104,7 @@ def _run(p, setpoint, room):  # type: ignore[no-untyped-def]  # compiled
                 rod[i] += FINE / capacity * (flow[i] - flow[i + 1] - lost)
             seen[0], seen[1], seen[2] = block, 0.5 * (rod[cells // 2 - 1] + rod[cells // 2]), 0.5 * (rod[cells - 3] + rod[cells - 2])
             for i in range(3):
-                whole = 8.0 + (slower if i == 2 else 0.0)
+                whole = 8.0 + slower * (i // 2)  # the last one
                 first[i] += FINE / (split * whole) * (seen[i] - first[i])
                 second[i] += FINE / ((1.0 - split) * whole) * (first[i] - second[i])
     return out

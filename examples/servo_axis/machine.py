@@ -4,8 +4,8 @@
     python machine.py logs --effect coulomb=0.2 # or one that is named; --effect none for an axis that is as it should be
 
 It is another formulation, on purpose: the friction is that of LuGre (Canudas de Wit et al. 1995), which gives way before it slides; the
-coupling damps with the torque that it carries, the equations are integrated in steps of 5 us, the drive has a current loop, and inertias, stiffness, damping and
-phases are those of this one axis, drawn by the seed. robomill reads nothing of this file.
+equations are integrated in steps of 5 us; and inertias, stiffness, damping, lags and phases are those of this one axis, drawn by the seed.
+robomill reads nothing of this file.
 """
 
 import argparse
@@ -38,7 +38,18 @@ USUAL = {
     "lag": 4e-3,
 }
 """What may be wrong with the axis, and how much of it is usual [SI]."""
-NAMES = (*USUAL, "motor_inertia", "table_inertia", "stiffness", "damping", "bristle", "current_lag", "slide_speed", "cogging_phase", "wobble_phase")
+NAMES = (
+    *USUAL,
+    "motor_inertia",
+    "table_inertia",
+    "stiffness",
+    "damping",
+    "bristle",
+    "current_lag",
+    "slide_speed",
+    "cogging_phase",
+    "wobble_phase",
+)
 
 
 def draw(seed: int, effects: dict[str, float]) -> np.ndarray:
@@ -62,7 +73,7 @@ def plan(stroke: float, pace: float) -> tuple[np.ndarray, np.ndarray]:
     """Angle [rad] and speed [rad/s] of the program at the ticks of the controller."""
     ends = np.concatenate([[0.0], TARGETS]) * stroke
     begins = np.concatenate([[0.0], np.cumsum(TIMES / pace + PAUSE)])
-    t = CYCLE * np.arange(int(round(begins[-1] / CYCLE)) + 1)
+    t = CYCLE * np.arange(round(begins[-1] / CYCLE) + 1)
     q, w = np.zeros_like(t), np.zeros_like(t)
     for i, duration in enumerate(TIMES / pace):
         x = np.clip((t - begins[i]) / duration, 0.0, 1.0)
@@ -73,10 +84,10 @@ def plan(stroke: float, pace: float) -> tuple[np.ndarray, np.ndarray]:
 
 @numba.njit(cache=False)
 def _bristles(z, w, level, bristle):  # type: ignore[no-untyped-def]  # compiled
-    """Deflection [rad] of the bristles after FINE, exactly for a speed w that is held, and their torque: dz/dt = w - bristle |w| / level z."""
+    """Deflection [rad] of the bristles after FINE for a speed w that is held, and their torque: dz/dt = w - bristle |w| / level z."""
     if level <= 0.0:
         return 0.0, 0.0
-    if abs(w) > 1e-9:
+    if w != 0.0:
         settled = math.copysign(level / bristle, w)
         z = settled + (z - settled) * math.exp(-bristle * abs(w) / level * FINE)
     damping = 0.3 * math.exp(-((w / 0.1) ** 2)) * (w - bristle * abs(w) / level * z)
@@ -89,7 +100,7 @@ def _run(p, load, q_ref, w_ref, start):  # type: ignore[no-untyped-def]  # compi
     motor, table, stiffness, damping, bristle, current_lag, slide, cogging_phase = p[14:22]
     table = table * (1.0 + inertia_error) + load
     stiffness *= 1.0 + stiffness_error
-    n, m = len(q_ref), int(round(CYCLE / FINE))
+    n, m = len(q_ref), round(CYCLE / FINE)
     out = np.zeros((n, 4))
     q, w, qt, wt, z, zt, integral, flowing, current = start, 0.0, start, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(n):
@@ -139,7 +150,10 @@ def measure(effects: dict[str, float], seed: int, condition: str, repeat: int, n
 
 def write(file: Path, columns: dict[str, np.ndarray]) -> None:
     """A log as this controller writes it: semicolons, decimal commas."""
-    rows = [";".join(f"{x:.6g}" if n == "time_ms" else f"{x:.5f}" for n, x in zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    rows = [
+        ";".join(f"{x:.6g}" if n == "time_ms" else f"{x:.5f}" for n, x in zip(columns, row, strict=True))
+        for row in zip(*columns.values(), strict=True)
+    ]
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text("axis logger 3.2\n" + ";".join(columns) + "\n" + "\n".join(rows).replace(".", ",") + "\n", encoding="utf-8")
 

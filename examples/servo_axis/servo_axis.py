@@ -2,7 +2,7 @@
 
     J_m dw_m/dt = k_t i - tau - D w_m - (F + S exp(-(w_m / w_s)^2)) sgn(w_m)     motor
     J_l dw_l/dt = tau - F_l sgn(w_l)                                             table
-    tau = k (q_m - q_l) + d (w_m - w_l)                                          coupling; with backlash, k acts only beyond half of the play
+    tau = k (q_m - q_l) + d (w_m - w_l)                                          coupling; k acts only beyond half of the play
 
 The controller is a cascade: position P with speed feedforward, speed PI, and a current that is limited.
 """
@@ -13,6 +13,7 @@ from robomill.models.model.declaration import Model, Record, Variable, kernel
 MOVES = 6
 SUBSTEPS = 40
 """Parts of a communication step in which the axis is integrated: 25 us at 1 ms."""
+
 
 @kernel
 def _plan(s: Record, t: float) -> None:

@@ -1,4 +1,4 @@
-"""docs/bring_your_own_system.md, word for word in an empty folder; and what is said where the cause is not listed, or where there is none."""
+"""docs/bring_your_own_system.md, word for word in an empty folder; what is said where the cause is not listed, or where there is none."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "bring_your_own_system.md"
 AXIS = ROOT / "examples" / "servo_axis"
 WELL = 0.9
-"""Closure on the held-out condition: what the machine does otherwise than the model (phases, friction, cells) is a tenth of a gap at most."""
+"""Closure on the held-out condition, and probability: what the machine does otherwise than the model is a tenth of a gap at most."""
 
 LATE = """description = "a late clock"
 source = "made up"
@@ -103,7 +103,9 @@ def test_the_rod_is_found_to_have_the_slow_thermocouple_that_it_has(shell: Shell
 def test_a_cause_that_is_not_listed_is_unknown_and_what_integrates_is_not_replayed(shell: Shell) -> None:
     """The sentence is that of the page."""
     head, *effects = re.split(r"(?m)^(?=\[\[)", (shell.folder / "axis" / "catalogue.toml").read_text(encoding="utf-8"))
-    (shell.folder / "axis" / "without.toml").write_text(head + "".join(e for e in effects if 'name = "backlash"' not in e), encoding="utf-8")
+    (shell.folder / "axis" / "without.toml").write_text(
+        head + "".join(e for e in effects if 'name = "backlash"' not in e), encoding="utf-8"
+    )
     said = shell.run("robomill diagnose system.toml runs/work-* --held-out runs/heavy-* --catalogue without.toml --out unknown", "axis")
     answer = shell.answer("axis/unknown")
     assert answer["verdict"] == "unknown"
@@ -140,7 +142,9 @@ def test_a_catalogue_beside_both_the_system_and_its_models_is_read_once_and_anot
     system = load_system(AXIS / "system.toml")
     own = catalogue_of(system, file=AXIS / "catalogue.toml")
     assert len(own.effects) == len(set(own.effects)) == 14
-    (tmp_path / "other.toml").write_text(re.split(r"(?m)^(?=\[\[)", (AXIS / "catalogue.toml").read_text(encoding="utf-8"))[1], encoding="utf-8")
+    (tmp_path / "other.toml").write_text(
+        re.split(r"(?m)^(?=\[\[)", (AXIS / "catalogue.toml").read_text(encoding="utf-8"))[1], encoding="utf-8"
+    )
     assert catalogue_of(system, file=tmp_path / "other.toml").effects == ("coulomb",)
 
 
