@@ -179,6 +179,7 @@ def thermocouple_init(s: Record) -> int:
     """Settled."""
     for i in range(SENSORS):
         s.sensed[i] = s.temperature[i]
+        s.before[i] = s.temperature[i]
     _show(s, 0.0)
     return 0
 
@@ -186,7 +187,11 @@ def thermocouple_init(s: Record) -> int:
 def thermocouple_step(s: Record, t: float, h: float) -> int:
     """What is shown at t + h."""
     for i in range(SENSORS):
-        s.sensed[i] += (1.0 - exp(-h / (s.time_constant + s.slower[i]))) * (s.temperature[i] - s.sensed[i])
+        # exactly, for a temperature that goes straight from what it was to what it is
+        constant, rate = s.time_constant + s.slower[i], (s.temperature[i] - s.before[i]) / h
+        settled = s.temperature[i] - rate * constant
+        s.sensed[i] = settled + exp(-h / constant) * (s.sensed[i] - s.before[i] + rate * constant)
+        s.before[i] = s.temperature[i]
     _show(s, t + h)
     return 0
 
@@ -204,6 +209,7 @@ THERMOCOUPLES = Model(
         _effect("offset", "offset", "K", -50.0, 50.0, SENSORS),
         _effect("drift", "drift", "K/s", -1.0, 1.0, SENSORS),
         Variable("sensed", "state", "Temperature of the thermocouples themselves", "K", (SENSORS,)),
+        Variable("before", "state", "Temperatures at the beginning of the step", "K", (SENSORS,)),
     ),
     thermocouple_init,
     thermocouple_step,

@@ -50,7 +50,7 @@ def draw(seed: int, effects: dict[str, float]) -> np.ndarray:
         "rod_loss": 0.25 * (1.0 + 0.03 * rng.normal()),
         "conductivity": 0.157 * (1.0 + 0.01 * rng.normal()),
         "contact": 0.4 * (1.0 + 0.03 * rng.normal()),
-        "radiated": rng.uniform(0.05, 0.2),
+        "radiated": rng.uniform(0.02, 0.1),
         "split": rng.uniform(0.5, 0.8),
     }
     return np.array([effects.get(n, 0.0) if n in USUAL else own[n] for n in NAMES])
@@ -128,7 +128,7 @@ def measure(effects: dict[str, float], seed: int, condition: str, repeat: int, n
 
 def write(file: Path, columns: dict[str, np.ndarray]) -> None:
     """A log as this controller writes it."""
-    rows = [",".join(f"{x:.6f}" for x in row) for row in zip(*columns.values(), strict=True)]
+    rows = [",".join(f"{x:.8g}" for x in row) for row in zip(*columns.values(), strict=True)]
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(",".join(columns) + "\n" + "\n".join(rows) + "\n", encoding="utf-8")
 
