@@ -128,7 +128,7 @@ def measure(effects: dict[str, float], seed: int, condition: str, repeat: int, n
 
 def write(file: Path, columns: dict[str, np.ndarray]) -> None:
     """A log as this controller writes it."""
-    rows = [",".join(f"{x:.8g}" for x in row) for row in zip(*columns.values(), strict=True)]
+    rows = [",".join(f"{x:.10g}" for x in row) for row in zip(*columns.values(), strict=True)]
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(",".join(columns) + "\n" + "\n".join(rows) + "\n", encoding="utf-8")
 
@@ -138,7 +138,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--effect", action="append", metavar="NAME=VALUE", help=f"what is wrong [SI]: {', '.join(USUAL)}; or none")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--noise", type=float, default=1.0, help="how many times as noisy as usual")
     options = parser.parse_args()
