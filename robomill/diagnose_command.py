@@ -155,11 +155,17 @@ def catalogue_of(*systems: System, file: Path) -> Catalogue:
 
     There the component goes by the name of its model.
     """
-    catalogue = Catalogue.load(file)
+    own: dict[Path, Catalogue] = {}
+    systems_own = {
+        (s.folder / CATALOGUE).resolve() for s in systems
+    }  # beside a system, it goes by the names there, and --catalogue replaces it
     for c, model in _from_outside(*systems):
-        own = companion(model, CATALOGUE)
-        if own.is_file():
-            catalogue = catalogue.joined(Catalogue.load(own).about(model.name, c.name))
+        beside = companion(model, CATALOGUE).resolve()
+        if beside.is_file() and beside not in systems_own:  # a package may have several components, and one file about all of them
+            own[beside] = own.get(beside, Catalogue.load(beside)).about(model.name, c.name)
+    catalogue = Catalogue.load(file)
+    for brought in own.values():
+        catalogue = catalogue.joined(brought)
     return catalogue
 
 
@@ -211,6 +217,8 @@ def lines(answer: Answer) -> list[str]:
     for w in answer.where:
         if w.component != LOGGING:
             out.append(f"where: {w.component} ({w.location}), {100 * w.share:.0f} % of the gap, strongest in {w.direction}")
+    if answer.not_replayed:
+        out.append(f"where: {answer.not_replayed}")
     for e in answer.which[:6]:
         values = ", ".join(f"{k} = {v.value:.4g} [{v.interval[0]:.4g} .. {v.interval[1]:.4g}] {v.unit}" for k, v in e.parameters.items())
         out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}, {values}")

@@ -10,11 +10,17 @@ Measured inputs scatter, and a component that is not linear makes an offset of t
 right by construction (simulated ones with the scatter of the repeats), and what comes out of that is taken off.
 
 Changes by parameters are simulated for the component alone, and followed through connections that are not measured.
+
+Where the loop is cut open, nothing holds an integrator: an axis that is driven with a measured current adds up every small error, and is
+metres off in the end. So a small push is added to all that is measured, once from the start and once from the middle of the run on. What
+both do in the last quarter is compared: the same, where a push is forgotten; as 7 to 3, where it is added up. Outputs that add up are
+not replayed.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
@@ -35,9 +41,25 @@ PLAYBACK = "playback:"
 HALF_A_TICK = 0.5e-9
 """Times that lie closer together than this [s] are one: half a tick of the master's clock."""
 KNOWN = 1e-3
-"""Relative deviation up to which the signal of a component without inputs (a program) is taken as it is simulated."""
+"""Relative deviation that counts as none: up to it the signal of a component without inputs (a program) is taken as it is simulated, and
+so large is the push that shows what adds up: the answer is that of the motion that was measured."""
 NULLS = 3
 """Repeats that the replay of right signals is made for."""
+ADDS_UP = 0.5
+"""Order of growth from which an output adds up what goes in: half way between one that settles (0) and an integrator (1)."""
+
+
+def order_of_growth(since_start: FloatArray, since_middle: FloatArray) -> float:
+    """The order p of a response that grows as t^p after a push: by what pushes since the start and since the middle do in the last quarter.
+
+    There the pushes are 7/8 and 3/8 of the run old on average, so p = log(|since_start| / |since_middle|) / log(7 / 3), with the norms of
+    both responses [n, channels] over the last quarter of their rows. 0 where the push does nothing.
+    """
+    last = 3 * len(since_start) // 4
+    old, new = (float(np.linalg.norm(d[last:])) for d in (since_start, since_middle))
+    if old == 0.0:
+        return 0.0
+    return math.log(old / new) / math.log(7.0 / 3.0) if new > 0.0 else math.inf
 
 
 class ComponentReplay:
@@ -76,6 +98,8 @@ class ComponentReplay:
         self.coarse = self._coarse(bias)
         self.base = self._open(mean, 1)
         self.mean = mean
+        self.adding = self._adding()
+        """Measured arrays that are not replayed, because they add up what goes in: array -> order of growth."""
         self._inputs = {c: self._sources(c) for c in (k.name for k in self.system.components)}
         self._alone: dict[str, dict[str, FloatArray]] = {}
         self._rigs: dict[str, Rig] = {}
@@ -121,6 +145,15 @@ class ComponentReplay:
             return None
         fine = self._matrix(self._run(refined(self._changed(()), refinement.divide, refinement.sampled)))
         return np.asarray(fine - self._matrix(self._open(fine, 1)) - bias)
+
+    def _adding(self) -> dict[str, float]:
+        """Order of growth of the arrays in which a push is not forgotten, from ADDS_UP on."""
+        since_start = np.broadcast_to(KNOWN * np.std(self.mean, axis=0), self.mean.shape)
+        since_middle = np.where(self.grid[:, None] >= 0.5 * self.grid[-1], since_start, 0.0)
+        base = self._matrix(self.base)
+        start, middle = (self._matrix(self._open(self.mean + push, 1)) - base for push in (since_start, since_middle))
+        orders = {array: order_of_growth(start[:, at], middle[:, at]) for array, at in self.cut.items()}
+        return {array: p for array, p in orders.items() if p >= ADDS_UP}
 
     def _matrix(self, result: Run) -> FloatArray:
         return np.stack([self._on_grid(result, c) for c in self.channels], axis=1)
@@ -198,6 +231,7 @@ class ComponentReplay:
             return self._nominal
         system = self._changed(())
         left = np.mean(self.residuals, axis=0)
+        left[:, [i for array in self.adding for i in self.cut[array]]] = 0.0
         taken = {array_of(c.source) for c in system.connections}
         inside = [i for i, c in enumerate(self.channels) if c.partition(".")[0] in components]
         used: dict[str, list[int]] = {}

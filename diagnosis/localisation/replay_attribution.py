@@ -39,6 +39,14 @@ MORE = 1.5
 """Variance, in that of noise, from which the effects do not explain what is there."""
 
 
+def not_alone(outputs: Sequence[str]) -> str:
+    """Why these measured outputs are not replayed."""
+    names = f"{', '.join(outputs[:-1])} and {outputs[-1]}" if len(outputs) > 1 else outputs[0]
+    return (
+        f"not replayed alone: {names}: driven with measured inputs, small errors add up there without end (it integrates, or is unstable)"
+    )
+
+
 BRIDGED = 50
 """Communication steps of a gap that is no interruption."""
 
@@ -103,8 +111,13 @@ class Replay:
         seen = {a: [b.observed(x) for b, x in zip(self.replayed, m, strict=True)] for a, m in direct.items()}
         if not any(np.any(x) for parts in seen.values() for x in parts):
             raise DataError("no parameter of the catalogue changes a measured output of its component: there is nothing to replay")
+        self.adding = tuple(dict.fromkeys(a for b in self.replayed for a in b.adding))
+        """Measured outputs that are not replayed: alone, they add up what goes in."""
         # outputs that no parameter changes say nothing
-        self.at = np.flatnonzero(np.any([np.any(x, axis=0) for parts in seen.values() for x in parts], axis=0))
+        says = np.any([np.any(x, axis=0) for parts in seen.values() for x in parts], axis=0)
+        self.at = np.flatnonzero([s and array_of(c) not in self.adding for s, c in zip(says, self.replayed[0].channels, strict=True)])
+        if not len(self.at):
+            raise DataError(not_alone(self.adding))
         self.channels = [self.replayed[0].channels[i] for i in self.at]
         self.arrays = list(dict.fromkeys(array_of(c) for c in self.channels))
         self.of = np.array([self.arrays.index(array_of(c)) for c in self.channels])

@@ -16,7 +16,7 @@ from robomill.diagnosis.experiment.simulation import Laboratory
 from robomill.diagnosis.inference.marginal import TEMPERATURE
 from robomill.diagnosis.localisation import localise
 from robomill.diagnosis.localisation.localise import Dependence, Projection
-from robomill.diagnosis.localisation.replay_attribution import Reading, Replay
+from robomill.diagnosis.localisation.replay_attribution import Reading, Replay, not_alone
 from robomill.diagnosis.localisation.swap import PLAYERS, Share, shares
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.runs.recorder import frame_of
@@ -95,7 +95,7 @@ class Located:
     swap: tuple[Share, ...] = ()
     structure: Structure | None = None
     not_replayed: str | None = None
-    """Why the replay failed, if it did."""
+    """Why the replay failed, if it did, or which outputs it left out."""
 
 
 def blame(replay: Replay) -> tuple[Blame, ...]:
@@ -154,7 +154,8 @@ def locate(replay: Replay, figures: Mapping[str, FloatArray], projections: Mappi
     all_figures = {WHOLE: replay.weights, **figures}
     swapped = shares(replay.replayed, players, all_figures) if players else []
     where = (_entry(replay, b, blamed, swapped, [r.output for r in left], projections) for b in blamed)
-    return Located(tuple(where), tuple(readings), tuple(swapped))
+    left_out = not_alone(replay.adding) if replay.adding else None
+    return Located(tuple(where), tuple(readings), tuple(swapped), not_replayed=left_out)
 
 
 def _entry(

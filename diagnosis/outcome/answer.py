@@ -152,7 +152,7 @@ class Answer:
     swap: tuple[Share, ...] | None = None
     structure: Structure | None = None
     not_replayed: str | None = None
-    """Why the replay failed."""
+    """Why the replay failed, or which outputs it left out."""
     predictive: dict[str, dict[str, float]] | None = None
     """Model -> condition -> gain in log score there [nats] when it is fitted to the others."""
     unknown: Unknown | None = None

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from robomill.cell.binding import convert, resolve
+from robomill.cell.binding import convert
 from robomill.fmus.components import COMPONENTS, beside, component, is_component
+from robomill.fmus.in_process import InProcessSlave
 from robomill.logs.cutting import EDGES, Cut, Instant, Marker
 from robomill.logs.reading import READERS, CsvForm, FloatArray, LogError
 from robomill.models.model.declaration import Model, Variable
@@ -151,7 +152,7 @@ def _parameters(entry: Entry, name: str, models: Mapping[str, Model]) -> Any:
     values = entry.written()
     if name not in models:
         return _unasked(entry.value)
-    slave = resolve(models[name].name, name)
+    slave = InProcessSlave(models[name], name)
     try:
         given = prepare(name, slave.ports, values, convert, entry.content.folder)
     except PlacedError as error:

@@ -94,13 +94,16 @@ def _shade(ax: Axes, regime: Sequence[Sequence[float]], t: FloatArray) -> str:
     return SHADED
 
 
-def _gap(ax: Axes, s: Subject, condition: str, channel: str, *, before: bool = True, after: bool) -> None:
-    """Measured minus simulated over time, over a band of what repeats differ by (two deviations)."""
+def _gap(ax: Axes, s: Subject, condition: str, channel: str, *, before: bool = True, after: bool, beside: Sequence[str] = ()) -> None:
+    """Measured minus simulated over time, over a band of what repeats differ by (two deviations).
+
+    In the unit that suits the largest gap in this condition and those that are drawn `beside` it on the same axis.
+    """
     curves = s.found.curves[condition]
     lines = [("nominal", BEFORE)] if before else []
     lines += [("adopted", AFTER)] if after else []
     gaps = {kind: s.gap(condition, channel, kind) for kind, _ in lines}
-    size = max(float(np.abs(g).max()) for g in gaps.values())
+    size = max(float(np.abs(s.gap(c, channel, kind)).max()) for c in {condition, *beside} for kind, _ in lines)
     factor, symbol = scale(s.unit(channel), max(size, 1e-300))
     noise = 2.0 * factor * float(curves["spread"][s.index(channel)])
     if noise > 0.0:
@@ -199,10 +202,10 @@ def overlay(s: Subject) -> Figure | None:
     figure = Figure(figsize=(WIDTH, 0.75 + 1.35 * len(rows)), layout="constrained")
     axes = figure.subplots(len(rows), len(columns), squeeze=False, sharex="col", sharey="row")
     for k, channel in enumerate(rows):
-        # one scale for a row: factor and unit from its largest gap
+        # a row has one axis
         for j, condition in enumerate(columns):
             ax = axes[k][j]
-            _gap(ax, s, condition, channel, after=True)
+            _gap(ax, s, condition, channel, after=True, beside=columns)
             if j:
                 ax.set_ylabel("")
             else:

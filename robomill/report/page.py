@@ -219,9 +219,10 @@ def _where(s: Subject, figures: Mapping[str, str]) -> str:
 
 def _replay(s: Subject) -> str:
     """What each measured output says when its component is driven with measured inputs."""
-    readings = s.answer.replay
+    readings, left_out = s.answer.replay, s.answer.not_replayed
+    remark = _paragraph(f"{left_out[0].upper()}{left_out[1:]}.") if left_out else ""
     if not readings:
-        return ""
+        return f"<h3>Component by component</h3>\n{remark}" if remark else ""
     loud = sorted((r for r in readings if r.significant), key=lambda r: -r.unexplained)
     rows = []
     for r in loud:
@@ -245,7 +246,7 @@ def _replay(s: Subject) -> str:
         + (":" if loud else ".")
     )
     table = _table(("Output", "To blame", "Left, rms", "In noise", "Beyond tolerances"), rows, (2, 3, 4)) if rows else ""
-    return f"<h3>Component by component</h3>\n{_paragraph(text)}{table}"
+    return f"<h3>Component by component</h3>\n{_paragraph(text)}{table}{remark}"
 
 
 def _swap(s: Subject) -> str:

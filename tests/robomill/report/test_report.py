@@ -29,13 +29,13 @@ from robomill.diagnosis.outcome.verdict import Verdict
 from robomill.models.robot.kinematics import forward
 from robomill.orchestration.runs.run import Run
 from robomill.report import robot, units
-from robomill.report.figures import draw_all
+from robomill.report.figures import draw_all, overlay
 from robomill.report.page import _times
 from robomill.report.page import page as html
 from robomill.report.style import COLOURS, MARK
 from robomill.report.subject import Subject, verdict_sentence
 from tests.diagnosis.demo import CATALOGUE, SYSTEM, changed, measure, resolve
-from tests.tolerances import EXACT
+from tests.tolerances import EXACT, ROUNDOFF
 
 SCENARIOS = Path("scenarios")
 STIFF = {"masses": {"stiffness_error[2]": -0.08}}
@@ -428,3 +428,14 @@ def test_a_browser_shows_it(page: Callable[[str], Path], verdict: str, tmp_path:
     inked = np.abs(shown - shown[0, 0]).max(axis=2) > 0.3
     assert inked[:400].sum() > 2000
     assert inked.any(axis=1).mean() > 0.2
+
+
+def test_gaps_of_all_conditions_in_a_row_are_in_one_unit(tmp_path: Path) -> None:
+    """They share an axis: a gap in um beside one in mm would be a thousand times too large or too small."""
+    s = _subject(tmp_path, measure(STIFF), held_out=measure(STIFF, amplitude=0.05, repeats=2, seed=9))
+    figure = overlay(s)
+    assert figure is not None
+    channel = s.loudest(s.conditions[0])[0]
+    drawn = [max(np.abs(line.get_ydata()).max() for line in ax.lines[1:]) for ax in figure.axes[:2]]
+    there = [max(np.abs(s.gap(c, channel, kind)).max() for kind in ("nominal", "adopted")) for c in s.conditions[:2]]
+    assert drawn[1] / drawn[0] == pytest.approx(there[1] / there[0], rel=ROUNDOFF)

@@ -1,0 +1,239 @@
+"""The diagnosis on systems that are no milling cells: `python -m benchmarks.elsewhere [--seed 1] [--count 2] [--out FILE.json]`.
+
+The examples `servo_axis` and `heated_rod` bring a model, a catalogue, a mapping, and another formulation that plays the machine. Cases are
+drawn by the seed: nulls, singles, doubles, singles of which the catalogue knows nothing (withheld), and singles that were recorded once.
+Each goes the way of a user, from the logs to the answer; a case takes 5 to 15 s of processor time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from robomill.cell.binding import convert, resolve
+from robomill.cell.equipment import load_system
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.diagnosis.engine import diagnose
+from robomill.files import FILES
+from robomill.logs.importing import import_log
+from robomill.orchestration.runs.run import Run
+
+KINDS = ("null", "single", "double", "withheld", "once")
+NAMED = 0.8
+"""Probability from which an effect counts as named."""
+REPEATS = 3
+SPREAD = 0.4
+"""Standard deviation of the logarithm of a size about the usual one."""
+
+
+@dataclass(frozen=True)
+class Example:
+    """A folder of `examples/` with machine.py, map.toml, map_CONDITION.toml, system.toml and catalogue.toml."""
+
+    name: str
+    diagnosed: str
+    """Condition that is diagnosed; the other one is held out."""
+    held_out: str
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    """Effect of machine.py -> `component.parameter` of the catalogue, where that is not the only one with its name."""
+
+    @property
+    def folder(self) -> Path:
+        """Where it is."""
+        return FILES / "examples" / self.name
+
+    def machine(self) -> ModuleType:
+        """Its machine.py."""
+        spec = importlib.util.spec_from_file_location(f"{self.name}_machine", self.folder / "machine.py")
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    def parameter(self, effect: str, catalogue: Catalogue) -> str:
+        """`component.parameter` of an effect of machine.py."""
+        if effect in self.parameters:
+            return self.parameters[effect]
+        (found,) = {f"{c.component}.{c.named[0]}" for c in catalogue.candidates if c.named[0] == effect}
+        return found
+
+
+EXAMPLES = (
+    Example("servo_axis", "work", "heavy", {"lag": "logging.lag encoder.*"}),
+    Example(
+        "heated_rod",
+        "bake",
+        "anneal",
+        {
+            "lag": "logging.lag thermocouples.shown[3]",
+            "control_gain_error": "controller.gain_error",
+            **{e: f"thermocouples.{e}[3]" for e in ("slower", "gain_error", "offset", "drift")},
+        },
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Result:
+    """One case: what was wrong, what was said, and what that is worth."""
+
+    system: str
+    kind: str
+    seed: int
+    truth: dict[str, float]
+    """`component.parameter` -> value [SI]."""
+    verdict: str
+    named: dict[str, list[float]]
+    """`component.parameter` with a probability of NAMED and more -> value, lower and upper end of its interval."""
+    score: str
+    covered: dict[str, bool]
+    """Whether the interval of a true effect that was named holds its value."""
+    closure: float | None
+    """Least closure of a figure in the condition that was held out."""
+    seconds: float
+
+
+def drawn(example: Example, machine: ModuleType, kind: str, seed: int) -> dict[str, float]:
+    """Effects of a case: sizes are log-normal about the usual ones; the sign is free where the usual one is negative."""
+    rng = np.random.default_rng([seed, KINDS.index(kind), len(example.name)])
+    count = {"null": 0, "double": 2}.get(kind, 1)
+    names = rng.choice(sorted(machine.USUAL), count, replace=False)
+    sign = {n: rng.choice([-1.0, 1.0]) if machine.USUAL[n] < 0.0 else 1.0 for n in names}
+    return {str(n): float(sign[n] * abs(machine.USUAL[n]) * np.exp(SPREAD * rng.normal())) for n in names}
+
+
+def diagnosed(example: Example, machine: ModuleType, kind: str, seed: int, folder: Path) -> Result:
+    """One case, from the logs to its score."""
+    began = time.process_time()
+    effects = drawn(example, machine, kind, seed)
+    catalogue = Catalogue.load(example.folder / "catalogue.toml")
+    truth = {example.parameter(e, catalogue): value for e, value in effects.items()}
+    if kind == "withheld":
+        kept = tuple(c for c in catalogue.candidates if f"{c.component}.{c.named[0]}" not in truth)
+        catalogue = replace(catalogue, candidates=kept)
+    runs: dict[str, list[Run]] = {}
+    for condition in (example.diagnosed, example.held_out):
+        mapping = example.folder / ("map.toml" if condition == example.diagnosed else f"map_{condition}.toml")
+        for repeat in range(1, 2 if kind == "once" else REPEATS + 1):
+            log, run = folder / f"{condition}-{repeat}.csv", folder / f"{condition}-{repeat}"
+            machine.write(log, machine.measure(effects, seed, condition, repeat))
+            import_log(mapping, log, run, overwrite=True, labels={"repeat": repeat})
+            runs.setdefault(condition, []).append(Run.load(run))
+    answer = diagnose(
+        load_system(example.folder / "system.toml"),
+        runs[example.diagnosed],
+        catalogue,
+        held_out=runs[example.held_out],
+        resolver=resolve,
+        convert=convert,
+    ).answer
+    named = {
+        f"{w.component}.{next(iter(w.parameters))}": [(p := next(iter(w.parameters.values()))).value, *p.interval]
+        for w in answer.which
+        if w.probability >= NAMED
+    }
+    listed = {f"{w.component}.{next(iter(w.parameters))}" for w in answer.which}
+    closures = [h.closure for h in answer.how_far if h.on == "held-out condition" and h.unit != "1" and h.closure is not None]
+    return Result(
+        example.name,
+        kind,
+        seed,
+        truth,
+        answer.verdict,
+        named,
+        score(kind, answer.verdict, set(truth), set(named), listed),
+        {p: named[p][1] <= value <= named[p][2] for p, value in truth.items() if p in named},
+        min(closures, default=None),
+        round(time.process_time() - began, 1),
+    )
+
+
+def score(kind: str, verdict: str, truth: set[str], named: set[str], listed: set[str]) -> str:
+    """`right`, `wrong` (a name that is none, or a missing one that was claimed), `extra`, `part`, `set`, or the verdict.
+
+    A late clock is right as `bad_log`, which names it.
+    """
+    if verdict == "bad_log":
+        return "right" if any(p.startswith("logging.") for p in truth) and kind != "withheld" else "wrong"
+    if verdict == "none":
+        return "right" if kind == "null" else "none"
+    if verdict == "unknown":
+        return "right" if kind == "withheld" else "unknown"
+    if kind in ("null", "withheld"):
+        return "wrong" if named else "set"
+    if verdict == "ambiguous" and truth <= listed and not named - truth:
+        return "set"
+    if named == truth:
+        return "right"
+    if named > truth:
+        return "extra"
+    return "part" if named and named < truth else "wrong"
+
+
+def cases(kinds: Sequence[str], count: int, seed: int, systems: Sequence[str]) -> Iterator[tuple[Example, ModuleType, str, int]]:
+    """`count` cases of each kind and system."""
+    for example in EXAMPLES:
+        if example.name in systems:
+            machine = example.machine()
+            for kind in kinds:
+                for i in range(count):
+                    yield example, machine, kind, 1000 * seed + i
+
+
+def table(results: Sequence[Result]) -> str:
+    """How often each score came, by system and kind; intervals that hold; median closure in new conditions."""
+    rows = ["| system | kind | scores | intervals that hold | median closure |", "|---|---|---|---|---|"]
+    for system, kind in dict.fromkeys((r.system, r.kind) for r in results):
+        those = [r for r in results if (r.system, r.kind) == (system, kind)]
+        scores = ", ".join(f"{n} {s}" for s, n in Counter(r.score for r in those).most_common())
+        covered = [c for r in those for c in r.covered.values()]
+        closures = [r.closure for r in those if r.closure is not None]
+        closure = f"{100 * np.median(closures):.0f} %" if closures else "-"
+        rows.append(f"| {system} | {kind} | {scores} | {sum(covered)} of {len(covered)} | {closure} |")
+    return "\n".join(rows)
+
+
+def said(result: Result) -> str:
+    """A case in a line."""
+    values: Mapping[str, Any] = {p: f"{v[0]:.3g} [{v[1]:.3g} .. {v[2]:.3g}]" for p, v in result.named.items()}
+    truth = {p: f"{v:.3g}" for p, v in result.truth.items()}
+    closure = "" if result.closure is None else f", closure {100 * result.closure:.0f} %"
+    head = f"{result.system} {result.kind} {result.seed}: {result.score}: {result.verdict}"
+    return f"{head} {dict(values)}; truth {truth}{closure}, {result.seconds} s"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Diagnose the cases, print each and the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=2, help="cases of each kind and system")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
+    parser.add_argument("--systems", nargs="+", choices=[e.name for e in EXAMPLES], default=[e.name for e in EXAMPLES])
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args(arguments)
+    results = []
+    with tempfile.TemporaryDirectory() as folder:
+        for case in cases(options.kinds, options.count, options.seed, options.systems):
+            results.append(diagnosed(*case, Path(folder)))
+            print(said(results[-1]), file=sys.stderr, flush=True)
+            if options.out is not None:
+                options.out.write_text(json.dumps([asdict(r) for r in results], indent=1) + "\n", encoding="utf-8")
+    print(table(results))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
