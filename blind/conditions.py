@@ -167,6 +167,11 @@ def load_table(c: Condition) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
+SPACING = 2e-4
+"""Distance of the dexels of a block [m]. The tool meets walls in front of it and leaves rims two dexels too early: with 0.5 mm every block
+seems to be 0.13 mm wider than it is."""
+
+
 def planned(c: Condition) -> Plan:
     """The planned program in B."""
     return plan(program(replace(c, name="program")), Placement(c.position, (math.radians(c.turn), 0.0, 0.0)))
@@ -183,7 +188,7 @@ def known(c: Condition, segments: str, profile: str = "profile.npy") -> dict[str
         return {**found, "load": {"profile": profile}}
     quaternion: FloatArray = np.roll(Rotation.from_euler("ZYX", (math.radians(c.turn), 0.0, 0.0)).as_quat(canonical=True), 1)
     block = {"p_BP_B": [float(v) for v in c.position], "quat_BP": [float(v) for v in quaternion], "block_size": list(BLOCK)}
-    return {**found, "milling": {**block, "spacing": 0.0005}}
+    return {**found, "milling": {**block, "spacing": SPACING}}
 
 
 SHALLOW, MIDDLE_DEPTH, DEEP = (2e-3, 6e-3), 4e-3, (8e-3, 10e-3)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from robomill.blind import world
-from robomill.blind.conditions import Condition, known
+from robomill.blind.conditions import Condition
 from robomill.blind.effects import BY_KEY
 from robomill.blind.generate import ARRAYS
 from robomill.blind.make import Request, make
@@ -59,15 +59,7 @@ def bare(seed=1):
 class TestNominal:
     @pytest.mark.slow
     @pytest.mark.parametrize("c", [SHORT, AIR, PUSH, POSES], ids=lambda c: c.name)
-    def test_the_cell_agrees_with_the_nominal_simulation(self, c, monkeypatch):
-        # milling_force reads two dexels ahead of the cutter; finer ones bring that near to the edge, where this generator reads
-        tables = known
-
-        def finer(*of):
-            found = tables(*of)
-            return {**found, "milling": {**found["milling"], "spacing": 0.0002}} if "milling" in found else found
-
-        monkeypatch.setattr(world, "known", finer)
+    def test_the_cell_agrees_with_the_nominal_simulation(self, c):
         _, columns = generate.run(generate.Machine((1,), tolerances=False), c)
         reference = nominal(c).columns
         for array, bound in AGREES.items():
