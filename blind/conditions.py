@@ -167,14 +167,14 @@ def load_table(c: Condition) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-SPACING = 2e-4
-"""Distance of the dexels of a block [m]. The tool meets walls in front of it and leaves rims two dexels too early: with 0.5 mm every block
-seems to be 0.13 mm wider than it is."""
-
-
 def planned(c: Condition) -> Plan:
     """The planned program in B."""
     return plan(program(replace(c, name="program")), Placement(c.position, (math.radians(c.turn), 0.0, 0.0)))
+
+
+SPACING = 2e-4
+"""Distance of the dexels of a block [m]. The tool meets walls in front of it and leaves rims two dexels too early: with 0.5 mm every block
+seems to be 0.13 mm wider than it is."""
 
 
 def known(c: Condition, segments: str, profile: str = "profile.npy") -> dict[str, dict[str, Any]]:

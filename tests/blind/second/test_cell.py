@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robomill.blind import world
 from robomill.blind.conditions import Condition
 from robomill.blind.effects import BY_KEY
 from robomill.blind.generate import ARRAYS
