@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from robomill.diagnosis.experiment.measured import Condition, DataError, sort_by_condition
+from robomill.diagnosis.experiment.measured import Condition, DataError, driven, sort_by_condition
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.entries import Entry
@@ -81,8 +81,10 @@ class Campaign:
     def _of(self, part: Part, held_out: bool) -> list[Condition]:
         runs = part.held_out if held_out else part.runs
         several = len(sort_by_condition([*part.runs, *part.held_out], part.system)) > 1
-        own = None if part.system is self.system else part.system
-        made = [replace(c, system=own) for c in sort_by_condition(runs, part.system, held_out)]
+        made = []
+        for c in sort_by_condition(runs, part.system, held_out):
+            system = driven(part.system, c.runs[0])
+            made.append(replace(c, system=None if system is self.system else system))
         return [replace(c, name=f"{part.name}: {c.name}" if several else part.name) if part.name else c for c in made]
 
 

@@ -207,6 +207,14 @@ def from_si(value: float, unit: str) -> float:
     return (value - UNITS[unit].offset) / UNITS[unit].factor
 
 
+def rate_of(unit: str, times: int = 1) -> str | None:
+    """The SI unit of the `times`-th derivative with respect to time of what is in `unit`; None where the table has none."""
+    exponents = dict(UNITS[unit].exponents)
+    exponents["s"] = exponents.get("s", 0) - times
+    wanted = {base: n for base, n in exponents.items() if n}
+    return next((u for u, v in UNITS.items() if v.factor == 1.0 and v.offset == 0.0 and v.exponents == wanted), None)
+
+
 def compatible(a: str, b: str) -> bool:
     """Whether two units measure the same quantity (equal SI exponents)."""
     return a in UNITS and b in UNITS and UNITS[a].exponents == UNITS[b].exponents

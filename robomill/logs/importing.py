@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from robomill.logs.mapping import AXES, LogMapping, Signal, load_mapping, rotation_abc
 from robomill.logs.reading import SUFFIXES, FloatArray, Log, LogError, read_log
-from robomill.models.model.units import UNITS, canonical, compatible
+from robomill.models.model.units import UNITS, canonical, compatible, rate_of
 from robomill.orchestration.runs.importing import write_run
 from robomill.orchestration.slaves.protocol import PortData
 
@@ -50,6 +50,8 @@ def import_log(
     for signal in mapping.signals:
         found, unit, own = _values(mapping, signal, log, clock)
         elements = [signal.port] if found.shape[1] == 1 else [f"{signal.port}[{i + 1}]" for i in range(found.shape[1])]
+        if signal.derivative:
+            unit = _rate(mapping, signal, unit)
         if signal.size is not None and signal.size > 1 and found.shape[1] == 1:
             raise _problem(mapping, signal, f"has {signal.size} elements, one column is given")
         for name in elements:
@@ -61,10 +63,11 @@ def import_log(
         values.append(found)
     t = _common_time(mapping, clock, times)
     columns: dict[str, FloatArray] = {}
-    for own, elements, found in zip(times, names, values, strict=True):
+    for signal, own, elements, found in zip(mapping.signals, times, names, values, strict=True):
         same = own.shape == t.shape and bool(np.all(own == t))
         for i, name in enumerate(elements):
-            columns[name] = np.ascontiguousarray(found[:, i]) if same else np.interp(t, own, found[:, i])
+            column = np.ascontiguousarray(found[:, i]) if same else np.interp(t, own, found[:, i])
+            columns[name] = _smooth(mapping, signal, t, column) if signal.low_pass or signal.derivative else column
     info = {
         **mapping.about,
         "imported": {
@@ -73,6 +76,7 @@ def import_log(
             "mapping": mapping_file.name,
             "mapping_sha256": hashlib.sha256(mapping_file.read_bytes()).hexdigest(),
             "format": kind,
+            "filtered": any(s.low_pass or s.derivative for s in mapping.signals),
             "resampled": mapping.clock.step > 0.0 or any(s.shift != 0.0 for s in mapping.signals),
         },
         "labels": {**mapping.labels, **(labels or {})},
@@ -131,7 +135,7 @@ def _values(mapping: LogMapping, signal: Signal, log: Log, clock: FloatArray | N
         if factors.ndim and factors.shape != (x.shape[1],):
             raise _problem(mapping, signal, f"{factors.size} values of {what} for {x.shape[1]} columns")
     x = UNITS[unit].factor * (signal.scale * x + signal.offset) + UNITS[unit].offset
-    target = signal.target or _si(unit)
+    target = (signal.target if not signal.derivative else None) or _si(unit)
     if signal.orientation:
         x, target = _quaternions(mapping, signal, x, unit), "1"
     elif signal.rotation is not None:
@@ -162,13 +166,39 @@ def _unit(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> st
         if len(stated) != 1 or stated[0] not in UNITS:
             said = f"the log states {', '.join(repr(s) for s in stated)}" if stated else "the log states none"
             raise _problem(mapping, signal, f"a unit is missing: {said}; add unit to the signal")
-        if signal.target is not None and not compatible(stated[0], signal.target) and not signal.orientation:
+        known = signal.target is not None and not signal.orientation and not signal.derivative
+        if known and not compatible(stated[0], str(signal.target)):
             raise _problem(mapping, signal, f"wrong unit: the port is in {signal.target}, the log states {stated[0]!r}")
         return stated[0]
     wrong = [s for s in stated if s in UNITS and s != signal.unit]
     if wrong:
         raise _problem(mapping, signal, f"wrong unit: the mapping says {signal.unit!r}, the log states {wrong[0]!r}")
     return signal.unit
+
+
+def _rate(mapping: LogMapping, signal: Signal, unit: str) -> str:
+    """SI unit of the derivative of a signal."""
+    found = rate_of(unit, signal.derivative)
+    if found is None:
+        raise _problem(mapping, signal, f"derivative {signal.derivative} of what is in {unit} has no unit in the table of units; leave it out")
+    return found
+
+
+def _smooth(mapping: LogMapping, signal: Signal, t: FloatArray, x: FloatArray) -> FloatArray:
+    """Low-passed without phase (Butterworth of 4th order, forwards and backwards: half the amplitude at the corner), then differentiated
+    by central differences; `x` [n] at `t` [n] s, evenly spaced."""
+    from scipy.signal import butter, sosfiltfilt
+
+    if not mapping.clock.step and not mapping.clock.rate:
+        raise _problem(mapping, signal, "low_pass and derivative need evenly spaced times; set clock.step (or clock.rate)")
+    h = mapping.clock.step or 1.0 / mapping.clock.rate
+    if signal.low_pass:
+        if signal.low_pass >= 0.5 / h:
+            raise _problem(mapping, signal, f"low_pass is {signal.low_pass:g} Hz; expected less than half the rate, {0.5 / h:g} Hz")
+        x = x[0] + sosfiltfilt(butter(4, signal.low_pass, fs=1.0 / h, output="sos"), x - x[0])
+    for _ in range(signal.derivative):
+        x = np.gradient(x, h)
+    return np.asarray(x)
 
 
 def _si(unit: str) -> str:

@@ -14,7 +14,7 @@ from robomill.cell.binding import convert, resolve
 from robomill.fmus.components import COMPONENTS, beside, component, is_component
 from robomill.logs.reading import READERS, FloatArray, LogError
 from robomill.models.model.declaration import Model, Variable
-from robomill.models.model.units import UNITS, canonical, compatible
+from robomill.models.model.units import UNITS, canonical, compatible, rate_of
 from robomill.orchestration.errors import PlacedError, unknown
 from robomill.orchestration.slaves.protocol import arrays
 from robomill.orchestration.system.entries import Entry
@@ -24,7 +24,7 @@ AXES = 3
 """Components of a vector, and Euler angles A, B, C of an orientation."""
 _TOP = ("log", "clock", "about", "components", "labels", "parameters", "signal")
 _ABOUT = ("program", "robot", "tool", "workpiece", "source", "licence", "description")
-_SIGNAL = ("column", "columns", "unit", "scale", "offset", "sign", "rotation", "orientation", "shift", "range", "description")
+_SIGNAL = ("column", "columns", "unit", "scale", "offset", "sign", "rotation", "orientation", "shift", "range", "description", "low_pass", "derivative")
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,10 @@ class Signal:
     """Columns are the Euler angles A, B, C of KUKA; the port is a quaternion."""
     shift: float
     """Time [s] that is added to the clock for this signal."""
+    low_pass: float
+    """Corner [Hz] of a zero-phase low-pass; 0: none."""
+    derivative: int
+    """How often the signal is differentiated with respect to time."""
     range: Entry | None
     """Lowest and highest plausible value, as written."""
     description: str
@@ -181,16 +185,20 @@ def _signal(entry: Entry, models: Mapping[str, Model]) -> Signal:
     if orientation and entry["orientation"].value != "abc":
         raise entry["orientation"].expected("'abc' (KUKA Euler angles to quaternion)")
     unit = _unit(entry["unit"]) if "unit" in entry else None
+    low_pass, derivative = entry.get("low_pass", 0).si("Hz"), entry["derivative"].count(1) if "derivative" in entry else 0
     size = target = None
     if component in models:
         size, target = _declared(entry["port"], models[component], name)
-        if unit is not None and not compatible(unit, target) and not orientation:
+        found = rate_of(unit, derivative) if unit is not None and derivative else unit
+        if unit is not None and not orientation and (found is None or not compatible(found, target)):
             raise entry["unit"].fail(f"wrong unit: {port} is in {target}, {unit!r} measures something else")
     sign, scale = _numbers(entry.get("sign", 1)), _numbers(entry.get("scale", 1.0))
     if not np.all(np.abs(sign) == 1.0):
         raise entry["sign"].expected("1 or -1")
     if scale.ndim and sign.ndim and scale.shape != sign.shape:
         raise entry["sign"].fail(f"{sign.size} signs for {scale.size} scales")
+    if low_pass < 0.0 or ("low_pass" in entry and low_pass == 0.0):
+        raise entry["low_pass"].expected("a frequency above 0 Hz")
     limits = None
     if "range" in entry:
         limits = entry["range"]
@@ -208,6 +216,8 @@ def _signal(entry: Entry, models: Mapping[str, Model]) -> Signal:
         _rotation(entry["rotation"]) if "rotation" in entry else None,
         orientation,
         entry.get("shift", 0).si("s"),
+        low_pass,
+        derivative,
         limits,
         entry["description"].text() if "description" in entry else "",
         size,
