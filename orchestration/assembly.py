@@ -224,7 +224,7 @@ def _open(system: System, c: Component, resolver: Resolver | None) -> Slave:
         return Playback.of_run(c.name, Run.load(system.folder / folder), component or None)
     if c.source == MEASURED:
         raise SlaveError(
-            f"source {MEASURED!r} stands for what was measured in a run, which only a diagnosis knows; give {REPLAY}FOLDER to run the system"
+            f"source {MEASURED!r} stands for what was measured in a run, which only a diagnosis knows; give {REPLAY}FOLDER to run it"
         )
     if c.source.startswith(f"{MEASURED}:"):
         return Playback.of_run(c.name, Run.load(c.source.partition(":")[2]), clamps=True)

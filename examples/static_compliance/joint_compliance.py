@@ -4,7 +4,7 @@
 
 by small angles: each elastic angle turns the tool about the origin of its frame. The nominal robot is rigid; the compliances are effects.
 The angle of joint 3 is that of a controller which shows the forearm against the horizontal, where the geometry says so
-(`axis_coupling`); `pendant_coupling` is the share of that coupling, 1 as the geometry has it.
+(`axis_coupling`); the coupling counts by the share `pendant_coupling + coupling_error`, 1 as the geometry has it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _displacement(s: Record) -> int:
         s.angle[i] = s.q[i]
         for j in range(i):
             if s.axis_coupling[i, j] != 0.0:  # q -> angles that are coupled by the given share
-                s.angle[i] += s.axis_sign[i] * (s.pendant_coupling - 1.0) * s.axis_coupling[i, j] * s.q[j]
+                s.angle[i] += s.axis_sign[i] * (s.pendant_coupling + s.coupling_error - 1.0) * s.axis_coupling[i, j] * s.q[j]
     forward(s, s.angle)
     for i in range(6):
         if s.joint_compliance[i] != 0.0:
@@ -74,7 +74,10 @@ MODEL = Model(
         Variable("f_T_B", "input", "Force on the tool at T, in B", "N", (3,)),
         Variable("m_T_B", "input", "Moment on the tool about T, in B", "N.m", (3,)),
         Variable("d_T_B", "output", "Displacement of T, in B", "m", (3,), display_unit="mm"),
-        Variable("pendant_coupling", "parameter", "Share of axis_coupling that the shown angles have", "1", (), 1.0, -2.0, 2.0),
+        Variable(
+            "pendant_coupling", "parameter", "Share of axis_coupling that the shown angles are taken to have", "1", (), 1.0, -2.0, 2.0
+        ),
+        _effect("coupling_error", "1", (), -2.0, 2.0, "share of axis_coupling that the shown angles have beyond pendant_coupling"),
         _effect("joint_compliance", "rad/(N.m)", (6,), -1e-4, 1e-4, "compliance of joints 1..6 about their axes"),
         _effect("tilt_compliance", "rad/(N.m)", (6,), -1e-4, 1e-4, "compliance of joints 1..6 across their axes"),
         _effect("base_compliance", "m/N", (3,), -1e-4, 1e-4, "compliance of base and foundation along x, y, z of B"),

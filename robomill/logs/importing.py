@@ -67,7 +67,7 @@ def import_log(
         same = own.shape == t.shape and bool(np.all(own == t))
         for i, name in enumerate(elements):
             column = np.ascontiguousarray(found[:, i]) if same else np.interp(t, own, found[:, i])
-            columns[name] = _smooth(mapping, signal, t, column) if signal.low_pass or signal.derivative else column
+            columns[name] = _smooth(mapping, signal, column) if signal.low_pass or signal.derivative else column
     info = {
         **mapping.about,
         "imported": {
@@ -180,13 +180,17 @@ def _rate(mapping: LogMapping, signal: Signal, unit: str) -> str:
     """SI unit of the derivative of a signal."""
     found = rate_of(unit, signal.derivative)
     if found is None:
-        raise _problem(mapping, signal, f"derivative {signal.derivative} of what is in {unit} has no unit in the table of units; leave it out")
+        raise _problem(
+            mapping, signal, f"derivative {signal.derivative} of what is in {unit} has no unit in the table of units; leave it out"
+        )
     return found
 
 
-def _smooth(mapping: LogMapping, signal: Signal, t: FloatArray, x: FloatArray) -> FloatArray:
-    """Low-passed without phase (Butterworth of 4th order, forwards and backwards: half the amplitude at the corner), then differentiated
-    by central differences; `x` [n] at `t` [n] s, evenly spaced."""
+def _smooth(mapping: LogMapping, signal: Signal, x: FloatArray) -> FloatArray:
+    """The signal `x` [n] at evenly spaced times: low-passed without phase, then differentiated by central differences.
+
+    The low-pass is a Butterworth of 4th order, forwards and backwards: half the amplitude at the corner.
+    """
     from scipy.signal import butter, sosfiltfilt
 
     if not mapping.clock.step and not mapping.clock.rate:

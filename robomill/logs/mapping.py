@@ -24,7 +24,21 @@ AXES = 3
 """Components of a vector, and Euler angles A, B, C of an orientation."""
 _TOP = ("log", "clock", "about", "components", "labels", "parameters", "signal")
 _ABOUT = ("program", "robot", "tool", "workpiece", "source", "licence", "description")
-_SIGNAL = ("column", "columns", "unit", "scale", "offset", "sign", "rotation", "orientation", "shift", "range", "description", "low_pass", "derivative")
+_SIGNAL = (
+    "column",
+    "columns",
+    "unit",
+    "scale",
+    "offset",
+    "sign",
+    "rotation",
+    "orientation",
+    "shift",
+    "range",
+    "description",
+    "low_pass",
+    "derivative",
+)
 
 
 @dataclass(frozen=True)
