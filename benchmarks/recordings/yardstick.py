@@ -160,7 +160,7 @@ def _bootstrap(columns: Sequence[FloatArray], targets: Sequence[FloatArray], low
 
 
 def closures(views: Sequence[View], values: Mapping[Address, float]) -> dict[str, tuple[float, float, float]]:
-    """Of each channel: rms before, after [its unit], and 1 - the ratio of their squares; over the samples that count of all these runs."""
+    """Rms before and after [unit of the channel] and 1 - the ratio of their squares, by channel; over all samples of the runs that count."""
     found = {}
     gaps = [(v, v.measured - v.model({}), v.measured - v.model(values)) for v in views]
     for i, name in enumerate(views[0].channels):
