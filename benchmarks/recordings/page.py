@@ -53,6 +53,8 @@ def text(case: Case, outcome: Outcome) -> str:
         "",
         f"**Known beforehand**: {case.known}.",
         "",
+        *([f"**Error**: {outcome.error}", ""] if outcome.error else []),
+        *[f"- log: {text}" for text in outcome.findings],
         "```",
         *commands(case),
         "```",

@@ -114,7 +114,9 @@ def test_what_cannot_be_filtered_is_refused(tmp_path: Path) -> None:
     grid = CLOCK + 'step = "10 ms"\n'
     assert "low_pass is 60 Hz; expected less than half the rate, 50 Hz" in refused(tmp_path, grid + smooth.replace("20 Hz", "60 Hz"))
     assert "expected a frequency above 0 Hz" in refused(tmp_path, grid + smooth.replace("20 Hz", "-1 Hz"))
-    rate = '[components]\nrobot = "inverse_dynamics"\n' + grid + '[[signal]]\nport = "robot.qd"\ncolumns = ["fx","fy","fz","fx","fy","fz"]\n'
+    rate = (
+        '[components]\nrobot = "inverse_dynamics"\n' + grid + '[[signal]]\nport = "robot.qd"\ncolumns = ["fx","fy","fz","fx","fy","fz"]\n'
+    )
     assert "wrong unit: robot.qd is in rad/s" in refused(tmp_path, rate + 'unit = "deg"\n')
     assert bring(tmp_path, rate + 'unit = "deg"\nderivative = 1\n').unit("robot.qd") == "rad/s"
 
