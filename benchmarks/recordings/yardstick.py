@@ -160,7 +160,7 @@ def _bootstrap(columns: Sequence[FloatArray], targets: Sequence[FloatArray], low
 
 
 def closures(views: Sequence[View], values: Mapping[Address, float]) -> dict[str, tuple[float, float, float]]:
-    """Rms before and after [unit of the channel] and 1 - the ratio of their squares, by channel; over all samples of the runs that count."""
+    """Rms before and after [unit of the channel] and 1 - the ratio of their squares, by channel; over all samples that count."""
     found = {}
     gaps = [(v, v.measured - v.model({}), v.measured - v.model(values)) for v in views]
     for i, name in enumerate(views[0].channels):
