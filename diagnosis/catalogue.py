@@ -59,6 +59,7 @@ from pathlib import Path
 from typing import Any
 
 from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.parameters import Convert, same_unit, same_unit_only
 from robomill.orchestration.system.written import Written, merged
 
 LOGGING = "logging"
@@ -388,7 +389,7 @@ class Catalogue:
             refinement=refinement,
         )
 
-    def check_units(self, units: Mapping[Address, str]) -> None:
+    def check_units(self, units: Mapping[Address, str], convert: Convert = same_unit_only) -> None:
         """CatalogueError for an effect or a tolerance whose unit is not that of its parameter; `units` by component and element."""
         stated = [(c.place, f"effect {c.effect!r}", a, c.unit) for c in self.candidates for a in c.addresses]
         stated += [
@@ -401,7 +402,7 @@ class Catalogue:
             wanted = (
                 "s" if component == LOGGING and what == "nuisance" else units.get((component, name), units.get((component, f"{name}[1]")))
             )
-            if wanted is not None and unit != wanted:
+            if wanted is not None and not same_unit(unit, wanted, convert):
                 raise CatalogueError(
                     f"{place}: {what}: its unit is {unit!r}, that of {component}.{name} is {wanted!r}: give the sizes in that unit"
                 )

@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from robomill.fmus.instance import DEFAULT_STEP
 from robomill.fmus.interface import Interface, Port
-from robomill.models.model.units import UNITS
+from robomill.models.model.units import unit_of
 
 LOG_CATEGORIES = {
     "logStatusWarning": "Things worth knowing, such as that the model runs uncompiled",
@@ -58,9 +58,9 @@ def unit_definitions(root: Element, interface: Interface, others: tuple[str, ...
     definitions = SubElement(root, "UnitDefinitions")
     for name in sorted(used):
         unit = SubElement(definitions, "Unit", name=name)
-        SubElement(unit, "BaseUnit", {base: str(exponent) for base, exponent in UNITS[name].exponents.items()})
+        SubElement(unit, "BaseUnit", {base: str(exponent) for base, exponent in unit_of(name).exponents.items()})
         for display in sorted({p.display_unit for p in interface.ports if p.unit == name and p.display_unit}):
-            shown = UNITS[display]  # SI = factor * shown + offset; FMI wants shown = factor * SI + offset
+            shown = unit_of(display)  # SI = factor * shown + offset; FMI wants shown = factor * SI + offset
             attributes = {"name": display, "factor": repr(1.0 / shown.factor)}
             if shown.offset:
                 attributes["offset"] = repr(-shown.offset / shown.factor)

@@ -104,7 +104,7 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
             if (c.rate, c.every) != (1, 1):
                 slaves[c.name] = MultiRate(slaves[c.name], c.rate, c.every)
         ports = {name: _started(s.ports, starts.get(name, {})) for name, s in slaves.items()}
-        wiring = wire(system, ports)
+        wiring = wire(system, ports, convert)
         return Assembly(system, slaves, replace(wiring, warnings=(*warnings, *wiring.warnings)), parameters, starts)
     except BaseException:
         _close(slaves.values())

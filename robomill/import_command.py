@@ -15,12 +15,16 @@ Label = bool | int | float | str
 
 def run(options: Namespace) -> int:
     """Import and say what was written."""
-    done = import_log(options.mapping, options.log, options.out, options.overwrite, labels(options.label))
+    done, left_out = import_log(options.mapping, options.log, options.out, options.overwrite, labels(options.label))
     if options.json:
-        print(json.dumps({"run": str(done.folder), "rows": done.rows, "step_s": done.step, "columns": list(done.columns)}))
-    else:
-        arrays = dict.fromkeys(base_name(c) for c in done.columns)
-        print(f"{done.folder}: {done.rows} rows, {1e3 * done.step:.6g} ms apart, {len(done.columns)} columns of {', '.join(arrays)}")
+        told = [{"run": str(r.folder), "rows": r.rows, "step_s": r.step, "span_s": r.span, "columns": list(r.columns)} for r in done]
+        print(json.dumps(told[0] if done[0].folder == options.out else {"runs": told, "left_out": left_out}))
+        return 0
+    for r in done:
+        arrays = dict.fromkeys(base_name(c) for c in r.columns)
+        print(f"{r.folder}: {r.rows} rows, {1e3 * r.step:.6g} ms apart, {len(r.columns)} columns of {', '.join(arrays)}")
+    if left_out:
+        print(f"left out: {left_out}")
     return 0
 
 

@@ -67,7 +67,7 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
     for component, name in units:
         within[component].append(name)
     catalogue, skipped = catalogue.within(within)
-    catalogue.check_units(units)
+    catalogue.check_units(units, convert)
     nuisances = _nuisances(catalogue, first)
     addresses = [u.address for u in nuisances]
     conditions = [

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from robomill.models.model.table import Table, from_rows
-from robomill.models.model.units import UNITS
+from robomill.models.model.units import EXPECTED, unit_of
 
 Causality = Literal["input", "output", "parameter", "state"]
 Kind = Literal["real", "integer", "boolean", "table"]
@@ -94,9 +94,11 @@ class Variable:
         if not self.name.isidentifier() or self.name in RESERVED_NAMES:
             raise ValueError(f"variable {self.name!r}: not usable as a record field; choose an identifier that numpy.record does not own")
         for unit in filter(None, (self.unit, self.display_unit)):
-            if unit not in UNITS:
-                raise ValueError(f"variable {self.name!r}: unknown unit {unit!r}; known units: {', '.join(sorted(UNITS))}")
-        if UNITS[self.unit].factor != 1.0 or UNITS[self.unit].offset != 0.0:
+            try:
+                unit_of(unit)
+            except ValueError as error:
+                raise ValueError(f"variable {self.name!r}: {error}; {EXPECTED}") from None
+        if unit_of(self.unit).factor != 1.0 or unit_of(self.unit).offset != 0.0:
             raise ValueError(f"variable {self.name!r}: unit {self.unit!r} is not SI; use it as display_unit")
         if self.kind == "table" and (self.causality != "parameter" or len(self.shape) != 1):
             raise ValueError(f"variable {self.name!r}: a table is a parameter of shape (columns,); found {self.causality} of {self.shape}")

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from robomill.models.model.units import UNITS, compatible
+from robomill.models.model.units import compatible, fitting, unit_of
 
 DATA = Path(__file__).parents[1] / "data"
 _KEYS = {"value", "unit", "source", "validity"}
@@ -69,8 +69,8 @@ def _value(where: str, entry: Any, expected: dict[str, Any]) -> Any:
         return value
     want = expected.get("unit", "1")
     if not compatible(unit, want):
-        raise ValueError(f"{where}: unit {unit!r} does not measure {want!r}; known units: {', '.join(sorted(UNITS))}")
-    array = np.asarray(value, dtype=np.float64) * UNITS[unit].factor + UNITS[unit].offset
+        raise ValueError(f"{where}: unit {unit!r} does not measure {want!r}; units that fit: {', '.join(fitting(want))}")
+    array = np.asarray(value, dtype=np.float64) * unit_of(unit).factor + unit_of(unit).offset
     if not np.all(np.isfinite(array)):
         raise ValueError(f"{where}: {value} is not finite")
     low, high = expected.get("minimum"), expected.get("maximum")

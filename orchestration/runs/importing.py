@@ -17,6 +17,22 @@ from robomill.orchestration.runs.run import CSV, LIVE, RUN, SIGNALS
 from robomill.orchestration.slaves.protocol import FloatArray, PortData
 from robomill.orchestration.system.toml_text import dump
 
+_FILES = (RUN, SIGNALS, LIVE, CSV)
+
+
+def refuse_taken(folder: Path) -> None:
+    """ResultsError for a folder that holds a run."""
+    if present := [n for n in _FILES if (folder / n).exists()]:
+        raise ResultsError(f"{folder} already holds a run ({', '.join(present)}); choose another folder, or allow overwriting")
+
+
+def remove_run(folder: Path) -> None:
+    """Remove the files of a run, and its folder if nothing else is in it."""
+    for name in _FILES:
+        (folder / name).unlink(missing_ok=True)
+    if not any(folder.iterdir()):
+        folder.rmdir()
+
 
 def write_run(
     folder: Path,
@@ -33,8 +49,8 @@ def write_run(
     ResultsError for a folder that holds a run already, arrays of unequal length, time that does not increase, values
     that are not finite; nothing is written then.
     """
-    if not overwrite and (present := [n for n in (RUN, SIGNALS, LIVE, CSV) if (folder / n).exists()]):
-        raise ResultsError(f"{folder} already holds a run ({', '.join(present)}); choose another folder, or allow overwriting")
+    if not overwrite:
+        refuse_taken(folder)
     if len(t) == 0 or not np.all(np.isfinite(t)) or not np.all(np.diff(t) > 0.0):
         raise ResultsError(f"{folder}: time must be finite and increase from row to row; there are {len(t)} rows")
     for name, values in columns.items():

@@ -28,7 +28,7 @@ The unit is empty where none was written: then the converter says whether the va
 """
 
 
-_NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s*([^\W\d_][^\s]*|[%\u00b0\u2030]\S*)|\s+(1/\S+))?\s*")
+_NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s*((?:[^\W\d_]|[%\u00b0\u2030]).*?)|\s+(1/\S.*?))?\s*")
 """A number, and a unit that begins with a letter, a degree or a per cent sign, or with `1/`: "-2 1" are two numbers."""
 
 
@@ -39,6 +39,16 @@ def same_unit_only(value: float, unit: str, wanted: str) -> float:
     if unit and unit != wanted:
         raise ValueError(f"unit {unit!r} cannot be converted to {wanted!r}: no unit table was given")
     return value
+
+
+def same_unit(a: str, b: str, convert: Convert) -> bool:
+    """Whether two spellings mean the same unit, as `N.m` and `N*m` do."""
+    if a == b:
+        return True
+    try:
+        return convert(0.0, a, b) == 0.0 and convert(1.0, a, b) == 1.0
+    except ValueError:
+        return False
 
 
 def quantity(value: Any, wanted: str, convert: Convert, bare: bool = False) -> float:

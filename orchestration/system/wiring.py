@@ -19,6 +19,7 @@ from robomill.orchestration.slaves.protocol import CARRIED, FloatArray, Port, Po
 from robomill.orchestration.system.definition import Connection, System
 from robomill.orchestration.system.feedthrough import Element, Link, execution_order, feedthrough, find_loop
 from robomill.orchestration.system.loops import Loop, lay_out, regroup
+from robomill.orchestration.system.parameters import Convert, same_unit, same_unit_only
 
 Indices = npt.NDArray[np.intp]
 
@@ -74,8 +75,8 @@ class _Pair:
     connection: Connection
 
 
-def wire(system: System, components: Mapping[str, Sequence[Port]]) -> Wiring:
-    """Check `system.connections` against the ports of the `components` and lay out the bus.
+def wire(system: System, components: Mapping[str, Sequence[Port]], convert: Convert = same_unit_only) -> Wiring:
+    """Check `system.connections` against the ports of the `components` and lay out the bus; `convert` knows spellings of units.
 
     WiringError lists every problem found, one sentence each: unknown component or port, wrong
     direction, unit, type or array size, two sources of one input, open inputs (if required to be
@@ -87,7 +88,7 @@ def wire(system: System, components: Mapping[str, Sequence[Port]]) -> Wiring:
     named = {name: arrays(ports) for name, ports in components.items()}
     for c in system.connections:
         where = system.where(c.line)
-        found, said = _expand(c, components, named)
+        found, said = _expand(c, components, named, convert)
         problems.extend(f"{where}{p}" for p in said)
         for pair in found:
             other = taken.setdefault(pair.target, c)
@@ -174,7 +175,7 @@ def _layout(
 
 
 def _expand(
-    c: Connection, components: Mapping[str, Sequence[Port]], named: Mapping[str, Mapping[str, tuple[Port, ...]]]
+    c: Connection, components: Mapping[str, Sequence[Port]], named: Mapping[str, Mapping[str, tuple[Port, ...]]], convert: Convert
 ) -> tuple[list[_Pair], list[str]]:
     """The scalar connections of one connection, and what is wrong with it (then there are none); `named`: arrays of each component."""
     ends = []
@@ -205,7 +206,7 @@ def _expand(
     for a, b in zip(froms, tos, strict=True):
         if a.type != b.type and (a.type, b.type) != ("integer", "real"):
             return [], [f"connection {c}: type mismatch: {source}.{a.name} is {a.type}, {target}.{b.name} is {b.type}"]
-        if a.unit is not None and b.unit is not None and a.unit != b.unit:
+        if a.unit is not None and b.unit is not None and not same_unit(a.unit, b.unit, convert):
             return [], [f"connection {c}: unit mismatch: {source}.{a.name} is in {a.unit!r}, {target}.{b.name} expects {b.unit!r}"]
     return [_Pair((source, a.name), (target, b.name), c.delayed, c) for a, b in zip(froms, tos, strict=True)], []
 

@@ -1,122 +1,191 @@
-"""A log and its mapping become a run folder."""
+"""A log and its mapping become a run folder, or one for each repeat that is cut out of it."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from robomill.logs.mapping import AXES, LogMapping, Signal, load_mapping, rotation_abc
-from robomill.logs.reading import SUFFIXES, FloatArray, Log, LogError, read_log
-from robomill.models.model.units import UNITS, canonical, compatible, rate_of
-from robomill.orchestration.runs.importing import write_run
+from robomill.logs.cutting import Span, spans
+from robomill.logs.mapping import AXES, LogMapping, Signal, load_mapping, rate_of, rotation_abc
+from robomill.logs.reading import SUFFIXES, FloatArray, Log, LogError, format_of, read_log
+from robomill.logs.timing import Timing
+from robomill.models.model.units import are_turns, compatible, convert, unit_of
+from robomill.orchestration.runs.importing import refuse_taken, remove_run, write_run
 from robomill.orchestration.slaves.protocol import PortData
+
+REPEAT = "repeat_"
+"""Folder of a repeat within that of the import, before its number."""
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What was written."""
+    """A run that was written."""
 
     folder: Path
     rows: int
     step: float
     """Median step of the clock [s]."""
     columns: tuple[str, ...]
+    span: Span
+    """Begin and end [s] in the time of the log."""
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A run that is to be written."""
+
+    folder: Path
+    t: FloatArray
+    columns: Mapping[str, FloatArray]
+    span: Span
+    labels: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class _Series:
+    """Elements of a port at times of their own."""
+
+    names: tuple[str, ...]
+    t: FloatArray
+    values: FloatArray
+    """[n, elements] in the unit of the port, before it is differentiated."""
+    signal: Signal
 
 
 def import_log(
     mapping_file: Path, log_file: Path, folder: Path, overwrite: bool = False, labels: Mapping[str, Any] | None = None
-) -> Imported:
+) -> tuple[list[Imported], str]:
     """Read `log_file` as `mapping_file` says and write the run `folder`; `labels` go before those of the mapping.
 
-    LogError or ResultsError say what does not fit.
+    Where the mapping cuts the log into repeats, each is a run `folder`/repeat_1, ..., whose time begins at zero. Its number is its label
+    `repeat`; they count from the one that is given. Returned are the runs, and a sentence about what was left out ("" if nothing was).
+    LogError or ResultsError say what does not fit; nothing is written then.
     """
     mapping = load_mapping(mapping_file)
-    kind = mapping.format or SUFFIXES.get(log_file.suffix.lower())
+    kind = mapping.format or format_of(log_file)
     if kind is None:
         known = ", ".join(f"{s} ({k})" for s, k in SUFFIXES.items())
         raise LogError(f"{log_file}: the format of {log_file.suffix!r} is not known; known: {known}; or set log.format in {mapping_file}")
-    log = read_log(log_file, kind, **mapping.csv)
-    clock = _clock(mapping, log)
-    times: list[FloatArray] = []
-    names: list[list[str]] = []
-    values: list[FloatArray] = []
+    log = read_log(log_file, kind, mapping.csv, mapping.stamps)
+    timing = Timing.read(mapping.clock, log)
+    series, ports = _series(mapping, log, timing)
+    base = timing.of_rows((), len(series[0].values)) if timing.t is None else timing.t
+    first, last = _covered(mapping, series)
+    step = mapping.clock.step or float(np.median(np.diff(base)))
+    pieces, left_out = spans(mapping.cut, log, (first, last + step), timing.seconds, timing.of_rows)
+    given = {**mapping.labels, **(labels or {})}
+    runs: list[_Piece] = []
+    for number, (begin, end) in enumerate(pieces, 1):
+        t = timing.within(base, begin, end, last)
+        if len(t) <= 1:
+            raise LogError(
+                f"{log_file}: piece {number} of {len(pieces)}, {begin:.9g} s to {end:.9g} s, has {len(t)} rows; expected at least 2"
+            )
+        columns = {name: _shown(mapping, s, t, i) for s in series for i, name in enumerate(s.names)}
+        if mapping.cut.repeats:
+            repeat = _first_repeat(mapping, given) + number - 1
+            runs.append(_Piece(folder / f"{REPEAT}{repeat}", t - begin, columns, (begin, end), {**given, "repeat": repeat}))
+        else:
+            runs.append(_Piece(folder, t, columns, (begin, end), given))
+    _make_room(folder, [r.folder for r in runs], mapping.cut.repeats, overwrite)
+    source = {
+        "log": log_file.name,
+        "log_sha256": _digest(log_file),
+        "mapping": mapping_file.name,
+        "mapping_sha256": _digest(mapping_file),
+        "format": kind,
+        "filtered": any(s.low_pass or s.derivative for s in mapping.signals),
+        "resampled": mapping.clock.step > 0.0 or any(s.shift != 0.0 for s in mapping.signals),
+    }
+    for r in runs:
+        about = {**source, "begin": r.span[0], "end": r.span[1], "date": timing.date(r.span[0])}
+        info = {**mapping.about, "imported": about, "labels": r.labels, "parameters": dict(mapping.parameters)}
+        write_run(r.folder, r.t, r.columns, ports, info, overwrite)
+    return [Imported(r.folder, len(r.t), float(np.median(np.diff(r.t))), tuple(r.columns), r.span) for r in runs], left_out
+
+
+def _first_repeat(mapping: LogMapping, labels: Mapping[str, Any]) -> int:
+    first = labels.get("repeat", 1)
+    if isinstance(first, bool) or not isinstance(first, int):
+        raise LogError(f"{mapping.file}: [labels] repeat: expected a whole number, from which the repeats count; found {first!r}")
+    return first
+
+
+def _make_room(folder: Path, places: Sequence[Path], repeats: bool, overwrite: bool) -> None:
+    """Remove repeats of an earlier import that are not replaced, or refuse what is there."""
+    stale = sorted({f for f in folder.glob(f"{REPEAT}*") if f.is_dir()} - set(places)) if repeats else []
+    for place in stale:
+        if overwrite:
+            remove_run(place)
+    if not overwrite:
+        for place in (*places, *stale):
+            refuse_taken(place)
+
+
+def _digest(file: Path) -> str:
+    """SHA-256 of a file, or of all files in a folder, in the order of their names."""
+    digest = hashlib.sha256()
+    for f in sorted(file.rglob("*")) if file.is_dir() else [file]:
+        if f.is_file():
+            digest.update(f.read_bytes())
+    return digest.hexdigest()
+
+
+def _series(mapping: LogMapping, log: Log, timing: Timing) -> tuple[list[_Series], dict[str, PortData]]:
+    """All signals, and their ports by element."""
+    series: list[_Series] = []
     ports: dict[str, PortData] = {}
     for signal in mapping.signals:
-        found, unit, own = _values(mapping, signal, log, clock)
-        elements = [signal.port] if found.shape[1] == 1 else [f"{signal.port}[{i + 1}]" for i in range(found.shape[1])]
-        if signal.derivative:
-            unit = _rate(mapping, signal, unit)
-        if signal.size is not None and signal.size > 1 and found.shape[1] == 1:
-            raise _problem(mapping, signal, f"has {signal.size} elements, one column is given")
+        names = [n for c in signal.columns for n in log.elements(c)]
+        values, unit = _values(mapping, signal, log, names)
+        elements = _elements(mapping, signal, names, values.shape[1])
         for name in elements:
             if name in ports:
                 raise _problem(mapping, signal, f"{name} is given twice")
-            ports[name] = PortData(name.partition(".")[2], "output", "real", unit, description=signal.description)
-        times.append(own + signal.shift)
-        names.append(elements)
-        values.append(found)
-    t = _common_time(mapping, clock, times)
-    columns: dict[str, FloatArray] = {}
-    for signal, own, elements, found in zip(mapping.signals, times, names, values, strict=True):
-        same = own.shape == t.shape and bool(np.all(own == t))
-        for i, name in enumerate(elements):
-            column = np.ascontiguousarray(found[:, i]) if same else np.interp(t, own, found[:, i])
-            columns[name] = _smooth(mapping, signal, column) if signal.low_pass or signal.derivative else column
-    info = {
-        **mapping.about,
-        "imported": {
-            "log": log_file.name,
-            "log_sha256": hashlib.sha256(log_file.read_bytes()).hexdigest(),
-            "mapping": mapping_file.name,
-            "mapping_sha256": hashlib.sha256(mapping_file.read_bytes()).hexdigest(),
-            "format": kind,
-            "filtered": any(s.low_pass or s.derivative for s in mapping.signals),
-            "resampled": mapping.clock.step > 0.0 or any(s.shift != 0.0 for s in mapping.signals),
-        },
-        "labels": {**mapping.labels, **(labels or {})},
-        "parameters": dict(mapping.parameters),
-    }
-    write_run(folder, t, columns, ports, info, overwrite)
-    return Imported(folder, len(t), float(np.median(np.diff(t))), tuple(columns))
+            ports[name] = PortData(
+                name.partition(".")[2], "output", "real", rate_of(unit, signal.derivative), description=signal.description
+            )
+        series.append(_Series(elements, timing.of_rows(names, len(values)) + signal.shift, values, signal))
+    return series, ports
+
+
+def _elements(mapping: LogMapping, signal: Signal, names: list[str], count: int) -> tuple[str, ...]:
+    """Names `component.port`, `component.port[1]` or `component.port[1,1]` of the columns that a signal makes."""
+    component = signal.port.partition(".")[0]
+    if signal.elements is not None:
+        if len(signal.elements) > 1 and count == 1:
+            raise _problem(mapping, signal, f"has {len(signal.elements)} elements, one column is given")
+        if len(signal.elements) != count:
+            raise _problem(mapping, signal, f"has {len(signal.elements)} elements; the mapping gives {count}")
+        return tuple(f"{component}.{e}" for e in signal.elements)
+    if signal.shape:
+        if math.prod(signal.shape) != count:
+            raise _problem(
+                mapping, signal, f"the shape {list(signal.shape)} has {math.prod(signal.shape)} elements, there are {count} columns"
+            )
+        return tuple(f"{signal.port}[{','.join(str(i + 1) for i in index)}]" for index in np.ndindex(*signal.shape))
+    if count == 1:
+        return (signal.port,)
+    own = [n.rpartition("[")[2] for n in names]
+    if len(signal.columns) == 1 and not signal.orientation and all("," in o for o in own):
+        return tuple(f"{signal.port}[{o}" for o in own)  # a matrix of the log
+    return tuple(f"{signal.port}[{i + 1}]" for i in range(count))
 
 
 def _problem(mapping: LogMapping, signal: Signal, text: str) -> LogError:
     return LogError(f"{mapping.file}: signal {signal.port}: {text}")
 
 
-def _clock(mapping: LogMapping, log: Log) -> FloatArray | None:
-    """Time [s] of the rows; None if each channel of the log has its own clock or they are counted."""
-    c = mapping.clock
-    if c.column is None:
-        return None
-    t = UNITS[c.unit].factor * log[c.column] + c.offset
-    _increasing(f"{log.file}: clock {c.column!r}", t)
-    return t
-
-
-def _increasing(what: str, t: FloatArray) -> None:
-    if len(t) <= 1:
-        raise LogError(f"{what}: has {len(t)} rows; expected at least 2")
-    if not np.all(np.isfinite(t)):
-        raise LogError(f"{what}: not a number in row {int(np.flatnonzero(~np.isfinite(t))[0]) + 1}")
-    bad = np.flatnonzero(np.diff(t) <= 0.0)
-    if len(bad):
-        k = int(bad[0])
-        raise LogError(
-            f"{what}: time does not increase from row {k + 1} ({t[k]:.9g} s) to row {k + 2} ({t[k + 1]:.9g} s), "
-            f"{len(bad)} times in all; remove doubled or reordered rows, or count the time with clock.rate"
-        )
-
-
-def _values(mapping: LogMapping, signal: Signal, log: Log, clock: FloatArray | None) -> tuple[FloatArray, str, FloatArray]:
-    """Values [n, elements] in the unit of the port, that unit, and the time [n] s of the rows, without the shift."""
-    names = [n for c in signal.columns for n in log.elements(c)]
+def _values(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> tuple[FloatArray, str]:
+    """Values [n, elements] in the unit of the port, and that unit."""
     raw = [log[n] for n in names]
     if len({len(r) for r in raw}) > 1:
         raise _problem(
@@ -134,16 +203,16 @@ def _values(mapping: LogMapping, signal: Signal, log: Log, clock: FloatArray | N
     for what, factors in (("scale or sign", signal.scale), ("offset", signal.offset)):
         if factors.ndim and factors.shape != (x.shape[1],):
             raise _problem(mapping, signal, f"{factors.size} values of {what} for {x.shape[1]} columns")
-    x = UNITS[unit].factor * (signal.scale * x + signal.offset) + UNITS[unit].offset
-    target = (signal.target if not signal.derivative else None) or _si(unit)
+    x = unit_of(unit).factor * (signal.scale * x + signal.offset) + unit_of(unit).offset
+    target = (None if signal.derivative else signal.target) or unit_of(unit).si
+    if are_turns(unit, target):
+        x = 2.0 * math.pi * x
     if signal.orientation:
         x, target = _quaternions(mapping, signal, x, unit), "1"
     elif signal.rotation is not None:
         if x.shape[1] != AXES:
             raise _problem(mapping, signal, f"a rotation needs three columns x, y, z; there are {x.shape[1]}")
         x = x @ signal.rotation.T
-    if signal.size is not None and x.shape[1] != signal.size:
-        raise _problem(mapping, signal, f"has {signal.size} elements; the mapping gives {x.shape[1]}")
     if signal.range is not None:
         least, most = (value.si(target) for value in signal.range.each())
         if least >= most:
@@ -156,43 +225,17 @@ def _values(mapping: LogMapping, signal: Signal, log: Log, clock: FloatArray | N
                 f"values from {low:.6g} to {high:.6g} {target} are outside the range [{least:g}, {most:g}] {target} "
                 f"that the mapping expects; is {unit!r} the wrong unit, or the scale?",
             )
-    return x, target, _own_time(mapping, log, names, clock, len(x))
+    return x, target
 
 
-def _unit(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> str:
-    """Unit of the columns in the log: that of the mapping, checked against what the log states, if it states one."""
-    stated = sorted({canonical(log.units[n]) for n in names if n in log.units})
-    if signal.unit is None:
-        if len(stated) != 1 or stated[0] not in UNITS:
-            said = f"the log states {', '.join(repr(s) for s in stated)}" if stated else "the log states none"
-            raise _problem(mapping, signal, f"a unit is missing: {said}; add unit to the signal")
-        known = signal.target is not None and not signal.orientation and not signal.derivative
-        if known and not compatible(stated[0], str(signal.target)):
-            raise _problem(mapping, signal, f"wrong unit: the port is in {signal.target}, the log states {stated[0]!r}")
-        return stated[0]
-    wrong = [s for s in stated if s in UNITS and s != signal.unit]
-    if wrong:
-        raise _problem(mapping, signal, f"wrong unit: the mapping says {signal.unit!r}, the log states {wrong[0]!r}")
-    return signal.unit
+def _shown(mapping: LogMapping, series: _Series, t: FloatArray, element: int) -> FloatArray:
+    """An element of a series at the times `t` [n]: low-passed without phase, then differentiated by central differences, if that is asked.
 
-
-def _rate(mapping: LogMapping, signal: Signal, unit: str) -> str:
-    """SI unit of the derivative of a signal."""
-    found = rate_of(unit, signal.derivative)
-    if found is None:
-        raise _problem(
-            mapping, signal, f"derivative {signal.derivative} of what is in {unit} has no unit in the table of units; leave it out"
-        )
-    return found
-
-
-def _smooth(mapping: LogMapping, signal: Signal, x: FloatArray) -> FloatArray:
-    """The signal `x` [n] at evenly spaced times: low-passed without phase, then differentiated by central differences.
-
-    The low-pass is a Butterworth of 4th order, forwards and backwards: half the amplitude at the corner.
+    The low-pass is a Butterworth of 4th order, forwards and backwards: half the amplitude at the corner. Times are evenly spaced then.
     """
-    from scipy.signal import butter, sosfiltfilt
-
+    signal, x = series.signal, np.interp(t, series.t, series.values[:, element])
+    if not signal.low_pass and not signal.derivative:
+        return x
     if not mapping.clock.step and not mapping.clock.rate:
         raise _problem(mapping, signal, "low_pass and derivative need evenly spaced times; set clock.step (or clock.rate)")
     h = mapping.clock.step or 1.0 / mapping.clock.rate
@@ -205,9 +248,33 @@ def _smooth(mapping: LogMapping, signal: Signal, x: FloatArray) -> FloatArray:
     return np.asarray(x)
 
 
-def _si(unit: str) -> str:
-    """The SI unit that measures the same."""
-    return next(u for u, v in UNITS.items() if v.factor == 1.0 and v.offset == 0.0 and v.exponents == UNITS[unit].exponents)
+def _unit(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> str:
+    """Unit of the columns in the log: that of the mapping, checked against what the log states, if it states one that is known."""
+    stated = sorted({log.units[n] for n in names if n in log.units})
+    known = [s for s in stated if compatible(s, s)]
+    if signal.unit is None:
+        if len(stated) != 1 or not known:
+            said = f"the log states {', '.join(repr(s) for s in stated)}" if stated else "the log states none"
+            raise _problem(mapping, signal, f"a unit is missing: {said}; add unit to the signal")
+        shown = rate_of(known[0], signal.derivative)
+        fits = signal.target is None or compatible(shown, signal.target) or are_turns(shown, signal.target)
+        if not fits and not signal.orientation:
+            raise _problem(mapping, signal, f"wrong unit: the port is in {signal.target}, the log states {known[0]!r}")
+        return known[0]
+    wrong = [s for s in known if not _same(s, signal.unit)]
+    if wrong:
+        raise _problem(mapping, signal, f"wrong unit: the mapping says {signal.unit!r}, the log states {wrong[0]!r}")
+    return signal.unit
+
+
+def _same(a: str, b: str) -> bool:
+    """Whether two spellings mean one unit; turns per time are rpm or Hz."""
+    if unit_of(a) == unit_of(b):
+        return True
+    for turns, other in ((a, b), (b, a)):
+        if are_turns(turns, other):
+            return math.isclose(convert(1.0, turns, other), 1.0)
+    return False
 
 
 def _quaternions(mapping: LogMapping, signal: Signal, x: FloatArray, unit: str) -> FloatArray:
@@ -219,31 +286,11 @@ def _quaternions(mapping: LogMapping, signal: Signal, x: FloatArray, unit: str) 
     return np.asarray(np.where(q[:, :1] < 0.0, -q, q))
 
 
-def _own_time(mapping: LogMapping, log: Log, names: list[str], clock: FloatArray | None, rows: int) -> FloatArray:
-    """Time of the rows of a signal: the clock of the mapping, or that of the channel where the log has one (MDF4)."""
-    c = mapping.clock
-    if clock is None:
-        return np.arange(rows) / c.rate + c.offset
-    if len(clock) == rows and all(log.clocks.get(n, c.column) == c.column for n in names):
-        return clock
-    own = sorted({log.clocks[n] for n in names if n in log.clocks})
-    if len(own) != 1:
-        raise LogError(f"{log.file}: column {names[0]!r} has {rows} rows, the clock {c.column!r} has {len(clock)}")
-    t = log[own[0]] + c.offset
-    _increasing(f"{log.file}: clock {own[0]!r}", t)
-    return t
-
-
-def _common_time(mapping: LogMapping, clock: FloatArray | None, times: list[FloatArray]) -> FloatArray:
-    """Times of the run: those of the clock (or of the first signal) that all signals cover, or the grid of clock.step."""
-    base = times[0] if clock is None else clock
-    start, end = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
+def _covered(mapping: LogMapping, series: Sequence[_Series]) -> Span:
+    """First and last time [s] of what all signals cover."""
+    start, end = max(float(s.t[0]) for s in series), min(float(s.t[-1]) for s in series)
     if end <= start:
         raise LogError(
             f"{mapping.file}: the signals have no time in common: the last begins at {start:.9g} s, the first ends at {end:.9g} s"
         )
-    if mapping.clock.step > 0.0:
-        h = mapping.clock.step
-        count = int(np.floor((end - start) / h * (1.0 + 1e-12) + 1e-6))
-        return np.asarray(start + h * np.arange(count + 1))
-    return np.asarray(base[(base >= start) & (base <= end)])
+    return start, end

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import datetime
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +14,10 @@ import numpy as np
 
 from robomill.cell.binding import convert, resolve
 from robomill.fmus.components import COMPONENTS, beside, component, is_component
-from robomill.logs.reading import READERS, FloatArray, LogError
+from robomill.logs.cutting import EDGES, Cut, Instant, Marker
+from robomill.logs.reading import READERS, CsvForm, FloatArray, LogError
 from robomill.models.model.declaration import Model, Variable
-from robomill.models.model.units import UNITS, canonical, compatible, rate_of
+from robomill.models.model.units import EXPECTED, are_turns, compatible, unit_of
 from robomill.orchestration.errors import PlacedError, unknown
 from robomill.orchestration.slaves.protocol import arrays
 from robomill.orchestration.system.entries import Entry
@@ -22,23 +25,18 @@ from robomill.orchestration.system.parameters import prepare
 
 AXES = 3
 """Components of a vector, and Euler angles A, B, C of an orientation."""
-_TOP = ("log", "clock", "about", "components", "labels", "parameters", "signal")
+_TOP = ("log", "clock", "cut", "about", "components", "labels", "parameters", "signal")
 _ABOUT = ("program", "robot", "tool", "workpiece", "source", "licence", "description")
-_SIGNAL = (
-    "column",
-    "columns",
-    "unit",
-    "scale",
-    "offset",
-    "sign",
-    "rotation",
-    "orientation",
-    "shift",
-    "range",
-    "description",
-    "low_pass",
-    "derivative",
-)
+_SIGNAL = ("column", "columns", "shape", "unit", "scale", "offset", "sign", "rotation", "orientation", "shift", "range", "description")
+_FILTER = ("low_pass", "derivative")
+
+
+_LOG = ("format", "delimiter", "decimal", "skip_rows", "unit_row", "encoding", "stamps")
+_STAMPS = ("header", "received")
+_CUT = ("from", "to", "period", "at", "marker", "when", "level", "while", "length")
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ].*")
+ISO = "iso"
+"""Format of a clock that holds dates and times as ISO 8601 writes them."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +45,8 @@ class Clock:
 
     column: str | None
     unit: str
+    format: str | None
+    """The column holds dates and times of this format (`ISO`, or as strptime has it); time counts from the first."""
     offset: float
     rate: float
     step: float
@@ -59,6 +59,8 @@ class Signal:
     port: str
     """`component.port`, or one element of it, `component.port[2]`."""
     columns: tuple[str, ...]
+    shape: tuple[int, ...]
+    """The columns are the elements of a matrix of this shape, row by row; (): a vector, or as the columns of the log are counted."""
     unit: str | None
     """Unit in the log; None: the one that the log states."""
     scale: FloatArray
@@ -77,8 +79,8 @@ class Signal:
     range: Entry | None
     """Lowest and highest plausible value, as written."""
     description: str
-    size: int | None
-    """Number of elements of the port, where the component is known."""
+    elements: tuple[str, ...] | None
+    """Names of the elements of the port, where the component is known."""
     target: str | None
     """Unit of the port, where the component is known."""
 
@@ -89,8 +91,11 @@ class LogMapping:
 
     file: Path
     format: str | None
-    csv: Mapping[str, Any]
+    csv: CsvForm
+    stamps: str
+    """Where the times of a ROS bag come from: "header" or "received"."""
     clock: Clock
+    cut: Cut
     about: Mapping[str, Any]
     labels: Mapping[str, Any]
     parameters: Mapping[str, Any]
@@ -104,26 +109,40 @@ def load_mapping(file: Path) -> LogMapping:
     top = Entry.load(file, LogError, convert).keys((), _TOP)
     if "clock" not in top:
         raise top.fail("a table [clock] is missing; give the column with the time and its unit, or a rate in Hz")
-    log = top.get("log", {}).keys((), ("format", "delimiter", "decimal", "skip_rows"))
-    for key in ("delimiter", "decimal"):
-        if key in log and len(log[key].text(blank=True)) != 1:
-            raise log[key].expected("one character")
-    if "skip_rows" in log:
-        log["skip_rows"].count(0)
     models = {name: _component(entry) for name, entry in top.get("components", {}).items()}
     signals = tuple(_signal(entry, models) for entry in top.get("signal", []).each())
     if not signals:
         raise top.get("signal", []).fail("expected at least one [[signal]] with port and columns; there is none")
+    log = top.get("log", {}).keys((), _LOG)
     return LogMapping(
         file,
         log["format"].choice(READERS) if "format" in log else None,
-        {k: v for k, v in log.value.items() if k != "format"},
+        _csv_form(log),
+        log["stamps"].choice(_STAMPS) if "stamps" in log else _STAMPS[0],
         _clock(top["clock"]),
+        _cut(top.get("cut", {})),
         {key: entry.text() for key, entry in top.get("about", {}).keys((), _ABOUT).items()},
         {name: _label(entry) for name, entry in top.get("labels", {}).items()},
         {name: _parameters(entry, name, models) for name, entry in top.get("parameters", {}).items()},
         signals,
     )
+
+
+def _csv_form(log: Entry) -> CsvForm:
+    for key in ("delimiter", "decimal"):
+        if key in log and len(log[key].text(blank=True)) != 1:
+            raise log[key].expected("one character")
+    default = CsvForm()
+    form = CsvForm(
+        log.get("delimiter", default.delimiter).text(blank=True),
+        log.get("decimal", default.decimal).text(blank=True),
+        log.get("skip_rows", default.skip_rows).count(0),
+        log.get("unit_row", default.unit_row).flag(),
+        log.get("encoding", default.encoding).text(),
+    )
+    if form.delimiter == form.decimal:
+        raise log.fail(f"delimiter and decimal are both {form.delimiter!r}; one of them must be another")
+    return form
 
 
 def _label(entry: Entry) -> Any:
@@ -165,28 +184,81 @@ def _component(entry: Entry) -> Model:
 
 
 def _unit(entry: Entry) -> str:
-    if canonical(entry.text()) not in UNITS:
-        raise entry.fail(unknown("unit", entry.value, sorted(UNITS)))
-    return canonical(entry.value)
+    try:
+        unit_of(entry.text())
+    except ValueError as error:
+        raise entry.fail(f"{error}; {EXPECTED}") from None
+    return entry.text()
 
 
 def _clock(entry: Entry) -> Clock:
-    entry.keys((), ("column", "unit", "offset", "rate", "step"))
+    entry.keys((), ("column", "unit", "format", "offset", "rate", "step"))
     if ("column" in entry) == ("rate" in entry):
         raise entry.fail("give either column (and unit) or rate (Hz)")
     column, unit = entry["column"].text() if "column" in entry else None, "s"
-    if column is not None:
+    form = entry["format"].text() if "format" in entry else None
+    if form is not None and (column is None or "unit" in entry):
+        raise entry["format"].fail("format is of a column with dates and times, which has no unit; give column and format alone")
+    if form not in (None, ISO) and "%" not in str(form):
+        raise entry["format"].expected(f"{ISO!r} or a format of strptime such as '%d.%m.%Y %H:%M:%S.%f'")
+    if column is not None and form is None:
         unit = _unit(entry.get("unit", None))
         if not compatible(unit, "s"):
-            raise entry["unit"].fail(f"{unit!r} does not measure time; expected s, ms, min or h")
+            raise entry["unit"].fail(f"{unit!r} does not measure time; expected s, ms, min or h, or format = 'iso' for dates and times")
     rate, step = entry.get("rate", 0).si("Hz"), entry.get("step", 0).si("s")
     if rate < 0.0 or ("rate" in entry and rate == 0.0) or step < 0.0:
         raise entry.fail("rate and step must be positive")
-    return Clock(column, unit, entry.get("offset", 0).si("s"), rate, step)
+    return Clock(column, unit, form, entry.get("offset", 0).si("s"), rate, step)
+
+
+def _cut(entry: Entry) -> Cut:
+    entry.keys((), _CUT)
+    ways = [key for key in ("period", "at", "marker") if key in entry]
+    if len(ways) > 1:
+        raise entry.fail(f"{' and '.join(ways)} both cut the log; give one of period, at and marker")
+    for key in ("when", "level", "while"):
+        if key in entry and "marker" not in entry:
+            raise entry[key].fail("belongs to a marker; give marker, the column that it is about")
+    if "length" in entry and not ways:
+        raise entry["length"].fail("is that of the pieces; give period, at or marker, or to")
+    times = {key: entry[key].si("s") for key in ("period", "length") if key in entry}
+    for key, value in times.items():
+        if value <= 0.0:
+            raise entry[key].expected("a positive time")
+    return Cut(
+        _instant(entry["from"]) if "from" in entry else None,
+        _instant(entry["to"]) if "to" in entry else None,
+        times.get("period"),
+        tuple(_instant(e) for e in entry["at"].each()) if "at" in entry else (),
+        _marker(entry) if "marker" in entry else None,
+        times.get("length"),
+    )
+
+
+def _marker(entry: Entry) -> Marker:
+    value: float | str | None = None
+    if "while" in entry:
+        if "when" in entry or "level" in entry:
+            raise entry["while"].fail("gives the pieces alone; leave out when and level")
+        value = entry["while"].value
+        value = entry["while"].text() if isinstance(value, str) else float(value) if isinstance(value, bool) else entry["while"].number()
+    when = entry["when"].choice(EDGES) if "when" in entry else EDGES[0]
+    return Marker(entry["marker"].text(), when, entry["level"].number() if "level" in entry else None, value)
+
+
+def _instant(entry: Entry) -> Instant:
+    """A time of the run, "2.5 s", or a date and time of day, as TOML or ISO 8601 write it."""
+    value = entry.value
+    if isinstance(value, str) and _DATE.fullmatch(value.strip()):
+        try:
+            value = datetime.datetime.fromisoformat(value.strip())
+        except ValueError:
+            raise entry.expected("a date and time such as 2024-05-03T10:15:00Z") from None
+    return value if isinstance(value, datetime.datetime) else entry.si("s")
 
 
 def _signal(entry: Entry, models: Mapping[str, Model]) -> Signal:
-    port = entry.keys({"port"}, _SIGNAL)["port"].text()
+    port = entry.keys({"port"}, (*_SIGNAL, *_FILTER))["port"].text()
     component, _, name = port.partition(".")
     if not component or not name:
         raise entry["port"].fail(f"{port!r} is no port; expected component.port or component.port[2]")
@@ -200,19 +272,19 @@ def _signal(entry: Entry, models: Mapping[str, Model]) -> Signal:
         raise entry["orientation"].expected("'abc' (KUKA Euler angles to quaternion)")
     unit = _unit(entry["unit"]) if "unit" in entry else None
     low_pass, derivative = entry.get("low_pass", 0).si("Hz"), entry["derivative"].count(1) if "derivative" in entry else 0
-    size = target = None
+    if low_pass < 0.0 or ("low_pass" in entry and low_pass == 0.0):
+        raise entry["low_pass"].expected("a frequency above 0 Hz")
+    elements = target = None
     if component in models:
-        size, target = _declared(entry["port"], models[component], name)
-        found = rate_of(unit, derivative) if unit is not None and derivative else unit
-        if unit is not None and not orientation and (found is None or not compatible(found, target)):
+        elements, target = _declared(entry["port"], models[component], name)
+        shown = rate_of(unit, derivative) if unit is not None else None
+        if shown is not None and not (compatible(shown, target) or are_turns(shown, target) or orientation):
             raise entry["unit"].fail(f"wrong unit: {port} is in {target}, {unit!r} measures something else")
     sign, scale = _numbers(entry.get("sign", 1)), _numbers(entry.get("scale", 1.0))
     if not np.all(np.abs(sign) == 1.0):
         raise entry["sign"].expected("1 or -1")
     if scale.ndim and sign.ndim and scale.shape != sign.shape:
         raise entry["sign"].fail(f"{sign.size} signs for {scale.size} scales")
-    if low_pass < 0.0 or ("low_pass" in entry and low_pass == 0.0):
-        raise entry["low_pass"].expected("a frequency above 0 Hz")
     limits = None
     if "range" in entry:
         limits = entry["range"]
@@ -224,6 +296,7 @@ def _signal(entry: Entry, models: Mapping[str, Model]) -> Signal:
     return Signal(
         port,
         columns,
+        _shape(entry["shape"]) if "shape" in entry else (),
         unit,
         scale * sign,
         _numbers(entry.get("offset", 0.0)),
@@ -234,9 +307,13 @@ def _signal(entry: Entry, models: Mapping[str, Model]) -> Signal:
         derivative,
         limits,
         entry["description"].text() if "description" in entry else "",
-        size,
+        elements,
         target,
     )
+
+
+def _shape(entry: Entry) -> tuple[int, ...]:
+    return tuple(e.count(1) for e in entry.each())
 
 
 def _numbers(entry: Entry) -> FloatArray:
@@ -245,8 +322,8 @@ def _numbers(entry: Entry) -> FloatArray:
     return np.array([e.number() for e in entry.each()] if listed else entry.number("a number or a list of numbers"))
 
 
-def _declared(entry: Entry, model: Model, name: str) -> tuple[int, str]:
-    """Size and unit of a port of a component; `name` may be one element."""
+def _declared(entry: Entry, model: Model, name: str) -> tuple[tuple[str, ...], str]:
+    """Names of the elements and unit of a port of a component; `name` may be one element."""
     ports: dict[str, Variable] = {v.name: v for v in model.variables if v.causality in ("input", "output")}
     base = name.partition("[")[0]
     if base not in ports:
@@ -254,7 +331,7 @@ def _declared(entry: Entry, model: Model, name: str) -> tuple[int, str]:
     v = ports[base]
     if name != base and name not in v.element_names:
         raise entry.fail(unknown("element", name, v.element_names))
-    return (1 if name != base else len(v.element_names)), v.unit
+    return ((name,) if name != base else v.element_names), v.unit
 
 
 def _rotation(entry: Entry) -> FloatArray:
@@ -268,6 +345,11 @@ def _rotation(entry: Entry) -> FloatArray:
     if not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6) or np.linalg.det(matrix) < 0.0:
         raise entry.fail("the matrix is no rotation: its rows must be orthonormal and right-handed (use sign for a flipped channel)")
     return matrix
+
+
+def rate_of(unit: str, times: int) -> str:
+    """What the derivative of so many `times` of a quantity in `unit` is in; the unit itself where that is 0."""
+    return unit if times == 0 else unit_of(f"({unit_of(unit).si})/s{times}").si
 
 
 def rotation_abc(angles: FloatArray) -> FloatArray:

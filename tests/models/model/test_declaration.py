@@ -77,8 +77,11 @@ class TestVariable:
             ({"name": "two words"}, r"variable 'two words': not usable as a record field; choose an identifier"),
             ({"name": "T"}, r"variable 'T': not usable as a record field; choose an identifier that numpy\.record does not own"),
             ({"name": "size"}, r"variable 'size': not usable as a record field"),
-            ({"unit": "inch"}, r"variable 'rate': unknown unit 'inch'; known units: .*um/N"),
-            ({"display_unit": "inch"}, r"variable 'rate': unknown unit 'inch'"),
+            (
+                {"unit": "furlong"},
+                r"variable 'rate': unknown unit 'furlong'; expected a product of powers of SI units, such as N\.m\.s/rad",
+            ),
+            ({"display_unit": "furlong"}, r"variable 'rate': unknown unit 'furlong'"),
             ({"unit": "mm"}, r"variable 'rate': unit 'mm' is not SI; use it as display_unit"),
             ({"unit": "degC"}, r"variable 'rate': unit 'degC' is not SI"),
             ({"description": ""}, r"variable 'rate': a description is missing"),
