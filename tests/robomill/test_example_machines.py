@@ -97,7 +97,7 @@ class TestJointCompliance:
         np.testing.assert_allclose(answer(self.ROBOT, "d_T_B", **POSE, joint_compliance=c), expected, rtol=1e3 * ROUNDOFF)
 
     def test_across_all_axes_of_a_joint_it_is_a_ball_joint(self) -> None:
-        """The same compliance about three axes at right angles: c (r x F + M) x r, r from the joint to the tool."""
+        """Equal compliances about three axes at right angles: c (r x F + M) x r, r from the joint to the tool."""
         one, s = np.array([0.0, 0.0, 1e-6, 0.0, 0.0, 0.0]), record(self.ROBOT.new())
         jacobian(s, np.array(POSE["q"]), np.zeros((6, 6)))
         r = s.link_p[6] - s.link_p[2]
