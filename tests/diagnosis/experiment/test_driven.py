@@ -66,6 +66,12 @@ def test_repeats_are_conditions_of_their_own_and_what_drives_them_is_no_channel(
     assert laboratory.channels == ["drive.torque", "drive.angle"]
 
 
+def test_a_held_out_run_of_the_same_label_is_no_repeat_of_another_motion(tmp_path: Path) -> None:
+    here, there = recorded(tmp_path / "a"), recorded(tmp_path / "b", size=1.5, seed=2)
+    there.info["labels"]["condition"] = "a"
+    assert [(c.name, c.held_out) for c in Campaign.of(SYSTEM, [here], [there]).conditions()] == [("a", False), ("a (2)", True)]
+
+
 def test_what_is_played_is_what_was_measured(tmp_path: Path) -> None:
     run = recorded(tmp_path / "a")
     with assemble(driven(SYSTEM, run), resolve) as assembly:
