@@ -23,6 +23,7 @@ from robomill.orchestration.slaves.multirate import MultiRate
 from robomill.orchestration.slaves.playback import Playback
 from robomill.orchestration.slaves.protocol import Port, PortData, Scalar, Slave, arrays, outputs, plain
 from robomill.orchestration.system.definition import Component, System
+from robomill.orchestration.system.own_units import by_definition
 from robomill.orchestration.system.parameters import Convert, prepare, same_unit_only
 from robomill.orchestration.system.wiring import Wiring, wire
 
@@ -96,10 +97,11 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
         parameters: dict[str, dict[str, Scalar]] = {}
         starts: dict[str, dict[str, Scalar]] = {}
         for c in system.components:
+            own = by_definition(convert, getattr(getattr(slaves[c.name], "description", None), "units", {}))
             with _attributed(system, c):
-                parameters[c.name] = _configure(system, c, slaves[c.name], convert)
+                parameters[c.name] = _configure(system, c, slaves[c.name], own)
                 if c.inputs:
-                    starts[c.name] = prepare(c.name, slaves[c.name].ports, c.inputs, convert, causality="input")
+                    starts[c.name] = prepare(c.name, slaves[c.name].ports, c.inputs, own, causality="input")
                     slaves[c.name].configure(starts[c.name])  # initialisation sees them, too
             if (c.rate, c.every) != (1, 1):
                 slaves[c.name] = MultiRate(slaves[c.name], c.rate, c.every)

@@ -5,7 +5,7 @@ The grammar is that of unit names in Modelica and FMI, `N.m.s/rad`, `kg.m2`, `J/
 base unit, as in FMI 2.0, 2.2.2: a torque is no torsional stiffness.
 
 A quantity that is written carries its unit. Only zero needs none: it is the same in all units of a quantity, except for
-temperatures, where 0 K is not 0 degC. ([Decision 60](../../docs/decisions/0060-units-are-parsed.md).)
+temperatures, where 0 K is not 0 degC. (docs/decisions/0060-units-are-parsed.md)
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Unit:
 
     factor: float
     exponents: Mapping[str, int]
-    """Of the `BASE` units, in their order; none is zero."""
+    """Powers of the `BASE` units, in their order; none is zero."""
     offset: float
     si: str
     """The SI unit that measures the same, in the same parts: `N.m/rad` of `kN.mm/deg`."""

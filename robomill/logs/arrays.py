@@ -67,14 +67,16 @@ def read_hdf5(file: Path) -> Log:
     found: dict[str, Array] = {}
 
     def walk(name: str, item: Any) -> None:
-        kind = item.attrs.get("MATLAB_class", b"")
         if isinstance(item, h5py.Group):
             for key, member in item.items():
                 if not key.startswith("#"):
                     walk(f"{name}.{key}" if name else key, member)
-        elif item.dtype == h5py.ref_dtype:  # a cell, or a field of a struct array
-            for i, reference in enumerate(item[()].ravel(), 1):
-                walk(f"{name}[{i}]", item.file[reference])
+            return
+        kind = item.attrs.get("MATLAB_class", b"")
+        if h5py.check_ref_dtype(item.dtype):
+            struct, _, field = name.rpartition(".")
+            for i, reference in enumerate(item[()].ravel(), 1):  # a cell has a class, a field of a struct array has none
+                walk(f"{name}[{i}]" if kind else f"{struct}[{i}].{field}", item.file[reference])
         elif kind != b"char" and "MATLAB_empty" not in item.attrs:
             found[name] = np.squeeze(item[()].T if kind else item[()])  # MATLAB stores by columns
 

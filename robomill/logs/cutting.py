@@ -40,6 +40,8 @@ class Marker:
 class Cut:
     """The table [cut] of a mapping."""
 
+    place: str = ""
+    """Where it stands: `map.toml:8: [cut]`."""
     begin: Instant | None = None
     end: Instant | None = None
     period: float | None = None
@@ -67,50 +69,48 @@ def spans(
     end = high if cut.end is None else min(high, seconds(cut.end))
     if not begin < end - TICK:
         asked = " to ".join("..." if i is None else f"{seconds(i):.9g} s" for i in (cut.begin, cut.end))
-        raise LogError(f"{log.file}: [cut] nothing is in the window {asked}; the log covers {low:.9g} s to {high:.9g} s")
+        raise LogError(f"{cut.place}: nothing is in the window {asked}; the log covers {low:.9g} s to {high:.9g} s")
     if not cut.repeats:
         return [(begin, end)], ""
     if cut.period is not None:
         count = math.floor((end - begin) / cut.period + TICK)
         pieces = [(begin + k * cut.period, begin + (k + 1) * cut.period) for k in range(count)]
         if not pieces:
-            raise LogError(f"{log.file}: [cut] the period of {cut.period:g} s is longer than the {end - begin:.9g} s that there are")
+            raise LogError(f"{cut.place}: the period of {cut.period:g} s is longer than the {end - begin:.9g} s that there are")
         rest = end - pieces[-1][1]
         left = f"the last {rest:.6g} s, which are no whole period" if rest > TICK else ""
     elif cut.at:
         times = [seconds(i) for i in cut.at]
         if outside := [t for t in times if not begin - TICK <= t < end - TICK]:
-            raise LogError(
-                f"{log.file}: [cut] at: {outside[0]:.9g} s is outside of the time that is imported, {begin:.9g} s to {end:.9g} s"
-            )
+            raise LogError(f"{cut.place}: at: {outside[0]:.9g} s is outside of the time that is imported, {begin:.9g} s to {end:.9g} s")
         if sorted(set(times)) != times:
-            raise LogError(f"{log.file}: [cut] at: the times must increase; found {', '.join(f'{t:.9g} s' for t in times)}")
+            raise LogError(f"{cut.place}: at: the times must increase; found {', '.join(f'{t:.9g} s' for t in times)}")
         pieces, left = list(zip(times, [*times[1:], end], strict=True)), ""
     else:
         assert cut.marker is not None
         states = log.states(cut.marker.column)
         t = time_of([cut.marker.column], len(states))
         inside = (t >= begin - TICK) & (t < end - TICK)
-        pieces, left = _marked(cut.marker, log, states[inside], t[inside], end), ""
-    return _of_length(cut, log, pieces, left)
+        pieces, left = _marked(cut, cut.marker, states[inside], t[inside], end), ""
+    return _of_length(cut, pieces, left)
 
 
-def _of_length(cut: Cut, log: Log, pieces: list[Span], left: str) -> tuple[list[Span], str]:
+def _of_length(cut: Cut, pieces: list[Span], left: str) -> tuple[list[Span], str]:
     """The pieces, all of cut.length where that is given."""
     if cut.length is None:
         return pieces, left
     long = [(b, b + cut.length) for b, e in pieces if e - b > cut.length - TICK]
     if not long:
         longest = max(e - b for b, e in pieces)
-        raise LogError(f"{log.file}: [cut] no piece is as long as the length of {cut.length:g} s; the longest has {longest:.6g} s")
+        raise LogError(f"{cut.place}: no piece is as long as the length of {cut.length:g} s; the longest has {longest:.6g} s")
     short = len(pieces) - len(long)
     return long, "; ".join(filter(None, (left, f"{short} pieces shorter than {cut.length:g} s" if short else "")))
 
 
-def _marked(marker: Marker, log: Log, states: npt.NDArray[np.generic], t: FloatArray, end: float) -> list[Span]:
+def _marked(cut: Cut, marker: Marker, states: npt.NDArray[np.generic], t: FloatArray, end: float) -> list[Span]:
     """Pieces at the edges of a column, or while it has a value."""
     numbers = states.dtype.kind == "f"
-    what = f"{log.file}: [cut] the marker {marker.column!r}"
+    what = f"{cut.place}: the marker {marker.column!r}"
     if numbers and not np.all(np.isfinite(states.astype(np.float64))):
         raise LogError(f"{what} has values that are no numbers; fill them, or choose another column")
     if marker.value is not None:

@@ -87,7 +87,8 @@ def import_log(
         t = timing.within(base, begin, end, last)
         if len(t) <= 1:
             raise LogError(
-                f"{log_file}: piece {number} of {len(pieces)}, {begin:.9g} s to {end:.9g} s, has {len(t)} rows; expected at least 2"
+                f"{mapping.cut.place}: piece {number} of {len(pieces)}, {begin:.9g} s to {end:.9g} s, has {len(t)} rows; "
+                "expected at least 2: leave short pieces out with length, or choose the window"
             )
         columns = {name: _shown(mapping, s, t, i) for s in series for i, name in enumerate(s.names)}
         if mapping.cut.repeats:

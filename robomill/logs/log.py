@@ -59,7 +59,9 @@ class Log:
             return [name]
         found = [n for n in self.names if n.rpartition("[")[0] == name]
         if not found:
-            self._known(name, dict.fromkeys(n.rpartition("[")[0] if n.endswith("]") else n for n in self.names))
+            array = name.rpartition("[")[0]
+            members = [n for n in self.names if array and n.rpartition("[")[0] == array]
+            self._known(name, members or dict.fromkeys(n.rpartition("[")[0] if n.endswith("]") else n for n in self.names))
         return found
 
     def _known(self, name: str, names: Iterable[str]) -> None:

@@ -25,15 +25,22 @@ from robomill.orchestration.system.parameters import prepare
 
 AXES = 3
 """Components of a vector, and Euler angles A, B, C of an orientation."""
-_TOP = ("log", "clock", "cut", "about", "components", "labels", "parameters", "signal")
+TOP = ("log", "clock", "cut", "about", "components", "labels", "parameters", "signal")
 _ABOUT = ("program", "robot", "tool", "workpiece", "source", "licence", "description")
+<<<<<<< HEAD
 _SIGNAL = ("column", "columns", "shape", "unit", "scale", "offset", "sign", "rotation", "orientation", "shift", "range", "description")
 _FILTER = ("low_pass", "derivative")
 
 
 _LOG = ("format", "delimiter", "decimal", "skip_rows", "unit_row", "encoding", "stamps")
+=======
+SIGNAL = ("column", "columns", "shape", "unit", "scale", "offset", "sign", "rotation", "orientation", "shift", "range", "description")
+LOG = ("format", "delimiter", "decimal", "skip_rows", "unit_row", "encoding", "stamps")
+CLOCK = ("column", "unit", "format", "offset", "rate", "step")
+>>>>>>> import
 _STAMPS = ("header", "received")
-_CUT = ("from", "to", "period", "at", "marker", "when", "level", "while", "length")
+CUT = ("from", "to", "period", "at", "marker", "when", "level", "while", "length")
+"""Keys of the tables of a mapping."""
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ].*")
 ISO = "iso"
 """Format of a clock that holds dates and times as ISO 8601 writes them."""
@@ -106,14 +113,14 @@ def load_mapping(file: Path) -> LogMapping:
     """Read a mapping file. LogError names file, line and key, what was found and what is expected."""
     if not file.is_file():
         raise LogError(f"no mapping file {file}")
-    top = Entry.load(file, LogError, convert).keys((), _TOP)
+    top = Entry.load(file, LogError, convert).keys((), TOP)
     if "clock" not in top:
         raise top.fail("a table [clock] is missing; give the column with the time and its unit, or a rate in Hz")
     models = {name: _component(entry) for name, entry in top.get("components", {}).items()}
     signals = tuple(_signal(entry, models) for entry in top.get("signal", []).each())
     if not signals:
         raise top.get("signal", []).fail("expected at least one [[signal]] with port and columns; there is none")
-    log = top.get("log", {}).keys((), _LOG)
+    log = top.get("log", {}).keys((), LOG)
     return LogMapping(
         file,
         log["format"].choice(READERS) if "format" in log else None,
@@ -192,7 +199,7 @@ def _unit(entry: Entry) -> str:
 
 
 def _clock(entry: Entry) -> Clock:
-    entry.keys((), ("column", "unit", "format", "offset", "rate", "step"))
+    entry.keys((), CLOCK)
     if ("column" in entry) == ("rate" in entry):
         raise entry.fail("give either column (and unit) or rate (Hz)")
     column, unit = entry["column"].text() if "column" in entry else None, "s"
@@ -212,7 +219,7 @@ def _clock(entry: Entry) -> Clock:
 
 
 def _cut(entry: Entry) -> Cut:
-    entry.keys((), _CUT)
+    entry.keys((), CUT)
     ways = [key for key in ("period", "at", "marker") if key in entry]
     if len(ways) > 1:
         raise entry.fail(f"{' and '.join(ways)} both cut the log; give one of period, at and marker")
@@ -226,6 +233,7 @@ def _cut(entry: Entry) -> Cut:
         if value <= 0.0:
             raise entry[key].expected("a positive time")
     return Cut(
+        f"{entry.place}: {entry.name}",
         _instant(entry["from"]) if "from" in entry else None,
         _instant(entry["to"]) if "to" in entry else None,
         times.get("period"),
@@ -258,7 +266,11 @@ def _instant(entry: Entry) -> Instant:
 
 
 def _signal(entry: Entry, models: Mapping[str, Model]) -> Signal:
+<<<<<<< HEAD
     port = entry.keys({"port"}, (*_SIGNAL, *_FILTER))["port"].text()
+=======
+    port = entry.keys({"port"}, SIGNAL)["port"].text()
+>>>>>>> import
     component, _, name = port.partition(".")
     if not component or not name:
         raise entry["port"].fail(f"{port!r} is no port; expected component.port or component.port[2]")

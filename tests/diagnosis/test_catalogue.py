@@ -11,6 +11,7 @@ from scipy.integrate import quad
 from robomill.cell.equipment import load_system
 from robomill.diagnosis.catalogue import AT, LOGGING, Candidate, Catalogue, CatalogueError, Prior, Tolerance, physical
 from robomill.fmus.components import COMPONENTS
+from robomill.models.model.units import convert
 from tests import SCENARIOS
 from tests.tolerances import physics
 
@@ -167,6 +168,9 @@ def test_the_unit_of_a_shape_is_that_of_its_parameter(tmp_path: Path) -> None:
     catalogue.check_units({("a", "s[1]"): "m/s"})
     with pytest.raises(CatalogueError, match=r"effect 'lag': shape 'speed': its unit is 'm/s', that of a\.s\[1\] is 'mm/s'"):
         catalogue.check_units({("a", "s[1]"): "mm/s"})
+    catalogue.check_units({("a", "s[1]"): "m*s^-1"}, convert)
+    with pytest.raises(CatalogueError, match=r"its unit is 'm/s', that of a\.s\[1\] is 'mm/s'"):
+        catalogue.check_units({("a", "s[1]"): "mm/s"}, convert)
 
 
 def test_locations_become_candidates(tmp_path: Path) -> None:

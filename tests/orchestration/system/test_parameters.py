@@ -6,10 +6,11 @@ import math
 
 import pytest
 
+from robomill.models.model import units
 from robomill.orchestration.errors import OrchestrationError, PlacedError, SlaveError
 from robomill.orchestration.slaves.protocol import PortData
 from robomill.orchestration.system.entries import Entry
-from robomill.orchestration.system.parameters import prepare
+from robomill.orchestration.system.parameters import prepare, quantity
 from robomill.orchestration.system.written import Written, merged, place_of
 from tests.orchestration.system.test_definition import convert
 
@@ -107,6 +108,10 @@ class TestWrittenByHand:
     def test_what_has_no_unit_needs_none_and_zero_needs_none(self, tmp_path):
         found = self.prepared(tmp_path, 'length = 0\ngap = ["2 urad", 0.0]\nK = [1, 2, 3, 4, 5, "6"]\nmode = 2\npilot = true')
         assert (found["length"], found["gap[1]"], found["K[2,3]"], found["mode"], found["pilot"]) == (0.0, 2e-6, 6.0, 2, True)
+
+    @pytest.mark.parametrize("text", ["4 kN m", "4kN*m", "4e3 N \u00b7 m", " 4 kN.m "])
+    def test_a_unit_may_have_blanks(self, text):
+        assert quantity(text, "N.m", units.convert) == 4000.0
 
     def test_one_unit_for_a_whole_array(self, tmp_path):
         assert self.prepared(tmp_path, 'gap = {value = [1, 2], unit = "urad"}') == {"gap[1]": 1e-6, "gap[2]": 2e-6}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from robomill.models.model.units import convert
 from robomill.orchestration.errors import WiringError
 from robomill.orchestration.slaves.protocol import PortData
 from robomill.orchestration.system.wiring import wire
@@ -42,6 +43,16 @@ ODD = Mock(
     ],
     lambda u, t: [],
 )
+
+
+def test_units_are_compared_by_what_they_mean() -> None:
+    a, b, other = component("a", [], ["f:N*m"]), component("b", ["f:N.m"], []), component("a", [], ["f:kN.m"])
+    both = {"a": a.ports, "b": b.ports}
+    assert wire(system([a, b], "a.f -> b.f"), both, convert).order == ("a", "b")
+    with pytest.raises(WiringError, match=r"unit mismatch: a\.f is in 'N\*m', b\.f expects 'N\.m'"):
+        wire(system([a, b], "a.f -> b.f"), both)
+    with pytest.raises(WiringError, match=r"unit mismatch: a\.f is in 'kN\.m', b\.f expects 'N\.m'"):
+        wire(system([other, b], "a.f -> b.f"), {"a": other.ports, "b": b.ports}, convert)
 
 
 @pytest.mark.parametrize(

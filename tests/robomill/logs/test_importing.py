@@ -14,40 +14,13 @@ from scipy.spatial.transform import Rotation
 
 from robomill import cli
 from robomill.logs.importing import import_log
-from robomill.logs.reading import LogError
 from robomill.orchestration.errors import ResultsError
 from robomill.orchestration.runs.run import Run
 from tests import ROOT
+from tests.robomill.logs.foreign import CLOCK, FORCE, FX, FY, FZ, MAP, T, bring, csv, refused
 from tests.tolerances import EXACT, ROUNDOFF, physics
 
 DATA = ROOT / "data" / "kuka_kr300_recordings"
-T = 0.01 * np.arange(40)
-FX, FY, FZ = 100.0 * np.sin(9.0 * T), 50.0 + T, 700.0 * T
-CLOCK = '[clock]\ncolumn = "time"\nunit = "s"\n'
-FORCE = '[[signal]]\nport = "sensor.f_S_raw"\ncolumns = ["fx", "fy", "fz"]\nunit = "kN"\n'
-MAP = CLOCK + FORCE
-
-
-def csv(folder: Path, text: str | None = None) -> Path:
-    """A log with time [s] and forces [kN], or the given text."""
-    file = folder / "log.csv"
-    rows = [f"{float(t)!r},{float(x) / 1e3!r},{float(y) / 1e3!r},{float(z) / 1e3!r}" for t, x, y, z in zip(T, FX, FY, FZ, strict=True)]
-    file.write_text("\n".join(["time,fx,fy,fz", *rows, ""]) if text is None else text, encoding="utf-8")
-    return file
-
-
-def bring(folder: Path, mapping: str = MAP, log: Path | None = None) -> Run:
-    (folder / "map.toml").write_text(mapping, encoding="utf-8")
-    import_log(folder / "map.toml", log or csv(folder), folder / "run", overwrite=True)
-    return Run.load(folder / "run")
-
-
-def refused(folder: Path, mapping: str = MAP, log: Path | None = None) -> str:
-    with pytest.raises(LogError) as caught:
-        bring(folder, mapping, log)
-    assert not (folder / "run").exists(), "a log that is refused leaves nothing behind"
-    return str(caught.value)
-
 
 # ------------------------------------------------------------------------------- what is brought in
 
