@@ -27,17 +27,26 @@ AXES = 3
 """Components of a vector, and Euler angles A, B, C of an orientation."""
 TOP = ("log", "clock", "cut", "about", "components", "labels", "parameters", "signal")
 _ABOUT = ("program", "robot", "tool", "workpiece", "source", "licence", "description")
-<<<<<<< HEAD
-_SIGNAL = ("column", "columns", "shape", "unit", "scale", "offset", "sign", "rotation", "orientation", "shift", "range", "description")
-_FILTER = ("low_pass", "derivative")
-
-
-_LOG = ("format", "delimiter", "decimal", "skip_rows", "unit_row", "encoding", "stamps")
-=======
-SIGNAL = ("column", "columns", "shape", "unit", "scale", "offset", "sign", "rotation", "orientation", "shift", "range", "description")
+SIGNAL = (
+    *(
+        "column",
+        "columns",
+        "shape",
+        "unit",
+        "scale",
+        "offset",
+        "sign",
+        "rotation",
+        "orientation",
+        "shift",
+        "low_pass",
+        "derivative",
+        "range",
+    ),
+    "description",
+)
 LOG = ("format", "delimiter", "decimal", "skip_rows", "unit_row", "encoding", "stamps")
 CLOCK = ("column", "unit", "format", "offset", "rate", "step")
->>>>>>> import
 _STAMPS = ("header", "received")
 CUT = ("from", "to", "period", "at", "marker", "when", "level", "while", "length")
 """Keys of the tables of a mapping."""
@@ -266,11 +275,7 @@ def _instant(entry: Entry) -> Instant:
 
 
 def _signal(entry: Entry, models: Mapping[str, Model]) -> Signal:
-<<<<<<< HEAD
-    port = entry.keys({"port"}, (*_SIGNAL, *_FILTER))["port"].text()
-=======
     port = entry.keys({"port"}, SIGNAL)["port"].text()
->>>>>>> import
     component, _, name = port.partition(".")
     if not component or not name:
         raise entry["port"].fail(f"{port!r} is no port; expected component.port or component.port[2]")
