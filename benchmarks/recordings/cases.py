@@ -64,15 +64,29 @@ class Case:
         """What may be wrong with it."""
         return Catalogue.load(self.folder / "catalogue.toml")
 
-    def runs(self, folder: Path, prepared: Path) -> list[Run]:
-        """Its logs, imported into `folder`; those that need it were written to `prepared` by `prepare`."""
-        made = []
+    def runs(self, folder: Path, prepared: Path) -> tuple[list[Run], list[Run]]:
+        """Its logs, imported into `folder`: the runs that are diagnosed, and those that are held out.
+
+        Logs that need it were written to `prepared` by `prepare`.
+        """
         for log in self.logs:
             name = log["log"]
             file = prepared / name.removeprefix(PREPARED) if name.startswith(PREPARED) else self.folder / name
             import_log(self.folder / log["map"], file, folder / log["run"], True, log.get("labels"))
-            made.append(Run.load(folder / log["run"]))
-        return made
+        given, held = ([Run.load(folder / place) for place in places] for places in self.places())
+        return given, held
+
+    def places(self) -> tuple[list[str], list[str]]:
+        """Folders of the runs that are diagnosed, and of those that are held out, within that of the recording."""
+        given: list[str] = []
+        held: list[str] = []
+        for log in self.logs:
+            if "cut" in log:  # one log, several runs
+                given += [str(Path(log["run"]) / piece) for piece in log["cut"]]
+                held += [str(Path(log["run"]) / piece) for piece in log["held_out"]]
+            else:
+                (held if log.get("labels", {}).get("held_out") else given).append(log["run"])
+        return given, held
 
 
 def cases() -> list[Case]:

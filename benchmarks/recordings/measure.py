@@ -73,9 +73,7 @@ class Outcome:
 def measured(case: Case, folder: Path, prepared: Path, engine: Callable[..., Diagnosis] = diagnose) -> Outcome:
     """Import, diagnose, compare. What the engine raises is part of the outcome."""
     system, catalogue = case.system(), case.catalogue()
-    runs = case.runs(folder, prepared)
-    held = [r for r in runs if r.info["labels"].get("held_out")]
-    given = [r for r in runs if r not in held]
+    given, held = case.runs(folder, prepared)
     views, others = ([View(case, r, system) for r in part] for part in (given, held))
     named = [c for c in catalogue.candidates if c.name in case.expected]
     yardstick = fit(views, named)

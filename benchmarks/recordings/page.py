@@ -16,10 +16,8 @@ def commands(case: Case) -> list[str]:
     for e in case.logs:
         log = e["log"] if e["log"].startswith(PREPARED) else str(e["log"]).removeprefix("../../../")
         labels = "".join(f' --label {k}="{str(v).lower() if isinstance(v, bool) else v}"' for k, v in e.get("labels", {}).items())
-        lines.append(f"robomill import {here}/{e['map']} {log} --out runs/{case.name}/{e['run']}{labels}")
-    held = [e["run"] for e in case.logs if e.get("labels", {}).get("held_out")]
-    runs = [e["run"] for e in case.logs if e["run"] not in held]
-    paths = [" ".join(f"runs/{case.name}/{r}" for r in part) for part in (runs, held)]
+        lines.append(f"robomill import {here}/{e['map']} {log} --out {Path('runs') / case.name / e['run']}{labels}")
+    paths = [" ".join(f"runs/{case.name}/{r}" for r in part) for part in case.places()]
     return [*lines, f"robomill diagnose {here}/system.toml {paths[0]} --held-out {paths[1]} --out results/{case.name}"]
 
 
