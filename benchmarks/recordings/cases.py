@@ -50,15 +50,12 @@ class Case:
     standing: Standing | None
     independent: bool
     """Whether the samples do not depend on each other: loads, not times."""
-    parameters: Mapping[str, Mapping[str, Any]]
-    """Set in the nominal system on top of its file."""
+    file: Path
+    """That of the nominal system."""
 
     def system(self) -> System:
         """The nominal system."""
-        system = load_system(self.folder / "system.toml")
-        for component, values in self.parameters.items():
-            system = system.with_parameters(component, values)
-        return system
+        return load_system(self.file)
 
     def catalogue(self) -> Catalogue:
         """What may be wrong with it."""
@@ -106,7 +103,7 @@ def cases() -> list[Case]:
             _si(e.get("band", "0 Hz"), "Hz"),
             Standing(e["standing"]["channels"], e["standing"]["speed"], _si(e["standing"]["below"], "rad/s")) if "standing" in e else None,
             e.get("independent", False),
-            e.get("parameters", {}),
+            FOLDER / e["folder"] / e.get("system", "system.toml"),
         )
         for e in entries
     ]

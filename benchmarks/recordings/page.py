@@ -18,7 +18,7 @@ def commands(case: Case) -> list[str]:
         labels = "".join(f' --label {k}="{str(v).lower() if isinstance(v, bool) else v}"' for k, v in e.get("labels", {}).items())
         lines.append(f"robomill import {here}/{e['map']} {log} --out {Path('runs') / case.name / e['run']}{labels}")
     paths = [" ".join(f"runs/{case.name}/{r}" for r in part) for part in case.places()]
-    return [*lines, f"robomill diagnose {here}/system.toml {paths[0]} --held-out {paths[1]} --out results/{case.name}"]
+    return [*lines, f"robomill diagnose {here}/{case.file.name} {paths[0]} --held-out {paths[1]} --out results/{case.name}"]
 
 
 def alone(case: Case, outcome: Outcome) -> list[str]:
@@ -74,7 +74,7 @@ def text(case: Case, outcome: Outcome) -> str:
         "Least squares: with the expected effects, fitted to the diagnosed runs.",
         *alone(case, outcome),
         "",
-        f"{outcome.samples} samples diagnosed, {outcome.simulations} simulations, {outcome.cpu:.0f} s of CPU.",
+        f"{outcome.samples} samples diagnosed, {outcome.simulations} simulations, {outcome.cpu:.1f} s of CPU.",
         "",
     ]
     return "\n".join(lines)
