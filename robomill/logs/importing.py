@@ -104,7 +104,7 @@ def import_log(
         "mapping_sha256": _digest(mapping_file),
         "format": kind,
         "filtered": any(s.low_pass or s.derivative for s in mapping.signals),
-        "resampled": mapping.clock.step > 0.0 or any(s.shift != 0.0 for s in mapping.signals),
+        "resampled": mapping.clock.step > 0.0 or not all(np.array_equal(s.t, base) for s in series),
     }
     for r in runs:
         about = {**source, "begin": r.span[0], "end": r.span[1], "date": timing.date(r.span[0])}

@@ -104,6 +104,7 @@ def test_topics_of_other_rates_come_onto_one_clock_and_are_cut_where_another_top
     bag = written(tmp_path, "MCAP")
     run = bring(tmp_path, MAP, bag)
     np.testing.assert_allclose(run["sensor.f"], 100.0 * (run.t + 0.002), rtol=0.0, atol=1e3 * ROUNDOFF)
+    assert run.info["imported"]["resampled"] is True, "the force has a clock of its own"
     assert run.info["imported"]["date"] == "2023-11-14T22:13:20+00:00"
     whole = bring(tmp_path, MAP + '[cut]\nmarker = "/phase/data"\nwhile = "cut"\n', bag, "run/repeat_1")
     assert abs(whole["robot.q"][0, 0] - 0.27) < ROUNDOFF, "the first sample at or after 0.26 s of the bag, 2 ms behind the stamps"
