@@ -31,6 +31,8 @@ Resolver = Callable[[str, str], Slave]
 """(source, instance name) -> an in-process slave; LookupError with a text that lists the sources there are."""
 
 REPLAY = "replay:"
+MEASURED = "measured"
+"""Source of a component that plays what was measured in the run that is looked at: the diagnosis puts `measured:FOLDER` there."""
 
 
 @dataclass(frozen=True)
@@ -225,6 +227,12 @@ def _open(system: System, c: Component, resolver: Resolver | None) -> Slave:
     if c.source.startswith(REPLAY):
         folder, _, component = c.source[len(REPLAY) :].partition("#")
         return Playback.of_run(c.name, Run.load(system.folder / folder), component or None)
+    if c.source == MEASURED:
+        raise SlaveError(
+            f"source {MEASURED!r} stands for what was measured in a run, which only a diagnosis knows; give {REPLAY}FOLDER to run it"
+        )
+    if c.source.startswith(f"{MEASURED}:"):
+        return Playback.of_run(c.name, Run.load(c.source.partition(":")[2]), clamps=True)
     if c.source.endswith(".fmu"):
         # iterated coupling goes back to the beginning of a step of the system, at most
         goes_back = system.algorithm == "iterated" and c.rate > 1

@@ -20,7 +20,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from robomill.diagnosis.experiment.measured import Condition, DataError, sort_by_condition
+from robomill.diagnosis.experiment.measured import Condition, DataError, driven, sort_by_condition
+from robomill.orchestration.assembly import MEASURED
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.entries import Entry
@@ -76,14 +77,25 @@ class Campaign:
         A part of several conditions gives each the name of the part and its own.
         """
         parts = sorted(self.parts, key=lambda p: p.system is not self.system)
-        return [c for held in (False, True) for p in parts for c in self._of(p, held)]
+        return _told_apart([c for held in (False, True) for p in parts for c in self._of(p, held)])
 
     def _of(self, part: Part, held_out: bool) -> list[Condition]:
         runs = part.held_out if held_out else part.runs
         several = len(sort_by_condition([*part.runs, *part.held_out], part.system)) > 1
-        own = None if part.system is self.system else part.system
-        made = [replace(c, system=own) for c in sort_by_condition(runs, part.system, held_out)]
+        made = []
+        for c in sort_by_condition(runs, part.system, held_out):
+            system = driven(part.system, c.runs[0])
+            made.append(replace(c, system=None if system is self.system else system))
         return [replace(c, name=f"{part.name}: {c.name}" if several else part.name) if part.name else c for c in made]
+
+
+def _told_apart(conditions: Sequence[Condition]) -> list[Condition]:
+    """The conditions, numbered where one that is driven by its own measured signals has the name of another: it is no repeat of that."""
+    made: list[Condition] = []
+    for c in conditions:
+        own = c.system is not None and any(part.source.startswith(f"{MEASURED}:") for part in c.system.components)
+        made.append(replace(c, name=f"{c.name} ({len(made) + 1})") if own and any(c.name == other.name for other in made) else c)
+    return made
 
 
 def load_campaign(path: str | Path, load_system: Callable[[Path], System]) -> Campaign:

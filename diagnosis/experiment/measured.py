@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from robomill.diagnosis.catalogue import Address
+from robomill.orchestration.assembly import MEASURED
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray, PortData
 from robomill.orchestration.system.definition import System
@@ -94,11 +95,13 @@ def in_units(run: Run, ports: Mapping[str, PortData], convert: Convert) -> Run:
 def sort_by_condition(runs: Sequence[Run], system: System, held_out: bool = False) -> list[Condition]:
     """Conditions in the order in which they come, named by the label `condition` (or condition 1, 2, ...)."""
     groups: dict[str, list[Run]] = {}
+    own = any(c.source == MEASURED for c in system.components)  # each run is driven by its own signals
     for run in runs:
         # seeds are different in each repeat and say nothing about the condition
         known = {c: {k: v for k, v in values.items() if k != "seed"} for c, values in known_parameters(run, system).items()}
         label = str(run.info.get("labels", {}).get("condition", ""))
-        groups.setdefault(json.dumps([label, _content(known)], sort_keys=True, default=str), []).append(run)
+        key = [label, _content(known), str(run.folder) if own else ""]
+        groups.setdefault(json.dumps(key, sort_keys=True, default=str), []).append(run)
     made: list[Condition] = []
     for i, members in enumerate(groups.values()):
         name = str(members[0].info.get("labels", {}).get("condition", "")) or f"condition {i + 1}"
@@ -106,6 +109,23 @@ def sort_by_condition(runs: Sequence[Run], system: System, held_out: bool = Fals
             name = f"{name} ({i + 1})"
         made.append(Condition(name, known_parameters(members[0], system), tuple(members), common_grid(members, system.step), held_out))
     return made
+
+
+def driven(system: System, run: Run) -> System:
+    """The system whose components with source `measured` play what was measured in `run`; itself, if it has none.
+
+    DataError where the run has no column of such a component.
+    """
+    for c in system.components:
+        if c.source != MEASURED:
+            continue
+        if c.name not in run.components:
+            raise DataError(
+                f"{run.folder}: component {c.name!r} of system {system.name!r} plays what was measured, and the run has no column "
+                f"{c.name}.*; it has columns of {', '.join(run.components)}: map some to {c.name}.PORT when the log is imported"
+            )
+        system = system.with_source(c.name, f"{MEASURED}:{run.folder.resolve()}")
+    return system
 
 
 def known_parameters(run: Run, system: System) -> dict[str, dict[str, Any]]:

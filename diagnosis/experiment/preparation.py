@@ -12,7 +12,7 @@ from robomill.diagnosis.experiment.measured import Condition, DataError, in_unit
 from robomill.diagnosis.experiment.simulation import Laboratory
 from robomill.diagnosis.gate import run_set
 from robomill.diagnosis.gate.checks import Finding
-from robomill.orchestration.assembly import Resolver, assemble, run
+from robomill.orchestration.assembly import MEASURED, Resolver, assemble, run
 from robomill.orchestration.slaves.protocol import PortData, base_name
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.parameters import Convert
@@ -119,7 +119,8 @@ def _nuisances(catalogue: Catalogue, values: Mapping[Address, float]) -> tuple[N
 def _with_channels(laboratory: Laboratory, n: int) -> tuple[list[Condition], dict[str, PortData]]:
     """The conditions with the channels that say something there, in the units of the ports; all such channels of the first `n` conditions.
 
-    A channel is a real output of the system of a condition that all its runs have. DataError where there is none.
+    A channel is a real output of the system of a condition that all its runs have, unless its component plays what was measured.
+    DataError where there is none.
     """
     outputs: dict[int, dict[str, PortData]] = {}
     ports: dict[str, PortData] = {}
@@ -128,7 +129,10 @@ def _with_channels(laboratory: Laboratory, n: int) -> tuple[list[Condition], dic
         system = c.system or laboratory.system
         if id(system) not in outputs:
             simulated = run(laboratory.configured(i), None, stop=2 * system.step, resolver=laboratory.resolver, convert=laboratory.convert)
-            outputs[id(system)] = {name: p for name, p in simulated.ports.items() if p.type == "real"}
+            played = {part.name for part in system.components if part.source.startswith(f"{MEASURED}:")}
+            outputs[id(system)] = {
+                name: p for name, p in simulated.ports.items() if p.type == "real" and name.partition(".")[0] not in played
+            }
         shown = {name: p for name, p in outputs[id(system)].items() if all(name in r.columns for r in c.runs)}
         if not shown:
             has = ", ".join(sorted({base_name(name) for r in c.runs for name in r.columns}))

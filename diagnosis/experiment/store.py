@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from robomill.orchestration.assembly import MEASURED
 from robomill.orchestration.slaves.protocol import FloatArray
 from robomill.orchestration.system.definition import System
 
@@ -60,7 +61,7 @@ class Store:
 
 def _plain(value: Any, folder: Path) -> Any:
     if isinstance(value, System):
-        parts = [[c.name, c.source, c.parameters, c.inputs, c.isolate, c.rate, c.every] for c in value.components]
+        parts = [[c.name, _source(c.source), c.parameters, c.inputs, c.isolate, c.rate, c.every] for c in value.components]
         wires = [str(c) + " delayed" * c.delayed for c in value.connections]
         how = [value.step, value.algorithm, value.stop_when, value.check_ranges, str(value.iteration)]
         return _plain([parts, wires, how], value.folder)
@@ -73,6 +74,14 @@ def _plain(value: Any, folder: Path) -> Any:
     if isinstance(value, str) and value and _is_file(folder / value):
         return hashlib.sha256((folder / value).read_bytes()).hexdigest()
     return value if isinstance(value, bool | int | float | str | None) else str(value)
+
+
+def _source(source: str) -> list[str]:
+    """Where a component comes from; of one that plays what was measured, what is in the files of signals, too."""
+    if not source.startswith(f"{MEASURED}:"):
+        return [source]
+    files = sorted(Path(source.partition(":")[2]).glob("signals.*"))
+    return [source, *(hashlib.sha256(f.read_bytes()).hexdigest() for f in files)]
 
 
 def _is_file(path: Path) -> bool:

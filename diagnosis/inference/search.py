@@ -139,7 +139,8 @@ class Search:
         the better of both evidences counts for which ones are the best.
         """
         if not self.simulator.laboratory.seeds:  # there is no noise to take out, and what has been simulated holds
-            return [f if f.signature is None or f.sensitivities is None else self._about(f, f.signature, f.sensitivities) for f in fits]
+            ran = [(f, f.signature, f.sensitivities) for f in fits]
+            return [self._about(f, s, d) for f, s, d in ran if s is not None and d is not None]  # the others could not run at any size
         polished = []
         best = max((f.log_evidence for f in fits), default=0.0)
         expected = {f.model: max(f.log_evidence, p.log_evidence) for f, p in zip(fits, linear, strict=True)}

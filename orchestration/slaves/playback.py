@@ -59,7 +59,7 @@ class Playback:
         self.ports: tuple[Port, ...] = (*into, *out)
 
     @staticmethod
-    def of_run(name: str, run: Run, component: str | None = None) -> Playback:
+    def of_run(name: str, run: Run, component: str | None = None, clamps: bool = False) -> Playback:
         """The columns of `component` in `run` (default: the component called like the instance). SlaveError if the run has none."""
         component = component or name
         columns = [c for c in run.columns if c.partition(".")[0] == component]
@@ -68,7 +68,8 @@ class Playback:
         if not len(run.t):
             raise SlaveError(f"component {name!r}: run {run.folder} holds no samples (outcome: {run.outcome})")
         rows = np.stack([run.columns[c] for c in columns], axis=1)
-        return Playback(name, [run.ports[c] for c in columns], run.t, rows, source=f"the recording of {component!r} in {run.folder}")
+        source = f"the recording of {component!r} in {run.folder}"
+        return Playback(name, [run.ports[c] for c in columns], run.t, rows, clamps=clamps, source=source)
 
     @staticmethod
     def of_series(name: str, ports: Sequence[Port], series: Mapping[str, FloatArray], t: FloatArray, adds: bool = False) -> Playback:

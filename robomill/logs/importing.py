@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from robomill.logs.cutting import Span, spans
-from robomill.logs.mapping import AXES, LogMapping, Signal, load_mapping, rotation_abc
+from robomill.logs.mapping import AXES, LogMapping, Signal, load_mapping, rate_of, rotation_abc
 from robomill.logs.reading import SUFFIXES, FloatArray, Log, LogError, format_of, read_log
 from robomill.logs.timing import Timing
 from robomill.models.model.units import are_turns, compatible, convert, unit_of
@@ -55,7 +56,8 @@ class _Series:
     names: tuple[str, ...]
     t: FloatArray
     values: FloatArray
-    """[n, elements] in the unit of the port."""
+    """[n, elements] in the unit of the port, before it is differentiated."""
+    signal: Signal
 
 
 def import_log(
@@ -88,7 +90,7 @@ def import_log(
                 f"{mapping.cut.place}: piece {number} of {len(pieces)}, {begin:.9g} s to {end:.9g} s, has {len(t)} rows; "
                 "expected at least 2: leave short pieces out with length, or choose the window"
             )
-        columns = {name: np.interp(t, s.t, s.values[:, i]) for s in series for i, name in enumerate(s.names)}
+        columns = {name: _shown(mapping, s, t, i) for s in series for i, name in enumerate(s.names)}
         if mapping.cut.repeats:
             repeat = _first_repeat(mapping, given) + number - 1
             runs.append(_Piece(folder / f"{REPEAT}{repeat}", t - begin, columns, (begin, end), {**given, "repeat": repeat}))
@@ -101,6 +103,7 @@ def import_log(
         "mapping": mapping_file.name,
         "mapping_sha256": _digest(mapping_file),
         "format": kind,
+        "filtered": any(s.low_pass or s.derivative for s in mapping.signals),
         "resampled": mapping.clock.step > 0.0 or not all(np.array_equal(s.t, base) for s in series),
     }
     for r in runs:
@@ -148,8 +151,10 @@ def _series(mapping: LogMapping, log: Log, timing: Timing) -> tuple[list[_Series
         for name in elements:
             if name in ports:
                 raise _problem(mapping, signal, f"{name} is given twice")
-            ports[name] = PortData(name.partition(".")[2], "output", "real", unit, description=signal.description)
-        series.append(_Series(elements, timing.of_rows(names, len(values)) + signal.shift, values))
+            ports[name] = PortData(
+                name.partition(".")[2], "output", "real", rate_of(unit, signal.derivative), description=signal.description
+            )
+        series.append(_Series(elements, timing.of_rows(names, len(values)) + signal.shift, values, signal))
     return series, ports
 
 
@@ -200,7 +205,7 @@ def _values(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> 
         if factors.ndim and factors.shape != (x.shape[1],):
             raise _problem(mapping, signal, f"{factors.size} values of {what} for {x.shape[1]} columns")
     x = unit_of(unit).factor * (signal.scale * x + signal.offset) + unit_of(unit).offset
-    target = signal.target or unit_of(unit).si
+    target = (None if signal.derivative else signal.target) or unit_of(unit).si
     if are_turns(unit, target):
         x = 2.0 * math.pi * x
     if signal.orientation:
@@ -224,6 +229,26 @@ def _values(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> 
     return x, target
 
 
+def _shown(mapping: LogMapping, series: _Series, t: FloatArray, element: int) -> FloatArray:
+    """An element of a series at the times `t` [n]: low-passed without phase, then differentiated by central differences, if that is asked.
+
+    The low-pass is a Butterworth of 4th order, forwards and backwards: half the amplitude at the corner. Times are evenly spaced then.
+    """
+    signal, x = series.signal, np.interp(t, series.t, series.values[:, element])
+    if not signal.low_pass and not signal.derivative:
+        return x
+    if not mapping.clock.step and not mapping.clock.rate:
+        raise _problem(mapping, signal, "low_pass and derivative need evenly spaced times; set clock.step (or clock.rate)")
+    h = mapping.clock.step or 1.0 / mapping.clock.rate
+    if signal.low_pass:
+        if signal.low_pass >= 0.5 / h:
+            raise _problem(mapping, signal, f"low_pass is {signal.low_pass:g} Hz; expected less than half the rate, {0.5 / h:g} Hz")
+        x = x[0] + sosfiltfilt(butter(4, signal.low_pass, fs=1.0 / h, output="sos"), x - x[0])
+    for _ in range(signal.derivative):
+        x = np.gradient(x, h)
+    return np.asarray(x)
+
+
 def _unit(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> str:
     """Unit of the columns in the log: that of the mapping, checked against what the log states, if it states one that is known."""
     stated = sorted({log.units[n] for n in names if n in log.units})
@@ -232,7 +257,8 @@ def _unit(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> st
         if len(stated) != 1 or not known:
             said = f"the log states {', '.join(repr(s) for s in stated)}" if stated else "the log states none"
             raise _problem(mapping, signal, f"a unit is missing: {said}; add unit to the signal")
-        fits = signal.target is None or compatible(known[0], signal.target) or are_turns(known[0], signal.target)
+        shown = rate_of(known[0], signal.derivative)
+        fits = signal.target is None or compatible(shown, signal.target) or are_turns(shown, signal.target)
         if not fits and not signal.orientation:
             raise _problem(mapping, signal, f"wrong unit: the port is in {signal.target}, the log states {known[0]!r}")
         return known[0]

@@ -28,7 +28,24 @@ AXES = 3
 """Components of a vector, and Euler angles A, B, C of an orientation."""
 TOP = ("log", "clock", "cut", "about", "components", "labels", "parameters", "signal")
 _ABOUT = ("program", "robot", "tool", "workpiece", "source", "licence", "description")
-SIGNAL = ("column", "columns", "shape", "unit", "scale", "offset", "sign", "rotation", "orientation", "shift", "range", "description")
+SIGNAL = (
+    *(
+        "column",
+        "columns",
+        "shape",
+        "unit",
+        "scale",
+        "offset",
+        "sign",
+        "rotation",
+        "orientation",
+        "shift",
+        "low_pass",
+        "derivative",
+        "range",
+    ),
+    "description",
+)
 LOG = ("format", "delimiter", "decimal", "skip_rows", "unit_row", "encoding", "stamps")
 CLOCK = ("column", "unit", "format", "offset", "rate", "step")
 _STAMPS = ("header", "received")
@@ -72,6 +89,10 @@ class Signal:
     """Columns are the Euler angles A, B, C of KUKA; the port is a quaternion."""
     shift: float
     """Time [s] that is added to the clock for this signal."""
+    low_pass: float
+    """Corner [Hz] of a zero-phase low-pass; 0: none."""
+    derivative: int
+    """How often the signal is differentiated with respect to time."""
     range: Entry | None
     """Lowest and highest plausible value, as written."""
     description: str
@@ -268,10 +289,14 @@ def _signal(entry: Entry, models: Mapping[str, Model]) -> Signal:
     if orientation and entry["orientation"].value != "abc":
         raise entry["orientation"].expected("'abc' (KUKA Euler angles to quaternion)")
     unit = _unit(entry["unit"]) if "unit" in entry else None
+    low_pass, derivative = entry.get("low_pass", 0).si("Hz"), entry["derivative"].count(1) if "derivative" in entry else 0
+    if low_pass < 0.0 or ("low_pass" in entry and low_pass == 0.0):
+        raise entry["low_pass"].expected("a frequency above 0 Hz")
     elements = target = None
     if component in models:
         elements, target = _declared(entry["port"], models[component], name)
-        if unit is not None and not (compatible(unit, target) or are_turns(unit, target) or orientation):
+        shown = rate_of(unit, derivative) if unit is not None else None
+        if shown is not None and not (compatible(shown, target) or are_turns(shown, target) or orientation):
             raise entry["unit"].fail(f"wrong unit: {port} is in {target}, {unit!r} measures something else")
     sign, scale = _numbers(entry.get("sign", 1)), _numbers(entry.get("scale", 1.0))
     if not np.all(np.abs(sign) == 1.0):
@@ -296,6 +321,8 @@ def _signal(entry: Entry, models: Mapping[str, Model]) -> Signal:
         _rotation(entry["rotation"]) if "rotation" in entry else None,
         orientation,
         entry.get("shift", 0).si("s"),
+        low_pass,
+        derivative,
         limits,
         entry["description"].text() if "description" in entry else "",
         elements,
@@ -336,6 +363,11 @@ def _rotation(entry: Entry) -> FloatArray:
     if not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6) or np.linalg.det(matrix) < 0.0:
         raise entry.fail("the matrix is no rotation: its rows must be orthonormal and right-handed (use sign for a flipped channel)")
     return matrix
+
+
+def rate_of(unit: str, times: int) -> str:
+    """What the derivative of so many `times` of a quantity in `unit` is in; the unit itself where that is 0."""
+    return unit if times == 0 else unit_of(f"({unit_of(unit).si})/s{times}").si
 
 
 def rotation_abc(angles: FloatArray) -> FloatArray:

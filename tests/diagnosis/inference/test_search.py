@@ -74,6 +74,14 @@ def test_what_is_left_of_a_model_when_an_effect_has_become_too_small_is_fitted_b
         assert s._smaller([both], []) == []
 
 
+def test_a_model_that_could_not_be_simulated_at_any_size_is_left_out(tmp_path: Path) -> None:
+    with search(tmp_path, measure({"sensors": {"gain_error[1]": 0.04}})) as s:
+        never = fit(s, {GAIN: 0.03})
+        ran = replace(never, signature=0.6 * s.evidence.sensitivities[GAIN], sensitivities=s.evidence.sensitivities[GAIN][:, None])
+        (kept,) = s.polish([never, ran], [never, ran])
+        assert kept.signature is not None
+
+
 def test_a_fault_of_the_log_must_explain_most_of_what_is_left_and_an_effect_a_part(tmp_path: Path) -> None:
     with search(tmp_path, measure({"sensors": {"gain_error[1]": 0.04}})) as s:
         alone = fit(s, {GAIN: 0.04}, left=1.0)

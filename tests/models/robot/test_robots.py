@@ -10,7 +10,7 @@ import pytest
 
 from robomill.models.model.declaration import Record
 from robomill.models.model.parameters import DATA
-from robomill.models.robot.dynamics import in_robot_frames, load_dynamics
+from robomill.models.robot.dynamics import in_robot_frames, inverse_dynamics, load_dynamics
 from robomill.models.robot.kinematics import SPINDLE_ACROSS, Robot, inverse, jacobian, load_robot, tool_pose
 from robomill.models.robot.numeric_inverse import kinematics, solve
 from tests.tolerances import ROUNDOFF, physics
@@ -156,6 +156,18 @@ def test_rigid_bodies_stand_in_the_frames_of_the_same_robot(name: str) -> None:
     assert np.abs(com[5, :2]).max() < 10.0 * ROUNDOFF
     # behind the flange face, inside the wrist: FACTS 1.4 has 27 and 50 mm
     assert -0.06 < com[5, 2] < 0.0
+
+
+def test_the_weight_of_the_ur10_stretched_out_is_that_of_its_links_at_their_levers() -> None:
+    """At angles zero the arm is level; centres of gravity of the wrist lie on lines through it that are square to the lever."""
+    robot, bodies = load_robot("ur10"), load_dynamics("ur10")
+    com, inertia = in_robot_frames(bodies, robot)
+    shape = {name: getattr(robot, name) for name in ("dh_alpha", "dh_a", "dh_d", "dh_offset", "axis_sign", "axis_coupling")}
+    still = {"rotor_inertia": 0.0, "gear_ratio": 1.0, "counterbalance_lever": 0.0, "payload_mass": 0.0, "gravity_B": bodies.gravity_B}
+    tau = inverse_dynamics(np.zeros(6), 0.0, 0.0, **shape, **still, body_mass=bodies.body_mass, body_com=com, body_inertia=inertia)
+    levers = 12.7 * 0.232 + 4.27 * (0.612 + 0.3323) + (2.0 + 2.0 + 0.365) * (0.612 + 0.5723)
+    assert abs(tau[1]) == pytest.approx(9.81 * levers, rel=1e3 * ROUNDOFF)
+    assert abs(tau[0]) < 1e3 * ROUNDOFF
 
 
 def test_unknown_robot_and_broken_coupling(tmp_path: Path) -> None:

@@ -57,6 +57,43 @@ def test_arrays_of_npz_and_mat_logs_are_columns_whichever_way_round(tmp_path: Pa
         assert np.all(run["sensor.f_S_raw"] - arrays["standing"] == EXACT)
 
 
+def test_a_signal_is_low_passed_without_phase_and_differentiated(tmp_path: Path) -> None:
+    """A slow sine stays what it is, a fast one goes; the derivative is that of central differences, whose error is (w h)^2 / 6."""
+    t = 0.002 * np.arange(3001)
+    slow, fast = 2.0 * math.pi * 1.0, 2.0 * math.pi * 60.0
+    log = tmp_path / "log.npz"
+    np.savez(log, t=t, x=np.sin(slow * t) + 0.3 * np.sin(fast * t))
+    signal = '[[signal]]\nport = "motion.{}"\ncolumn = "x"\nunit = "deg"\nlow_pass = "15 Hz"\n'
+    text = '[clock]\ncolumn = "t"\nunit = "s"\nstep = "2 ms"\n'
+    text += signal.format("q") + signal.format("v") + "derivative = 1\n" + signal.format("a") + "derivative = 2\n"
+    run = bring(tmp_path, text, log)
+    middle = slice(500, -500)  # zero-phase filters have no neighbours at the ends
+    kept = math.pi / 180.0 / (1.0 + (1.0 / 15.0) ** 8)
+    left = 0.3 * (15.0 / 60.0) ** 8 * (fast / slow) ** 2  # of the fast sine, in the second derivative
+    for name, unit, truth in (
+        ("q", "rad", np.sin(slow * t)),
+        ("v", "rad/s", slow * np.cos(slow * t)),
+        ("a", "rad/s2", -slow * slow * np.sin(slow * t)),
+    ):
+        assert run.unit(f"motion.{name}") == unit
+        bound = (2.0 * (slow * 0.002) ** 2 / 6.0 + left) * np.abs(truth).max() * kept
+        assert np.abs(run[f"motion.{name}"] - kept * truth)[middle].max() < bound
+    assert run.info["imported"]["filtered"] is True
+
+
+def test_what_cannot_be_filtered_is_refused(tmp_path: Path) -> None:
+    smooth = FORCE + 'low_pass = "20 Hz"\n'
+    assert "low_pass and derivative need evenly spaced times; set clock.step (or clock.rate)" in refused(tmp_path, CLOCK + smooth)
+    grid = CLOCK + 'step = "10 ms"\n'
+    assert "low_pass is 60 Hz; expected less than half the rate, 50 Hz" in refused(tmp_path, grid + smooth.replace("20 Hz", "60 Hz"))
+    assert "expected a frequency above 0 Hz" in refused(tmp_path, grid + smooth.replace("20 Hz", "-1 Hz"))
+    rate = (
+        '[components]\nrobot = "inverse_dynamics"\n' + grid + '[[signal]]\nport = "robot.qd"\ncolumns = ["fx","fy","fz","fx","fy","fz"]\n'
+    )
+    assert "wrong unit: robot.qd is in rad/s" in refused(tmp_path, rate + 'unit = "deg"\n')
+    assert bring(tmp_path, rate + 'unit = "deg"\nderivative = 1\n').unit("robot.qd") == "rad/s"
+
+
 def test_an_rsi_log_has_its_units_its_answers_and_its_ipoc_as_clock(tmp_path: Path) -> None:
     packets = [
         f'<Rob TYPE="KUKA"><RIst X="{1000 + k}" Y="0" Z="500" A="{10 * k}" B="20" C="10"/>'

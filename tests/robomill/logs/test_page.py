@@ -40,10 +40,15 @@ def counted(file: Path) -> None:
     np.savez(file, T=np.arange(12.0 * 6).reshape(12, 2, 3))
 
 
-LOGS = {"forces.csv": forces, "dated.csv": dated, "cycles.csv": cycles, "counted.npz": counted}
+def motion(file: Path) -> None:
+    file.write_text("\n".join(["time,q", *(f"{k / 100},{k}" for k in range(100))]), encoding="utf-8")
+
+
+LOGS = {"motion.csv": motion, "forces.csv": forces, "dated.csv": dated, "cycles.csv": cycles, "counted.npz": counted}
 RUNS = {
     "forces.csv": [("run", "sensor.f_S_raw", 8)],
     "counted.npz": [("run", "plate.T", 12)],
+    "motion.csv": [("run", "motion.qd", 100)],
     "dated.csv": [("run", "motor.current", 3)],
     "joints.mcap": [("run", "sensor.f", 61)],
     "cycles.csv period": [("run/repeat_3", "axis.q", 40)],

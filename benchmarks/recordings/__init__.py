@@ -1,0 +1,1 @@
+"""The diagnosis on public recordings of real machines: what it answers, beside ordinary least squares on the same split."""

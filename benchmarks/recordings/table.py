@@ -1,0 +1,81 @@
+"""The outcome on a recording as text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from benchmarks.recordings.cases import Case
+from benchmarks.recordings.measure import Outcome, Value
+
+NAMED = 0.5
+"""Probability from which an effect counts as named: it is likelier there than not."""
+
+
+def number(value: float | None, interval: tuple[float, float] | None = None) -> str:
+    """Four digits and the interval, or a dash."""
+    if value is None:
+        return "-"
+    return f"{value:.4g}" + (f" ({interval[0]:.4g} to {interval[1]:.4g})" if interval else "")
+
+
+def values(outcome: Outcome) -> list[str]:
+    """Rows of a Markdown table of all effects."""
+    rows = ["| effect | | p | answer (90 %) | least squares (90 %) | unit |", "|---|---|---|---|---|---|"]
+    for v in outcome.values:
+        p = f"{v.probability:.2f}" if v.value is not None else "-"
+        by = number(v.by_least_squares, v.its_interval)
+        rows.append(f"| {v.effect} | {v.status} | {p} | {number(v.value, v.interval)} | {by} | {v.unit} |")
+    return rows
+
+
+def closed(outcome: Outcome) -> list[str]:
+    """Rows of a Markdown table of the channels of the held-out runs."""
+    rows = ["| channel | rms before | after | unit | closure | least squares |", "|---|---|---|---|---|---|"]
+    for c in outcome.closures:
+        shown = f"{100 * c.closure:.1f} % | {100 * c.by_least_squares:.1f} %"
+        rows.append(f"| {c.channel} | {c.before:.3g} | {c.after:.3g} | {c.unit} | {shown} |")
+    return rows
+
+
+def named(outcome: Outcome, status: str) -> list[Value]:
+    """Numbers of effects of this status that the answer names."""
+    return [v for v in outcome.values if v.status == status and v.value is not None and v.probability >= NAMED]
+
+
+def inside(outcome: Outcome) -> tuple[int, int]:
+    """How many expected values by least squares lie in the interval of the answer, and how many there are."""
+    rows = [v for v in named(outcome, "expected") if v.by_least_squares is not None and v.interval is not None]
+    return sum(v.interval[0] <= v.by_least_squares <= v.interval[1] for v in rows if v.interval and v.by_least_squares is not None), len(
+        rows
+    )
+
+
+def of(case: Case, outcome: Outcome) -> str:
+    """All figures of one recording."""
+    tests = ", ".join(f"{k} {v:.3g}" for k, v in outcome.tests.items() if isinstance(v, float))
+    lines = [f"## {case.name}: {outcome.verdict}{' (noise guessed)' if outcome.guessed else ''}", f"known: {case.known}"]
+    lines += [outcome.error] if outcome.error else []
+    lines += [f"log: {text}" for text in outcome.findings]
+    if outcome.left_one_out:
+        before, after, predicted = outcome.left_one_out
+        lines.append(
+            f"least squares, all runs: rms {before:.3g}, fitted {after:.3g}, each sample predicted from the others {predicted:.3g}"
+        )
+    lines += [f"{outcome.cpu:.1f} s of CPU, {outcome.simulations} simulations, {outcome.samples} samples; {tests}", ""]
+    return "\n".join([*lines, *values(outcome), "", *closed(outcome), ""])
+
+
+def summary(outcomes: Sequence[Outcome]) -> str:
+    """One row for each recording."""
+    names = ("recording", "verdict", "expected named", "not known", "wrong", "values inside", "closure: least, mean", "least squares")
+    rows = [f"| {' | '.join((*names, 'CPU s', 'simulations'))} |", "|---|---|---|---|---|---|---|---|---|---|"]
+    for o in outcomes:
+        expected = {v.effect for v in o.values if v.status == "expected"}
+        hit, more, wrong = ({v.effect for v in named(o, s)} for s in ("expected", "more", "absent"))
+        both = [[c.closure for c in o.closures], [c.by_least_squares for c in o.closures]]
+        least, yard = (f"{100 * min(x):.1f} %, {100 * sum(x) / len(x):.1f} %" if x else "-" for x in both)
+        right, of_all = inside(o)
+        counts = f"{len(hit)} of {len(expected)} | {len(more)} | {len(wrong)} | {right} of {of_all}"
+        rows.append(f"| {o.name} | {o.verdict} | {counts} | {least} | {yard} | {o.cpu:.1f} | {o.simulations} |")
+    total = f"{sum(o.cpu for o in outcomes):.1f}"
+    return "\n".join([*rows, f"{total} s of CPU in the diagnoses."])
