@@ -18,6 +18,8 @@ import numpy as np
 
 CYCLE, FINE = 1e-3, 5e-6
 """Cycle of the controller and of the log, and step of the integration [s]."""
+NOTHING = 1e-9
+"""Friction [N.m] that is none."""
 TARGETS, TIMES, PAUSE = np.array([1.0, 0.2, 0.3, 0.28, 0.7, 0.0]), np.array([0.5, 0.6, 0.5, 0.4, 0.3, 0.7]), 0.1
 CONDITIONS = {"work": (6.0, 1.0, 0.0), "heavy": (4.0, 1.3, 0.004)}
 """Name -> stroke [rad], pace, inertia of what is clamped on the table [kg.m2]."""
@@ -85,7 +87,7 @@ def plan(stroke: float, pace: float) -> tuple[np.ndarray, np.ndarray]:
 @numba.njit(cache=False)
 def _bristles(z, w, level, bristle):  # type: ignore[no-untyped-def]  # compiled
     """Deflection [rad] of the bristles after FINE for a speed w that is held, and their torque: dz/dt = w - bristle |w| / level z."""
-    if level <= 0.0:
+    if level < NOTHING:
         return 0.0, 0.0
     if w != 0.0:
         settled = math.copysign(level / bristle, w)

@@ -15,6 +15,7 @@ import pytest
 
 from robomill.cell.equipment import load_system
 from robomill.diagnose_command import catalogue_of
+from robomill.diagnosis.outcome.verdict import IDENTIFIED
 from robomill.logs.importing import import_log
 from robomill.orchestration.runs.run import Run
 
@@ -22,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "bring_your_own_system.md"
 AXIS = ROOT / "examples" / "servo_axis"
 WELL = 0.9
-"""Closure on the held-out condition, and probability: what the machine does otherwise than the model is a tenth of a gap at most."""
+"""Closure on the held-out condition: what the machine does otherwise than the model is a tenth of a gap at most."""
 
 LATE = """description = "a late clock"
 source = "made up"
@@ -87,7 +88,7 @@ def closures(answer: dict[str, Any]) -> list[float]:
 def test_the_axis_is_found_to_have_the_play_that_the_machine_has(shell: Shell) -> None:
     answer, (name, value) = shell.answer("axis/answer"), shell.truth("axis/logs")
     assert (answer["verdict"], name) == ("identified", "backlash")
-    (which,) = (w for w in answer["which"] if w["probability"] > WELL)
+    (which,) = (w for w in answer["which"] if w["probability"] > IDENTIFIED)
     low, high = which["parameters"][name]["interval"]
     assert low < value < high
     assert min(closures(answer)) > WELL
@@ -98,7 +99,7 @@ def test_the_axis_is_found_to_have_the_play_that_the_machine_has(shell: Shell) -
 def test_the_rod_is_found_to_lose_the_heat_that_it_loses(shell: Shell) -> None:
     answer, (name, value) = shell.answer("rod/answer"), shell.truth("rod/logs")
     assert (answer["verdict"], name) == ("identified", "loss_error")
-    (which,) = (w for w in answer["which"] if w["probability"] > WELL)
+    (which,) = (w for w in answer["which"] if w["probability"] > IDENTIFIED)
     low, high = which["parameters"][name]["interval"]
     assert low < value < high
     assert min(closures(answer)) > WELL
