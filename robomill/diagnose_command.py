@@ -201,7 +201,7 @@ def sources(*systems: System) -> str:
 @cache
 def _own_sources() -> bytes:
     digest = hashlib.sha256()
-    for package in ("models", "fmus", "orchestration", "diagnosis"):
+    for package in ("models", "fmus", "orchestration", "diagnosis/experiment"):
         for file in sorted((FILES / package).rglob("*")):
             if file.suffix in (".py", ".toml"):
                 digest.update(file.read_bytes())

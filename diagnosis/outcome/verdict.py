@@ -84,12 +84,17 @@ def judged(
 
     `faulty`: a fault of the log is part of the best model.
     """
-    refuted = tests.p_fit < 1.0 - tests.p_fit or (other is not None and changes(search, best, other))
+    refuted = tests.p_fit < 1.0 - tests.p_fit or (other is not None and changes(search, best, other)) or at_bound(best)
     if not best.model or not believed(tests) or refuted:  # then nothing is there, if machines without effects leave as much
         return "unknown" if over_noise(search, nominal) > UNKNOWN else "none"
     if faulty:
         return "bad_log"
     return "identified" if all(probabilities[c] >= IDENTIFIED for c in best.model) else "ambiguous"
+
+
+def at_bound(fit: Fit) -> bool:
+    """Whether an effect is as large as the catalogue lets it be: the data ask for more than that, or for something else."""
+    return any(math.isclose(size, c.maximum) for c in fit.model for size in c.sizes(fit.values).values())
 
 
 def believed(tests: Tests) -> bool:

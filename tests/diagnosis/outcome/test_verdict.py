@@ -33,8 +33,8 @@ def search(candidates: tuple[Candidate, ...] = ()) -> Any:
 
 
 def fit(left: float, model: tuple[Candidate, ...] = ()) -> Fit:
-    """A model that leaves so many times what noise does."""
-    return Fit(model, {}, {}, 0.0, EXPECTED * left)
+    """A model with effects of their usual size that leaves so many times what noise does."""
+    return Fit(model, {a: c.prior.scale for c in model for a in c.addresses}, {}, 0.0, EXPECTED * left)
 
 
 class TestTested:
@@ -101,6 +101,12 @@ class TestJudged:
         assert self.judged(replace(SURE, p_fit=0.49), folder=tmp_path) == "unknown"
         assert self.judged(replace(SURE, p_fit=0.49), faulty=True, folder=tmp_path) == "unknown"
         assert self.judged(replace(SURE, p_fit=0.51), folder=tmp_path) == "identified"
+
+    def test_an_effect_at_its_bound_is_unknown(self, tmp_path: Path) -> None:
+        effect = catalogue(tmp_path).candidates[0]
+        for size, said in ((effect.maximum, "unknown"), (0.99 * effect.maximum, "identified")):
+            best = replace(fit(1.1, (effect,)), values=dict.fromkeys(effect.addresses, size))
+            assert judged(search(), SURE, fit(9.0), best, None, {effect: 0.95}, False) == said
 
     def test_one_answer_is_given_where_each_of_its_effects_is_likely(self, tmp_path: Path) -> None:
         assert self.judged(p=0.81, folder=tmp_path) == "identified"
