@@ -285,4 +285,4 @@ def laboratory(given: Laboratory, offers: Sequence[Offer]) -> Laboratory:
     for i, o in enumerate(offers):
         grid = np.asarray(np.arange(math.ceil(o.seconds / o.system.step) + 1) * o.system.step, dtype=np.float64)
         conditions.append(Condition(f"next {i + 1}", o.parameters, (), grid, system=o.system))
-    return replace(given, conditions=conditions, _logged=None)
+    return replace(given, conditions=conditions)
