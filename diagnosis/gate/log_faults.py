@@ -7,6 +7,7 @@ mistake in units, interchanged axes and another frame have no size that is fitte
     e ~ N(0, noise^2 + max(TOLERANCE^2 var, left)),
 
 coherent over the record, so that a channel counts as one observation. `var` is the variance of the simulated signal under the operator.
+A mistake in units is tried where the measured signal is as many times the simulated one, within TOLERANCE: its factor is exact.
 `left` is the mean square that the fault leaves: an effect may be there besides, and one of that size (in the unit of the simulation) is
 allowed for without the fault, too.
 """
@@ -100,6 +101,8 @@ def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str]) -> Iterato
         yield _Operator((i,), -own, -1.0, Finding(name, "sign", -1.0, "1", "has the wrong sign; expected that of its simulation: turn it"))
         slope = float(x[:, i] @ s[:, i] / (s[:, i] @ s[:, i]))
         for factor, mistake in FACTORS.items():
+            if abs(slope / factor - 1.0) > TOLERANCE:  # a unit is exact: what is larger by another factor has an effect
+                continue
             text = f"is {slope:.4g} times what it should be: {mistake}; expected 1 (give the unit that it is logged in)"
             yield _Operator((i,), factor * own, factor, Finding(name, "unit", slope, "1", text))
     for name, members in arrays(channels).items():

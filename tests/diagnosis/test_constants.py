@@ -213,7 +213,7 @@ AROUND_NOISE: Any = SimpleNamespace(candidates=(EFFECT,), evidence=SimpleNamespa
 
 def fitted(left: float, *model: Candidate) -> Fit:
     """A model that leaves so many times what noise does."""
-    return Fit(model, {}, {}, 0.0, 1000.0 * left)
+    return Fit(model, {a: c.prior.scale for c in model for a in c.addresses}, {}, 0.0, 1000.0 * left)
 
 
 def form() -> float:

@@ -35,6 +35,11 @@ class TestJudged:
             assert finding.value == pytest.approx(gain * factor, rel=ROUNDOFF)
             assert "; expected 1 (give the unit that it is logged in)" in finding.text
 
+    @pytest.mark.parametrize("factor", [85.6, 41.2, 19.8, 13.6, 7.96, 5.31])
+    def test_an_effect_that_makes_a_small_signal_large_by_another_factor_is_no_unit(self, factor: float) -> None:
+        """TOLERANCE: a weight on the sensor where the simulation has hardly a moment; none of the usual factors is so near."""
+        assert kinds(factor * VECTOR[:, :1], VECTOR[:, :1]) == []
+
     def test_the_text_names_the_mistake_that_is_nearest(self) -> None:
         (finding,) = judged(1.05e-3 * VECTOR[:, :1], VECTOR[:, :1], NAMES[:1], np.array([1e-9]))
         assert finding.text == "is 0.00105 times what it should be: units for milli-; expected 1 (give the unit that it is logged in)"
