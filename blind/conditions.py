@@ -173,8 +173,8 @@ def planned(c: Condition) -> Plan:
 
 
 SPACING = 2e-4
-"""Distance of the dexels of a block [m]. The tool meets walls in front of it and leaves rims two dexels too early: with 0.5 mm every block
-seems to be 0.13 mm wider than it is."""
+"""Distance of the dexels of a block [m]. The tool meets walls in front of it and leaves rims two dexels too early: with 0.5 mm blocks
+seemed to be 0.11 to 0.15 mm wider than they are (decision 62)."""
 
 
 def known(c: Condition, segments: str, profile: str = "profile.npy") -> dict[str, dict[str, Any]]:
