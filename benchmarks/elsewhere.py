@@ -2,7 +2,7 @@
 
 The examples `servo_axis` and `heated_rod` bring a model, a catalogue, a mapping, and another formulation that plays the machine. Cases are
 drawn by the seed: nulls, singles, doubles, singles of which the catalogue knows nothing (withheld), and singles that were recorded once.
-Each goes the way of a user, from the logs to the answer; a case takes 5 to 15 s of processor time.
+Each goes the way of a user, from the logs to the answer.
 """
 
 from __future__ import annotations
