@@ -98,8 +98,8 @@ def lacking(catalogue: Catalogue, parameters: Sequence[str]) -> Catalogue:
 
 def blind(options: Namespace) -> int:
     """`robomill blind`: exit status 1 if a case could not be diagnosed."""
-    from robomill.commands import _console
     from robomill.progress import progress_bar
+    from robomill.tables import console, say
 
     with progress_bar(options.json) as report:
         if options.step == "make":
@@ -136,10 +136,10 @@ def blind(options: Namespace) -> int:
     elif text:
         print(text)
     else:
-        console = _console()
+        screen = console()
         for table in tables(summary):
-            console.print(table)
-        console.print(f"everything, effect by effect, is in {options.folder / 'score.json'}", highlight=False)
+            screen.print(table)
+        say(f"everything, effect by effect, is in {options.folder / 'score.json'}")
     return 1 if summary.get("failed") else 0
 
 

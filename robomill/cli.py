@@ -207,6 +207,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="P",
         help="probability of an effect on a machine that has none, between 0 and 1 (default: 0.02)",
     )
+    diagnose.add_argument("--overwrite", action="store_true", help="replace an answer that is in the folder (default: that is refused)")
     diagnose.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
     diagnose.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="simulate on the workers of this Dask cluster instead")
 

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.table import Table
+from rich.text import Text
 
 from robomill.cell.scenario import load_scenario
 from robomill.cell.stability import Cell, LineStability, judge, lobes_at, map_of, prepare
 from robomill.cell.stability_pictures import RPM, SPEEDS, chosen, draw_lobes, draw_map
+from robomill.tables import Content, Heading, notes, say, show
 
 STABLE, UNSTABLE = 0, 1
 LOWEST, HIGHEST = 0.4, 1.6
@@ -109,8 +108,7 @@ def _figures(name: str, cell: Cell, lines: Sequence[LineStability], speeds: tupl
 
 
 def _show(cell: Cell, lines: Sequence[LineStability], files: Sequence[Path]) -> None:
-    table = Table(title=f"{cell.planned.name}: margin = limit of the depth over the planned one", title_justify="left", box=SIMPLE)
-    for heading in (
+    numbers = (
         "line",
         "rev/min",
         "depth\nmm",
@@ -120,27 +118,27 @@ def _show(cell: Cell, lines: Sequence[LineStability], files: Sequence[Path]) -> 
         "chatter\nHz",
         "growth\nper tooth",
         "mode\ncoupling",
-        "",
-    ):
-        table.add_column(heading, justify="right")
+        "verdict",
+    )
+    rows: list[list[Content]] = []
     for x in sorted(lines, key=lambda x: x.margin)[:SHOWN]:
-        table.add_row(
-            str(x.line),
-            f"{x.spindle_speed * RPM:.0f}",
-            f"{1e3 * x.depth:.2f}",
-            f"{math.degrees(x.engaged[0]):.0f}..{math.degrees(x.engaged[1]):.0f}",
-            f"{x.margin:.2f}" if math.isfinite(x.margin) else "none",
-            f"{1e3 * x.depth * x.margin:.2f}" if math.isfinite(x.margin) else "none",
-            f"{x.chatter:.1f}" if math.isfinite(x.chatter) else "-",
-            "-" if x.growth is None else f"{x.growth:.4f}",
-            f"{x.coupling:.2f}" if math.isfinite(x.coupling) else "none",
-            "stable" if x.stable else "[red]unstable[/red]",
+        rows.append(
+            [
+                str(x.line),
+                f"{x.spindle_speed * RPM:.0f}",
+                f"{1e3 * x.depth:.2f}",
+                f"{math.degrees(x.engaged[0]):.0f}..{math.degrees(x.engaged[1]):.0f}",
+                f"{x.margin:.2f}" if math.isfinite(x.margin) else "none",
+                f"{1e3 * x.depth * x.margin:.2f}" if math.isfinite(x.margin) else "none",
+                f"{x.chatter:.1f}" if math.isfinite(x.chatter) else "-",
+                "-" if x.growth is None else f"{x.growth:.4f}",
+                f"{x.coupling:.2f}" if math.isfinite(x.coupling) else "none",
+                "stable" if x.stable else Text("unstable", style="red"),
+            ]
         )
-    console = Console(width=110)
-    console.print(table)
+    show(f"{cell.planned.name}: margin = limit of the depth over the planned one", list(map(Heading, numbers)), rows)
     if len(lines) > SHOWN:
-        console.print(f"{len(lines) - SHOWN} lines of larger margin are in stability.json")
-    for note in cell.notes:
-        print(f"note: {note}")
+        say(f"{len(lines) - SHOWN} lines of larger margin are in stability.json")
+    notes(cell.notes, "stability.json")
     for file in files:
         print(f"wrote {file}")

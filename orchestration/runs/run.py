@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -23,6 +23,11 @@ from robomill.orchestration.runs import flight
 from robomill.orchestration.runs.lock import is_locked
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
 from robomill.orchestration.system.toml_text import parse
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
 
 _ROWS_PER_GROUP = 50_000
 RUN, SIGNALS, LIVE, CSV = "run.toml", "signals.parquet", "signals.arrow", "signals.csv"
@@ -85,6 +90,48 @@ class Run:
 
     def _members(self, name: str) -> list[str]:
         return [name] if name in self.columns else [n for n in self.columns if base_name(n) == name]
+
+    def to_pandas(self, *names: str) -> pd.DataFrame:
+        """All columns, or those of the arrays in `names`, as float64 over time t [s], which is the index; units are in `attrs["units"]`.
+
+        MissingPackageError without pandas (`pip install robomill[pandas]`); KeyError for an unknown name.
+        """
+        from robomill.orchestration.runs import export
+
+        return export.to_pandas(self, names)
+
+    def to_xarray(self, *names: str) -> xr.Dataset:
+        """All arrays, or those in `names`, each over t [s] and one axis per index: a vector of three has the axes (t, i3).
+
+        Variables have the attributes `units` and `description`. MissingPackageError without xarray (`pip install robomill[xarray]`);
+        KeyError for an unknown name.
+        """
+        from robomill.orchestration.runs import export
+
+        return export.to_xarray(self, names)
+
+    def to_csv(self, file: str | Path, *names: str, overwrite: bool = False) -> Path:
+        """Write t [s] and all columns, or those of the arrays in `names`, with all digits; returns the file.
+
+        ResultsError where the file is there and `overwrite` is not given; KeyError for an unknown name.
+        """
+        from robomill.orchestration.runs import export
+
+        return export.to_csv(self, file, names, overwrite)
+
+    def plot(self, *names: str) -> Figure:
+        """Draw each of the arrays in `names` over time in a panel of its own; without names the first eight that change.
+
+        The figure has `savefig`; a notebook shows it. KeyError for an unknown name.
+        """
+        from robomill.orchestration.runs import picture  # matplotlib takes a second to load
+
+        return picture.plot(self, names)
+
+    def _repr_html_(self) -> str:
+        from robomill.orchestration.runs import export
+
+        return export.to_html(self)
 
     @staticmethod
     def load(folder: str | Path) -> Run:
