@@ -109,7 +109,7 @@ def run(options: Namespace) -> int:
     systems = systems_of(campaign)
     catalogue = catalogue_of(*systems, file=file)
     if not (options.check or options.overwrite):
-        vacant(options.out, ANSWER)
+        vacant(options.out / ANSWER)
     store = Store(options.out / SIMULATIONS, sources(*systems))
     if len(store) and not options.json:
         print(

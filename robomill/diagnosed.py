@@ -82,7 +82,7 @@ class Diagnosed:
         """
         place = Path(folder)
         if not overwrite:
-            vacant(place, ANSWER)
+            vacant(place / ANSWER, option="folder")
         return write(self.diagnosis, self.system, self.runs, self.catalogue, place)
 
     def __str__(self) -> str:

@@ -17,9 +17,14 @@ def licence() -> bytes:
     return file.read_bytes() if file.is_file() else (distribution("robomill").read_text("licenses/LICENSE") or "").encode()
 
 
-def vacant(folder: Path, *names: str, where: str = "--out") -> None:
-    """FileExistsError that names all of these files that are in the folder: nobody has asked for overwriting."""
-    if found := [name for name in names if (folder / name).exists()]:
+def vacant(*files: Path, option: str = "--out") -> None:
+    """FileExistsError that names all of these files that are there: nobody has asked for overwriting.
+
+    `option`: what names another place.
+    """
+    if found := [str(file) for file in files if file.exists()]:
+        verb = "is" if len(found) == 1 else "are"
         raise FileExistsError(
-            f"{folder}/ already holds results ({', '.join(found)}); choose another folder ({where}), or replace them with --overwrite"
+            f"{', '.join(found)} {verb} there already; choose another place ({option}), "
+            "or allow overwriting (--overwrite; overwrite = True)"
         )

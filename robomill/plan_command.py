@@ -18,6 +18,7 @@ from robomill.cell.milling import check, notes_of, read_program
 from robomill.cell.plan_checks import Findings, check_plan
 from robomill.cell.robot_programs import is_robot_program, read_robot_program
 from robomill.cell.scenario import OFFSETS, load_scenario, place_in_block
+from robomill.files import vacant
 from robomill.models.model.declaration import FloatArray
 from robomill.models.model.parameters import load
 from robomill.models.planning.gcode import HOME, Program, Setup, Vector
@@ -54,6 +55,8 @@ class _Task:
 
 def plan(options: Namespace) -> int:
     """Duration, length, extent, what is asked of the axes, notes and warnings; status 1 with warnings."""
+    if not options.overwrite:
+        vacant(*([] if options.out is None else [options.out]), *options.write, option="--out, --write")
     task = _task(options)
     if options.within is None:
         planned = plan_path(task.program, task.placement)

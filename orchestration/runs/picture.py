@@ -44,12 +44,15 @@ def plot(run: Run, names: Sequence[str] = ()) -> Picture:
     axes = figure.subplots(max(len(shown), 1), 1, sharex=True, squeeze=False)[:, 0]
     for ax, name in zip(axes, shown, strict=False):
         values = run[name].reshape(len(run), -1)
-        lines = ax.plot(run.t, values, linewidth=1.0)
+        lines = ax.plot(run.t, values)
+        for k, line in enumerate(reversed(lines)):
+            line.set_linewidth(1.0 + 0.5 * k)  # what lies below another line is wider, and is seen
         ax.set_title(name, loc="left", fontsize="small")
-        ax.set_ylabel(run.unit(name) or "-")
+        ax.set_ylabel(run.unit(name) or "1")
         if values.shape[1] > 1:
             ax.legend(lines, _elements(run, name), fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
     axes[-1].set_xlabel("t, s")
+    figure.align_ylabels()
     return figure
 
 
