@@ -42,7 +42,7 @@ ACTIONS = {
 """Module and function of each command; imported when it is called, because some take seconds."""
 
 
-SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")
+SHELLS = ("bash", "zsh", "fish")
 """Shells that commands are completed in."""
 
 
