@@ -102,14 +102,14 @@ def run(options: Namespace) -> int:
     """Exit status 0: answered; 1: the log is not usable."""
     from robomill.progress import progress_bar
 
+    if not (options.check or options.overwrite):
+        vacant(options.out / ANSWER)
     first: Path | None = options.campaign or options.system
     file = catalogue_file(options.catalogue, first)
     campaign = campaign_of(options)
     system = campaign.system
     systems = systems_of(campaign)
     catalogue = catalogue_of(*systems, file=file)
-    if not (options.check or options.overwrite):
-        vacant(options.out / ANSWER)
     store = Store(options.out / SIMULATIONS, sources(*systems))
     if len(store) and not options.json:
         print(

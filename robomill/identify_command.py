@@ -99,8 +99,10 @@ def add_arguments(parser: Any) -> None:
 
 def run(options: Namespace) -> int:
     """Identify and say what was found; status 1 where something is not determined or negative."""
-    if options.out is not None and not options.overwrite:
-        vacant(options.out if options.out.suffix in (".toml", ".ssv") else options.out / REPORT)
+    if not options.overwrite:
+        files = [] if options.out is None else [options.out if options.out.suffix in (".toml", ".ssv") else options.out / REPORT]
+        drawn = getattr(options, "plot", None)
+        vacant(*files, *([] if drawn is None else [drawn]), option="--out" if drawn is None else "--out, --plot")
     return {
         "stiffness": _stiffness,
         "payload": _payload,
