@@ -14,7 +14,7 @@ from robomill.cell.scenario import Scenario, ScenarioError
 from robomill.models.metrology.stl import write_stl
 from robomill.orchestration import html
 from robomill.orchestration.errors import unknown
-from robomill.orchestration.runs.export import optional
+from robomill.orchestration.optional import optional
 from robomill.orchestration.runs.run import Run, check_vacant
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.written import merged

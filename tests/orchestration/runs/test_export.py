@@ -10,8 +10,7 @@ import pytest
 
 from robomill.orchestration.errors import MissingPackageError, ResultsError
 from robomill.orchestration.html import MOST_ROWS, table
-from robomill.orchestration.runs.picture import MOST_PANELS
-from robomill.orchestration.runs.run import Run
+from robomill.orchestration.runs.run import MOST_PANELS, Run
 from robomill.orchestration.slaves.protocol import PortData
 
 UNITS = {"arm.q": "rad", "arm.J": "m", "arm.on": None}
