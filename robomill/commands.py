@@ -36,7 +36,7 @@ from robomill.orchestration.ssp.importing import open_ssp
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.toml_text import parse
 from robomill.progress import progress_bar
-from robomill.tables import Heading, notes, say, show
+from robomill.tables import Content, Heading, notes, say, show
 
 DEFAULT_FMI = 2
 """Version of FMI that is built where none is asked for; Python FMUs know no other."""
@@ -412,7 +412,7 @@ def check(options: Namespace) -> int:
         return 1 if failed else 0
     colour = {"passed": "green", "failed": "red", "finding": "yellow", "skipped": "cyan"}
     for name, results in reports.items():
-        rows = [[r.check, Text(r.outcome, style=colour[r.outcome]), r.detail] for r in results]
+        rows: list[list[Content]] = [[r.check, Text(r.outcome, style=colour[r.outcome]), r.detail] for r in results]
         show(name, [Heading("check", "left"), Heading("outcome", "left"), Heading("detail", "left", folds=True)], rows)
     say(f"{failed} checks failed" if failed else "no check failed")
     return 1 if failed else 0
