@@ -8,7 +8,7 @@ import json
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
@@ -40,17 +40,17 @@ ACTIONS = {
 class _Parser(argparse.ArgumentParser):
     """Ends with an exception that has the text, for --json."""
 
-    _add: Callable[[argparse.ArgumentParser], None] | None = None
+    _later: tuple[str, str] | None = None
 
     def add_when_used(self, module: str, function: str) -> None:
         """Options that `function(parser)` of a module adds when the command is parsed or described; imported no earlier."""
-        self._add = lambda parser: getattr(importlib.import_module(f"robomill.{module}"), function)(parser)
+        self._later = module, function
 
     def complete(self) -> None:
         """Add the options that were put off."""
-        add, self._add = self._add, None
-        if add is not None:
-            add(self)
+        later, self._later = self._later, None
+        if later is not None:
+            getattr(importlib.import_module(f"robomill.{later[0]}"), later[1])(self)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """That of argparse, with all options."""
@@ -334,9 +334,7 @@ def add_plan_arguments(plan: argparse.ArgumentParser) -> None:
 
 
 def _command(commands: Any, name: str, text: str, example: str) -> _Parser:
-    command: _Parser = commands.add_parser(
-        name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=f"Example: {example}"
-    )
+    command: _Parser = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=f"Example: {example}")
     command.add_argument("--json", action="store_true", help="print the result as JSON and nothing else")
     return command
 

@@ -6,41 +6,32 @@ import json
 import sys
 import tomllib
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
-
-from robomill import conformance
-from robomill.cell import experiments, milling, part, path_learning, removal_rate, scan, static_loads
-from robomill.cell import package as ssp
+from robomill.cell import milling
 from robomill.cell.binding import convert, resolve, with_fmus
 from robomill.cell.equipment import load_system
-from robomill.cell.evaluation import Figures, Result, evaluate
 from robomill.cell.plausibility import unusual_values
 from robomill.cell.scenario import Scenario, ScenarioError, load_scenario
-from robomill.diagnosis.outcome import adopt
-from robomill.example_command import examples
-from robomill.fmus.components import COMPONENTS, component
-from robomill.fmus.documentation import reference_files
-from robomill.fmus.python.builder import build as build_python
-from robomill.models.components.recording import replay_model
-from robomill.models.metrology.stl import write_stl
-from robomill.models.model.declaration import Model
 from robomill.orchestration.assembly import assemble
 from robomill.orchestration.assembly import run as run_once
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.runs.lock import FolderLock
 from robomill.orchestration.runs.run import Run, check_vacant
-from robomill.orchestration.ssp.importing import open_ssp
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.toml_text import parse
 from robomill.progress import progress_bar
+
+if TYPE_CHECKING:  # what only some commands need, or the end of a run, is imported there: a run begins without it
+    from rich.console import Console
+    from rich.table import Table
+
+    from robomill.cell.evaluation import Figures, Result
+    from robomill.cell.removal_rate import RateResult, RateScenario
+    from robomill.models.model.declaration import Model
 
 DEFAULT_FMI = 2
 """Version of FMI that is built where none is asked for; Python FMUs know no other."""
@@ -58,11 +49,15 @@ _SHOWN = (
 def run(options: Namespace) -> int:
     """`robomill run`: a scenario of any kind, a plain system file, or an SSP package."""
     if options.file.suffix == ".ssp":
+        from robomill.orchestration.ssp.importing import open_ssp
+
         with open_ssp(options.file, options.step) as package:
             for text in package.ignored:
                 print(f"{options.file.name}: ignored: {text}", file=sys.stderr)
             return _run_system(package.system, options, package.start)
     if not options.file.is_file():
+        from robomill.example_command import examples
+
         name = options.file.with_suffix("").as_posix().removeprefix("scenarios/")
         if name in examples():
             raise FileNotFoundError(f"no scenario {options.file}; `robomill example {name}` copies it here")
@@ -72,20 +67,15 @@ def run(options: Namespace) -> int:
             f"{options.file} is a program: `robomill plan` looks at it, a scenario that names it (scenarios/groove.toml) mills it"
         )
     try:
-        is_scenario = "scenario" in parse(options.file.read_text(encoding="utf-8"))
+        head = parse(options.file.read_text(encoding="utf-8")).get("scenario")
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
-        is_scenario = False  # the system loader names the line
-    if not is_scenario:
+        head = None  # the system loader names the line
+    if head is None:
         return _run_system(load_system(options.file), options)
-    if experiments.is_experiment(options.file):
-        _only_cells_take(options, "experiment")
-        return _run_experiment(options)
-    if removal_rate.is_removal_rate(options.file):
-        _only_cells_take(options, removal_rate.KIND)
-        return _run_removal_rate(options)
-    if path_learning.is_learning(options.file):
-        _only_cells_take(options, path_learning.KIND)
-        return _run_learning(options)
+    kind = head.get("kind") if isinstance(head, dict) else None
+    if kind in _OTHER_KINDS:
+        _only_cells_take(options, kind)
+        return _OTHER_KINDS[kind](options)
     _only_systems_take(options, "step", "stop")
     scenario = load_scenario(options.file)
     folder = options.out or RESULTS / scenario.name
@@ -129,6 +119,11 @@ def _chosen(scenario: Scenario, names: Sequence[str] | None) -> Scenario:
 
 
 def _run_experiment(options: Namespace) -> int:
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    from robomill.cell import experiments
+
     experiment = experiments.load_experiment(options.file)
     folder = options.out or RESULTS / experiment.name
     notes, warnings = experiments.remarks(experiment, options.variant)
@@ -161,6 +156,11 @@ def _run_experiment(options: Namespace) -> int:
 
 
 def _run_learning(options: Namespace) -> int:
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    from robomill.cell import path_learning
+
     scenario = path_learning.load_learning(options.file)
     folder = options.out or RESULTS / scenario.name
     folder.mkdir(parents=True, exist_ok=True)
@@ -213,6 +213,8 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
             again = {"resume": options.resume, "overwrite": options.overwrite}
             job = milling.lay_out(wanted, folder, options.fmus, **again, checkpoint_every=options.checkpoint_every)
             if options.stl:
+                from robomill.cell import part
+
                 part.require(job.system)
             unusual = milling.check_variants(replace(job, system=_adopted(_looped(job.system, options), options)), chosen)
             job = replace(job, warnings=(*job.warnings, *unusual))
@@ -222,9 +224,13 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
             job = replace(job, system=_adopted(_looped(job.system, options), options))  # the plan and its offline force stay nominal
             for variant in chosen:
                 recorded, factor = milling.mill(job, variant, report, csv=options.csv)
-                result = evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor)
+                from robomill.cell import evaluation, scan
+
+                result = evaluation.evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor)
                 results.append(scan.scanned(scenario, result) if scenario.scan else result)
                 if options.stl:
+                    from robomill.models.metrology.stl import write_stl
+
                     write_stl(folder / variant.name / "part.stl", part.cut_part(recorded, scenario.workpiece).surface())
                 summary = _write_summary(scenario, folder, results, job)
     except (OrchestrationError, KeyboardInterrupt):
@@ -270,6 +276,9 @@ def _write_summary(scenario: Scenario, folder: Path, results: Sequence[Result], 
 
 def _table(scenario: Scenario, results: Sequence[Result]) -> Table:
     """Our figures, and beside them those of the paper where it has them."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
     table = Table(title=f"{scenario.title}\nin brackets: published", title_justify="left", box=SIMPLE)
     table.add_column("variant", no_wrap=True)
     for _, title, _, unit, _ in _SHOWN:
@@ -302,6 +311,10 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
         raise ScenarioError(
             f"{folder} already holds results (summary.json); choose another folder (--out), or allow overwriting (--overwrite)"
         )
+    from rich.table import Table
+
+    from robomill.cell import static_loads
+
     found = static_loads.run_static_loads(scenario, options.fmus)
     written = {name: asdict(one) for name, one in found.items()}
     summary = {**next(iter(written.values())), "scenario": scenario.name, "variants": written}  # at its top the first variant
@@ -329,6 +342,8 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
 
 
 def _run_removal_rate(options: Namespace) -> int:
+    from robomill.cell import removal_rate
+
     _only_systems_take(options, "step", "stop")
     scenario = removal_rate.load_removal_rate(options.file)
     if options.variant:
@@ -360,8 +375,11 @@ def _run_removal_rate(options: Namespace) -> int:
     return 0
 
 
-def _rate_table(scenario: removal_rate.RateScenario, results: Sequence[removal_rate.RateResult]) -> Table:
+def _rate_table(scenario: RateScenario, results: Sequence[RateResult]) -> Table:
     """Time, peak and each section of all variants, and beside them what the paper has."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
     table = Table(title=f"{scenario.title}\nin brackets: published", title_justify="left", box=SIMPLE)
     columns = [("duration_s", "time\ns", "{:.2f}"), ("saved_percent", "saved\n%", "{:z.0f}"), ("peak_force_n", "peak\nN", "{:.0f}")]
     for section in scenario.sections:
@@ -388,7 +406,11 @@ def _looped(system: System, options: Namespace) -> System:
 
 def _adopted(system: System, options: Namespace) -> System:
     """With the parameter set of `--adopt`; its values replace those of the system."""
-    return system if options.adopt is None else adopt.adopted(system, options.adopt)
+    if options.adopt is None:
+        return system
+    from robomill.diagnosis.outcome import adopt
+
+    return adopt.adopted(system, options.adopt)
 
 
 def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
@@ -429,6 +451,9 @@ def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
 
 def build(options: Namespace) -> int:
     """`robomill build`: FMUs of all or some components, a replay FMU of one of them, or whole systems as SSP packages."""
+    from robomill.cell import package as ssp
+    from robomill.fmus.components import COMPONENTS, component
+
     packages: list[System] = []
     if options.ssp is not None:
         packages = ssp.systems(options.ssp, options.out / "tables" / options.ssp.stem, options.variant)
@@ -452,6 +477,9 @@ def build(options: Namespace) -> int:
 
 def _build(models: Sequence[Model], options: Namespace, report: milling.Progress) -> list[Path]:
     """FMUs of all models with the backend and for the FMI versions that were asked for."""
+    from robomill.fmus.documentation import reference_files
+    from robomill.fmus.python.builder import build as build_python
+
     versions = sorted(set(options.fmi or [DEFAULT_FMI]))
     report("build", 0, len(models) * len(versions))
     files: list[Path] = []
@@ -479,6 +507,9 @@ def _build(models: Sequence[Model], options: Namespace, report: milling.Progress
 
 def _replay_model(recorded: Run, component_name: str, recorded_as: str) -> Model:
     """The model that plays back what `recorded_as` did in a run, in place of the component `component_name`."""
+    from robomill.fmus.components import component
+    from robomill.models.components.recording import replay_model
+
     model = component(component_name)
     if recorded_as not in recorded.components:
         raise ValueError(
@@ -491,6 +522,11 @@ def _replay_model(recorded: Run, component_name: str, recorded_as: str) -> Model
 
 def check(options: Namespace) -> int:
     """`robomill check`: the conformance battery on each FMU; status 1 if a check failed."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    from robomill import conformance
+
     reports: dict[str, list[conformance.Result]] = {}
     with progress_bar(options.json) as report:
         for i, fmu in enumerate(options.fmus):
@@ -514,9 +550,19 @@ def check(options: Namespace) -> int:
 
 def _console() -> Console:
     """Standard output; wide enough for the tables where it is not a terminal."""
+    from rich.console import Console
+
     console = Console()
     return console if console.is_terminal else Console(width=120)
 
 
 def _write(file: Path, content: Any) -> None:
     file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+_OTHER_KINDS: dict[str, Callable[[Namespace], int]] = {
+    "experiment": _run_experiment,
+    "removal_rate": _run_removal_rate,
+    "path_learning": _run_learning,
+}
+"""Scenarios that are neither milled nor loaded: kind and who runs them."""

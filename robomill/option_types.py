@@ -6,7 +6,6 @@ import argparse
 import re
 from collections.abc import Callable
 
-
 _PLAIN = re.compile(r"\s*[-+]?[\d.]+([eE][-+]?\d+)?\s*")
 
 
