@@ -21,6 +21,7 @@ DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exc
 ACTIONS = {
     "example": ("example_command", "run"),
     "run": ("commands", "run"),
+    "sweep": ("sweep_command", "run"),
     "build": ("commands", "build"),
     "check": ("commands", "check"),
     "plan": ("plan_command", "plan"),
@@ -107,6 +108,14 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--adopt", type=Path, metavar="FILE.ssv", help="with the effects that `robomill diagnose` found")
     run.add_argument("--no-pictures", action="store_true", help="skip the pictures")
     run.add_argument("--stl", action="store_true", help="write the machined part as part.stl beside each recording (cells with tri-dexels)")
+
+    sweep = _command(
+        commands,
+        "sweep",
+        "run a scenario or system over a grid of parameters, and keep a table of summaries",
+        'robomill sweep scenarios/groove.toml --set "milling.tool_wear=0,0.2,0.4" --variant cartesian',
+    )
+    sweep.add_when_used("sweep_command", "add_arguments")
 
     build = _command(commands, "build", "write every FMU", "robomill build --out dist")
     build.add_argument("--out", type=Path, default=Path("dist"), help="folder for the FMUs (default: dist)")

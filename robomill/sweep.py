@@ -49,7 +49,7 @@ VARIANT = "variant"
 """Name of the parameter that chooses a variant of a scenario."""
 ERROR = "error"
 """Column with the message of a run that failed."""
-ROWS, SETUP, TABLE = "rows.jsonl", "sweep.json", "table.csv"
+ROWS, SETUP, SHARED, TABLE = "rows.jsonl", "sweep.json", "setup.pickle", "table.csv"
 _CHUNKS_PER_WORKER, _LARGEST_CHUNK = 8, 100
 """Runs go to the processes in parcels: several each, so that all end together, and none so large that a broken sweep loses much."""
 
@@ -158,6 +158,7 @@ def sweep(
         store = _Store(place, setup, overwrite)
         for row in _made(setup, store, [s for s in sets if not store.has(s)], jobs, scheduler, len(sets), progress):
             store.add(row)
+        store.tidy()
         names = tuple(dict.fromkeys(n for s in sets for n in s))
         figures = tuple(s.name for s in setup.summaries)
         table = SweepTable(names, figures, tuple(store.row(s, figures) for s in sets), subject.warnings)
@@ -445,9 +446,13 @@ class _Store:
                 raise SweepError(
                     f"summary {s.name!r} cannot be sent to other processes ({error}); define the function in a module, or give jobs = 1"
                 ) from None
-        file = (self._folder / "setup.pickle").resolve()
+        file = (self._folder / SHARED).resolve()
         file.write_bytes(pickle.dumps(setup))
         return file
+
+    def tidy(self) -> None:
+        """Remove what only the processes needed."""
+        (self._folder / SHARED).unlink(missing_ok=True)
 
 
 def _key(parameters: Parameters) -> str:
