@@ -8,10 +8,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robomill.cell import milling, part, scan
-from robomill.cell.evaluation import Figures, Result, evaluate
+from robomill.cell import milling
 from robomill.cell.scenario import Scenario, ScenarioError
-from robomill.models.metrology.stl import write_stl
 from robomill.orchestration import html
 from robomill.orchestration.errors import unknown
 from robomill.orchestration.optional import optional
@@ -22,6 +20,8 @@ from robomill.orchestration.system.written import merged
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
+
+    from robomill.cell.evaluation import Figures, Result
 
 SUMMARY = "summary.json"
 
@@ -118,6 +118,8 @@ class Runs(Mapping[str, Run]):
         from robomill.cell import pictures
 
         files = pictures.draw_all(self.scenario, self.results, self.folder)
+        from robomill.cell import scan
+
         return files + (scan.draw(self.scenario, self.results, self.folder) if self.scenario.scan else [])
 
     def summary(self, others: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -186,6 +188,8 @@ def mill_variants(
         check_vacant(folder / v.name for v in wanted.variants)
     job = milling.lay_out(wanted, folder, fmus, resume=resume, overwrite=overwrite, checkpoint_every=checkpoint_every)
     if stl:
+        from robomill.cell import part
+
         part.require(job.system)
     unusual = milling.check_variants(replace(job, system=changed(job.system)), wanted.variants)
     job = replace(job, warnings=(*job.warnings, *unusual))
@@ -198,9 +202,13 @@ def mill_variants(
     others = _figures_in(folder / SUMMARY)
     for variant in wanted.variants:
         recorded, factor = milling.mill(job, variant, progress, csv=csv)
-        result = evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor)
+        from robomill.cell import evaluation, scan  # with what the surface is measured with: the run begins without it
+
+        result = evaluation.evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor)
         runs = replace(runs, results=(*runs.results, scan.scanned(scenario, result) if scenario.scan else result))
         if stl:
+            from robomill.models.metrology.stl import write_stl
+
             write_stl(folder / variant.name / "part.stl", part.cut_part(recorded, scenario.workpiece).surface())
         (folder / SUMMARY).write_text(json.dumps(runs.summary(others), indent=1) + "\n", encoding="utf-8")
         if done is not None:

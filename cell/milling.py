@@ -14,7 +14,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from robomill.cell.binding import convert, resolve, with_fmus
@@ -36,7 +35,6 @@ from robomill.models.process.cutting import EndMill
 from robomill.orchestration.assembly import Assembly, assemble, run
 from robomill.orchestration.errors import SlaveError
 from robomill.orchestration.runs.run import Run
-from robomill.orchestration.slaves.description import open_fmu
 from robomill.orchestration.system.definition import Connection, System
 from robomill.orchestration.system.wiring import Wiring
 
@@ -405,6 +403,8 @@ def offline_force(job: Job, progress: Progress | None = None) -> tuple[FloatArra
         resume=job.resume,
     )
     # the force is a mean over the step that ends at t: it belongs to the middle of that step
+    from scipy.ndimage import uniform_filter1d  # takes a third of a second to load
+
     tau = result["path.path_time"][1:] - 0.5 * offline.step
     smooth = uniform_filter1d(result["milling.f_T_B"][1:], PILOT_WINDOW, axis=0, mode="nearest")
     return tau, smooth
@@ -428,6 +428,8 @@ def _is_recording(system: System, name: str) -> bool:
     source = system.component(name).source
     if not source.endswith(".fmu"):
         return False
+    from robomill.orchestration.slaves.description import open_fmu  # with FMPy
+
     with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         try:
             ports = open_fmu(system.folder / source, Path(folder)).ports

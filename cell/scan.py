@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from robomill.cell.evaluation import Figures, Result
 from robomill.cell.scenario import Scenario
 from robomill.models.metrology.faced_surface import FacedSurface, beside_openings, faced_surface
 from robomill.orchestration.runs.run import Run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SPACING = 1e-3
 """Distance [m] of the scanned points."""
@@ -81,6 +84,8 @@ def draw(scenario: Scenario, results: Sequence[Result], folder: Path) -> list[Pa
 
 def profiles(results: Sequence[Result], found: Sequence[FacedSurface]) -> Figure:
     """Error along the middle line of the block, as a laser sensor scans it (Figs. 18-20)."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(9, 4), layout="constrained")
     ax = figure.subplots()
     for result, each in zip(results, found, strict=True):
@@ -101,6 +106,8 @@ def _lane(each: FacedSurface) -> float:
 
 def maps(results: Sequence[Result], found: Sequence[FacedSurface]) -> Figure:
     """Error of the whole surface in steps of the shim (Fig. 17): where the tool touches first, and where the paint goes last."""
+    from matplotlib.figure import Figure
+
     low = min(f.touch for f in found)
     high = max(f.clean for f in found)
     levels = SHIM * np.arange(np.floor(1e3 * low / SHIM), np.ceil(1e3 * high / SHIM) + 1.0)

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from robomill.api import Diagnosed, Run, Runs, Scenario, System, diagnose, load, load_scenario, run
+    from robomill.api import Diagnosed, Run, Runs, Scenario, SweepTable, System, diagnose, load, load_scenario, run, sweep
 
-__all__ = ["Diagnosed", "Run", "Runs", "Scenario", "System", "diagnose", "load", "load_scenario", "run"]
+__all__ = ["Diagnosed", "Run", "Runs", "Scenario", "SweepTable", "System", "diagnose", "load", "load_scenario", "run", "sweep"]
 __version__ = "0.1.0"
 
 if not (Path(__file__).parent / "models").is_dir():  # a checkout on a system without symbolic links

@@ -49,8 +49,9 @@ from robomill.orchestration.system.definition import System as _System
 from robomill.orchestration.system.parameters import Convert
 from robomill.orchestration.system.toml_text import parse
 from robomill.progress import progress_bar
+from robomill.sweeping import SweepTable, sweep
 
-__all__ = ["Diagnosed", "Run", "Runs", "Scenario", "System", "diagnose", "load", "load_scenario", "run"]
+__all__ = ["Diagnosed", "Run", "Runs", "Scenario", "SweepTable", "System", "diagnose", "load", "load_scenario", "run", "sweep"]
 
 Parameters = Mapping[str, Mapping[str, Any]]
 """component -> parameter -> value: a number (or nested lists of them) in the unit of the port, or a text with its unit, "20 urad"."""

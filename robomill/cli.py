@@ -14,9 +14,6 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from robomill import __version__
-from robomill.models.planning.gcode import DIALECTS
-from robomill.models.planning.point_path import INTERPOLATIONS
-from robomill.models.planning.quantities import QUANTITIES
 from robomill.option_types import add_overwrite, in_unit, probability
 from robomill.orchestration.errors import Interrupted, OrchestrationError
 
@@ -25,6 +22,7 @@ DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exc
 ACTIONS = {
     "example": ("example_command", "run"),
     "run": ("commands", "run"),
+    "sweep": ("sweep_command", "run"),
     "build": ("commands", "build"),
     "check": ("commands", "check"),
     "plan": ("plan_command", "plan"),
@@ -49,6 +47,23 @@ SHELLS = ("bash", "zsh", "fish")
 class _Parser(argparse.ArgumentParser):
     """Ends with an exception that has the text, for --json."""
 
+    _later: tuple[str, str] | None = None
+
+    def add_when_used(self, module: str, function: str) -> None:
+        """Options that `function(parser)` of a module adds when the command is parsed or described; imported no earlier."""
+        self._later = module, function
+
+    def complete(self) -> None:
+        """Add the options that were put off."""
+        later, self._later = self._later, None
+        if later is not None:
+            getattr(importlib.import_module(f"robomill.{later[0]}"), later[1])(self)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """That of argparse, with all options."""
+        self.complete()
+        return super().parse_known_args(args, namespace)
+
     def error(self, message: str) -> NoReturn:
         self.print_usage(sys.stderr)
         print(f"{self.prog}: error: {message}", file=sys.stderr)
@@ -56,9 +71,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def parser() -> argparse.ArgumentParser:
-    """All commands and their options."""
-    from robomill import blind_command, compensate_command, identify_command, place_command, rsi_command
-
+    """All commands and their options; those of commands that load much are added when they are parsed (`_Parser.complete`)."""
     main_parser = _Parser(
         "robomill", description=DESCRIPTION, epilog="Start with: robomill example groove, then robomill run scenarios/groove.toml"
     )
@@ -103,6 +116,14 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--no-pictures", action="store_true", help="skip the pictures")
     run.add_argument("--stl", action="store_true", help="write the machined part as part.stl beside each recording (cells with tri-dexels)")
 
+    sweep = _command(
+        commands,
+        "sweep",
+        "run a scenario or system over a grid of parameters, and keep a table of summaries",
+        'robomill sweep scenarios/groove.toml --set "milling.tool_wear=0,0.2,0.4" --variant cartesian',
+    )
+    sweep.add_when_used("sweep_command", "add_arguments")
+
     build = _command(commands, "build", "write every FMU", "robomill build --out dist")
     build.add_argument("--out", type=Path, default=Path("dist"), help="folder for the FMUs (default: dist)")
     build.add_argument(
@@ -134,7 +155,7 @@ def parser() -> argparse.ArgumentParser:
     check.add_argument("fmus", type=Path, nargs="+", metavar="FMU", help="co-simulation FMUs of FMI 2.0 or 3.0")
 
     plan = _command(commands, "plan", "plan a program and say what it does", "robomill plan scenarios/groove.ngc")
-    _plan_arguments(plan)
+    plan.add_when_used("cli", "add_plan_arguments")
 
     stability = _command(
         commands,
@@ -150,12 +171,12 @@ def parser() -> argparse.ArgumentParser:
         "correct a program for the bending of the robot, from the simulation, and write it as G-code, KRL and RAPID",
         "robomill compensate scenarios/kr210/offline.toml",
     )
-    compensate_command.add_arguments(offline)
+    offline.add_when_used("compensate_command", "add_arguments")
 
     place = _command(
         commands, "place", "find where workpiece and spindle bend the robot least", "robomill place scenarios/kr210/offline.toml"
     )
-    place_command.add_arguments(place)
+    place.add_when_used("place_command", "add_arguments")
 
     bring = _command(
         commands,
@@ -221,7 +242,7 @@ def parser() -> argparse.ArgumentParser:
     blind = _command(
         commands, "blind", "the benchmark of withheld effects: make, run, score, page", "robomill blind make results/blind --cases 24"
     )
-    blind_command.add_arguments(blind)
+    blind.add_when_used("blind_command", "add_arguments")
 
     identify = _command(
         commands,
@@ -229,14 +250,14 @@ def parser() -> argparse.ArgumentParser:
         "identify parameters of the cell: springs of the robot, payload of the force sensor",
         "robomill identify stiffness data/fanuc_r2000ic/loads.toml",
     )
-    identify_command.add_arguments(identify)
+    identify.add_when_used("identify_command", "add_arguments")
 
     rsi = _command(commands, "rsi", "answer a KUKA controller in real time over RSI, and record it", "robomill rsi scenarios/rsi/link.toml")
-    rsi_command.add_partner_arguments(rsi)
+    rsi.add_when_used("rsi_command", "add_partner_arguments")
     krc = _command(
         commands, "krc", "be the robot controller of such a link, simulated", "robomill krc scenarios/rsi/link.toml --lost 0.001"
     )
-    rsi_command.add_robot_arguments(krc)
+    krc.add_when_used("rsi_command", "add_robot_arguments")
     completion = _command(
         commands, "completion", "print what makes a shell complete commands, options and files", 'eval "$(robomill completion bash)"'
     )
@@ -268,8 +289,11 @@ def _stability_arguments(stability: argparse.ArgumentParser) -> None:
     add_overwrite(stability)
 
 
-def _plan_arguments(plan: argparse.ArgumentParser) -> None:
+def add_plan_arguments(plan: argparse.ArgumentParser) -> None:
     """Where the program stands, and how it is read where it does not say itself."""
+    from robomill.models.planning.gcode import DIALECTS
+    from robomill.models.planning.point_path import INTERPOLATIONS
+    from robomill.models.planning.quantities import QUANTITIES
 
     def place(option: str, text: str) -> None:
         plan.add_argument(option, nargs=3, type=in_unit("mm"), metavar=("X", "Y", "Z"), help=text)
@@ -332,10 +356,8 @@ def _plan_arguments(plan: argparse.ArgumentParser) -> None:
     )
 
 
-def _command(commands: Any, name: str, text: str, example: str) -> argparse.ArgumentParser:
-    command: argparse.ArgumentParser = commands.add_parser(
-        name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=f"Example: {example}"
-    )
+def _command(commands: Any, name: str, text: str, example: str) -> _Parser:
+    command: _Parser = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=f"Example: {example}")
     command.add_argument("--json", action="store_true", help="print the result as JSON and nothing else")
     return command
 

@@ -6,37 +6,30 @@ import json
 import sys
 import tomllib
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.text import Text
-
-from robomill import conformance
-from robomill.cell import experiments, milled, milling, path_learning, removal_rate, scan, static_loads
-from robomill.cell import package as ssp
+from robomill.cell import milling
 from robomill.cell.binding import convert, resolve, with_fmus
 from robomill.cell.equipment import load_system
 from robomill.cell.plausibility import unusual_values
 from robomill.cell.scenario import Scenario, ScenarioError, load_scenario
-from robomill.diagnosis.outcome import adopt
-from robomill.example_command import examples
-from robomill.fmus.components import COMPONENTS, component
-from robomill.fmus.documentation import reference_files
-from robomill.fmus.python.builder import build as build_python
-from robomill.models.components.recording import replay_model
-from robomill.models.model.declaration import Model
 from robomill.orchestration.assembly import assemble
 from robomill.orchestration.assembly import run as run_once
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.runs.lock import FolderLock
 from robomill.orchestration.runs.run import Run
-from robomill.orchestration.ssp.importing import open_ssp
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.toml_text import parse
 from robomill.progress import progress_bar
 from robomill.tables import Content, Heading, notes, say, show
+
+if TYPE_CHECKING:  # what only some commands need, or the end of a run, is imported there: a run begins without it
+    from robomill.cell.milled import Runs
+    from robomill.cell.removal_rate import RateResult, RateScenario
+    from robomill.models.model.declaration import Model
 
 DEFAULT_FMI = 2
 """Version of FMI that is built where none is asked for; Python FMUs know no other."""
@@ -47,11 +40,15 @@ VARIANT = Heading("variant", "left")
 def run(options: Namespace) -> int:
     """`robomill run`: a scenario of any kind, a plain system file, or an SSP package."""
     if options.file.suffix == ".ssp":
+        from robomill.orchestration.ssp.importing import open_ssp
+
         with open_ssp(options.file, options.step) as package:
             for text in package.ignored:
                 print(f"{options.file.name}: ignored: {text}", file=sys.stderr)
             return _run_system(package.system, options, package.start)
     if not options.file.is_file():
+        from robomill.example_command import examples
+
         name = options.file.with_suffix("").as_posix().removeprefix("scenarios/")
         if name in examples():
             raise FileNotFoundError(f"no scenario {options.file}; `robomill example {name}` copies it here")
@@ -61,20 +58,15 @@ def run(options: Namespace) -> int:
             f"{options.file} is a program: `robomill plan` looks at it, a scenario that names it (scenarios/groove.toml) mills it"
         )
     try:
-        is_scenario = "scenario" in parse(options.file.read_text(encoding="utf-8"))
+        head = parse(options.file.read_text(encoding="utf-8")).get("scenario")
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
-        is_scenario = False  # the system loader names the line
-    if not is_scenario:
+        head = None  # the system loader names the line
+    if head is None:
         return _run_system(load_system(options.file), options)
-    if experiments.is_experiment(options.file):
-        _only_cells_take(options, "experiment")
-        return _run_experiment(options)
-    if removal_rate.is_removal_rate(options.file):
-        _only_cells_take(options, removal_rate.KIND)
-        return _run_removal_rate(options)
-    if path_learning.is_learning(options.file):
-        _only_cells_take(options, path_learning.KIND)
-        return _run_learning(options)
+    kind = head.get("kind") if isinstance(head, dict) else None
+    if kind in _OTHER_KINDS:
+        _only_cells_take(options, kind)
+        return _OTHER_KINDS[kind](options)
     _only_systems_take(options, "step", "stop")
     scenario = load_scenario(options.file)
     folder = options.out or RESULTS / scenario.name
@@ -108,6 +100,8 @@ def _only_cells_take(options: Namespace, kind: str) -> None:
 
 
 def _run_experiment(options: Namespace) -> int:
+    from robomill.cell import experiments
+
     experiment = experiments.load_experiment(options.file)
     folder = options.out or RESULTS / experiment.name
     found, warnings = experiments.remarks(experiment, options.variant)
@@ -131,12 +125,14 @@ def _run_experiment(options: Namespace) -> int:
         rows.append([r.condition, str(r.repeat), f"{r.duration_s:.1f}", moved, force])
     numbers = ("repeat", "duration\ns", "largest displacement\nmm", "largest force\nN")
     show(experiment.title, [Heading("condition", "left"), *map(Heading, numbers)], rows)
-    notes(found, f"{folder / milled.SUMMARY}")
+    notes(found, f"{folder}/summary.json")
     say(f"{len(runs)} runs are in {folder}/")
     return 0
 
 
 def _run_learning(options: Namespace) -> int:
+    from robomill.cell import path_learning
+
     scenario = path_learning.load_learning(options.file)
     folder = options.out or RESULTS / scenario.name
     folder.mkdir(parents=True, exist_ok=True)
@@ -164,6 +160,8 @@ def _run_learning(options: Namespace) -> int:
 
 
 def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
+    from robomill.cell import milled
+
     complete: list[milled.Runs] = []
     try:
         with progress_bar(options.json) as report:
@@ -193,6 +191,8 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
         return 0
     _show_milled(runs)
     if scenario.scan:
+        from robomill.cell import scan
+
         say(*(f"{r.title}: {scan.text(r, scenario.paper.get(r.name, {}))}" for r in runs.results))
     notes(runs.notes, f"{folder / milled.SUMMARY}")
     pictures_note = f" and {len(files)} pictures (start with {files[0].name})" if files else ""
@@ -200,8 +200,10 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
     return 0
 
 
-def _show_milled(runs: milled.Runs) -> None:
+def _show_milled(runs: Runs) -> None:
     """Our figures, and beside them those of the paper where it has them; where the largest deviation is, in short."""
+    from robomill.cell import milled
+
     headings = [VARIANT, *(Heading(f"{c.title}\n{c.unit}") for c in milled.COLUMNS), Heading("largest at", "left", folds=True)]
     rows = [[*row, (r.figures.max_deviation_location or "").partition(":")[0]] for row, r in zip(runs.rows(), runs.results, strict=True)]
     show(f"{runs.scenario.title}\nin brackets: published" if runs.scenario.paper else runs.scenario.title, headings, rows)
@@ -218,6 +220,8 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
         raise ScenarioError(
             f"{folder} already holds results (summary.json); choose another folder (--out), or allow overwriting (--overwrite)"
         )
+    from robomill.cell import static_loads
+
     found = static_loads.run_static_loads(scenario, options.fmus)
     written = {name: asdict(one) for name, one in found.items()}
     summary = {**next(iter(written.values())), "scenario": scenario.name, "variants": written}  # at its top the first variant
@@ -243,6 +247,8 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
 
 
 def _run_removal_rate(options: Namespace) -> int:
+    from robomill.cell import removal_rate
+
     _only_systems_take(options, "step", "stop")
     scenario = removal_rate.load_removal_rate(options.file)
     if options.variant:
@@ -272,7 +278,7 @@ def _run_removal_rate(options: Namespace) -> int:
     return 0
 
 
-def _show_rates(scenario: removal_rate.RateScenario, results: Sequence[removal_rate.RateResult]) -> None:
+def _show_rates(scenario: RateScenario, results: Sequence[RateResult]) -> None:
     """Time, peak and each section of all variants, and beside them what the paper has."""
     columns = [("duration_s", "time\ns", "{:.2f}"), ("saved_percent", "saved\n%", "{:z.0f}"), ("peak_force_n", "peak\nN", "{:.0f}")]
     for section in scenario.sections:
@@ -297,7 +303,11 @@ def _looped(system: System, options: Namespace) -> System:
 
 def _adopted(system: System, options: Namespace) -> System:
     """With the parameter set of `--adopt`; its values replace those of the system."""
-    return system if options.adopt is None else adopt.adopted(system, options.adopt)
+    if options.adopt is None:
+        return system
+    from robomill.diagnosis.outcome import adopt
+
+    return adopt.adopted(system, options.adopt)
 
 
 def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
@@ -338,6 +348,9 @@ def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
 
 def build(options: Namespace) -> int:
     """`robomill build`: FMUs of all or some components, a replay FMU of one of them, or whole systems as SSP packages."""
+    from robomill.cell import package as ssp
+    from robomill.fmus.components import COMPONENTS, component
+
     packages: list[System] = []
     if options.ssp is not None:
         packages = ssp.systems(options.ssp, options.out / "tables" / options.ssp.stem, options.variant)
@@ -361,6 +374,9 @@ def build(options: Namespace) -> int:
 
 def _build(models: Sequence[Model], options: Namespace, report: milling.Progress) -> list[Path]:
     """FMUs of all models with the backend and for the FMI versions that were asked for."""
+    from robomill.fmus.documentation import reference_files
+    from robomill.fmus.python.builder import build as build_python
+
     versions = sorted(set(options.fmi or [DEFAULT_FMI]))
     report("build", 0, len(models) * len(versions))
     files: list[Path] = []
@@ -388,6 +404,9 @@ def _build(models: Sequence[Model], options: Namespace, report: milling.Progress
 
 def _replay_model(recorded: Run, component_name: str, recorded_as: str) -> Model:
     """The model that plays back what `recorded_as` did in a run, in place of the component `component_name`."""
+    from robomill.fmus.components import component
+    from robomill.models.components.recording import replay_model
+
     model = component(component_name)
     if recorded_as not in recorded.components:
         raise ValueError(
@@ -400,6 +419,10 @@ def _replay_model(recorded: Run, component_name: str, recorded_as: str) -> Model
 
 def check(options: Namespace) -> int:
     """`robomill check`: the conformance battery on each FMU; status 1 if a check failed."""
+    from rich.text import Text
+
+    from robomill import conformance
+
     reports: dict[str, list[conformance.Result]] = {}
     with progress_bar(options.json) as report:
         for i, fmu in enumerate(options.fmus):
@@ -420,3 +443,11 @@ def check(options: Namespace) -> int:
 
 def _write(file: Path, content: Any) -> None:
     file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+_OTHER_KINDS: dict[str, Callable[[Namespace], int]] = {
+    "experiment": _run_experiment,
+    "removal_rate": _run_removal_rate,
+    "path_learning": _run_learning,
+}
+"""Scenarios that are neither milled nor loaded: kind and who runs them."""

@@ -33,6 +33,7 @@ def _complete(commands: ArgumentParser) -> None:
     for action in commands._actions:
         if isinstance(action, _SubParsersAction):
             for name, inner in action.choices.items():
+                inner.complete()  # options that are added when they are used
                 _complete(inner)
                 if name == "example":
                     _named(inner)

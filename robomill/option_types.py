@@ -7,9 +7,6 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from robomill.models.model.units import convert
-from robomill.orchestration.system.parameters import quantity
-
 _PLAIN = re.compile(r"\s*[-+]?[\d.]+([eE][-+]?\d+)?\s*")
 
 
@@ -17,6 +14,9 @@ def in_unit(unit: str) -> Callable[[str], float]:
     """A number in `unit`, which the help of the option names, or a text with another unit."""
 
     def read(text: str) -> float:
+        from robomill.models.model.units import convert  # with NumPy, which `--help` does without
+        from robomill.orchestration.system.parameters import quantity
+
         try:
             return quantity(text, "1" if _PLAIN.fullmatch(text) else unit, convert)
         except ValueError as error:

@@ -6,11 +6,12 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+if TYPE_CHECKING:
+    from rich.progress import TaskID
 
-from robomill.cell import milling
+    from robomill.cell import milling
 
 INTERVAL = 10.0
 """Seconds between two lines, where standard error is no terminal: a log of an hour has 360 of them."""
@@ -19,14 +20,16 @@ INTERVAL = 10.0
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[milling.Progress]:
     """Show progress on standard error: a bar where it is a terminal, elsewhere a line each INTERVAL; nothing if `quiet`."""
-    console = Console(stderr=True)
     if quiet:
         yield lambda what, done, total: None
-    elif not console.is_terminal:
+    elif not sys.stderr.isatty():
         yield _Lines().report
     else:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
         columns = (TextColumn("{task.description:40}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn())
-        with Progress(*columns, console=console, transient=True) as bar:
+        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
             tasks: dict[str, TaskID] = {}
 
             def report(what: str, done: int, total: int) -> None:

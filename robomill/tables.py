@@ -6,13 +6,14 @@ import os
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.measure import Measurement
-from rich.table import Table
-from rich.text import Text
+if TYPE_CHECKING:  # rich takes a tenth of a second to load, and a run begins without it
+    from rich.console import Console
+    from rich.text import Text
+
+    Content = str | Text
+    """A text as it is, or one with colours."""
 
 PIPED_WIDTH = 120
 """Columns of a table where standard output is no terminal and COLUMNS does not say how many there are."""
@@ -31,12 +32,10 @@ class Heading:
     """Whether long cells may go on in the next line."""
 
 
-Content = str | Text
-"""A text as it is, or one with colours."""
-
-
 def console() -> Console:
     """Standard output: as wide as the terminal or COLUMNS, else PIPED_WIDTH."""
+    from rich.console import Console
+
     return Console() if _has_width() else Console(width=PIPED_WIDTH)
 
 
@@ -46,6 +45,11 @@ def _has_width() -> bool:
 
 def show(title: str, headings: Sequence[Heading], rows: Iterable[Sequence[Content]], screen: Console | None = None) -> None:
     """Print a table; where that is wider than the screen, each row as a list of its cells below its first one."""
+    from rich.box import SIMPLE
+    from rich.measure import Measurement
+    from rich.table import Table
+    from rich.text import Text
+
     screen = screen or console()
     listed = [[_text(cell) for cell in row] for row in rows]
     table = Table(title=Text(title), title_justify="left", title_style="", box=SIMPLE)
@@ -74,6 +78,8 @@ def show(title: str, headings: Sequence[Heading], rows: Iterable[Sequence[Conten
 
 def say(*sentences: str) -> None:
     """Print sentences, one a line: broken between words on a screen, whole where a program reads them."""
+    from rich.text import Text
+
     screen = console()
     for sentence in sentences:
         screen.print(Text(sentence), soft_wrap=not _has_width())
@@ -88,4 +94,6 @@ def notes(texts: Sequence[str], kept_in: str) -> None:
 
 
 def _text(cell: Content) -> Text:
+    from rich.text import Text
+
     return Text(cell) if isinstance(cell, str) else cell

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import importlib.util
+import json
 import os
 import shutil
 import sys
@@ -59,16 +60,28 @@ def compiled_code(*functions: Callable[..., Any]) -> Iterator[None]:
 
     config: Any = numba.config
     before = config.CACHE_DIR
-    folder = user_folder() / "numba" / _key(functions, numba.__version__)
+    folder = _folder(functions)
     with suppress(OSError):  # a home that cannot be written to: Numba's own place, at worst a compilation per process
-        folder.mkdir(parents=True, exist_ok=True)
+        if not folder.is_dir():
+            folder.mkdir(parents=True, exist_ok=True)
+            prune(folder.parent, folder.name)
         os.utime(folder)
-        prune(folder.parent, folder.name)
         config.CACHE_DIR = str(folder)
     try:
         yield
     finally:
         config.CACHE_DIR = before
+
+
+def compiled_before(*functions: Callable[..., Any]) -> bool:
+    """Whether `compiled_code` has been active for these sources before, in any process; False inside an FMU."""
+    return __name__ == "robomill.models.model.cache" and _folder(functions).is_dir()
+
+
+def _folder(functions: tuple[Callable[..., Any], ...]) -> Path:
+    import numba
+
+    return user_folder() / "numba" / _key(functions, numba.__version__)
 
 
 def prune(folder: Path, current: str, kept: int = KEPT) -> None:
@@ -99,17 +112,35 @@ def source_files(module: str) -> dict[str, Path]:
             raise ModuleNotFoundError(f"no source file of module {name!r}, which {module!r} imports")
         found[name] = file
         package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-        with _PARSING:
-            tree = ast.parse(file.read_text(encoding="utf-8"))
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Import):
-                waiting += [alias.name for alias in node.names if _followed(alias.name, own)]
-            elif isinstance(node, ast.ImportFrom):
-                source = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
-                if _followed(source, own):
-                    modules = [n for alias in node.names if _file(n := f"{source}.{alias.name}")]
-                    waiting += modules if len(modules) == len(node.names) else [source, *modules]
+        for imported, names in _imports(file, _stamp(file)):
+            if names is None:
+                waiting += [imported] if _followed(imported, own) else []
+                continue
+            source = importlib.util.resolve_name(imported, package)
+            if _followed(source, own):
+                modules = [n for alias in names if _file(n := f"{source}.{alias}")]
+                waiting += modules if len(modules) == len(names) else [source, *modules]
     return dict(sorted(found.items()))
+
+
+@cache
+def _imports(file: Path, _: tuple[int, int]) -> list[tuple[str, list[str] | None]]:
+    """What a source file of that stamp imports, in its order: (module, None), or (module, names) where names are taken from it."""
+    with _PARSING:
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+    found: list[tuple[str, list[str] | None]] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found += [(alias.name, None) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            found.append(("." * node.level + (node.module or ""), [alias.name for alias in node.names]))
+    return found
+
+
+def _stamp(file: Path | str) -> tuple[int, int]:
+    """Time of the last change [ns] and size of a file: what Numba, too, knows a changed source by."""
+    status = Path(file).stat()
+    return status.st_mtime_ns, status.st_size
 
 
 def _followed(module: str, own: set[str]) -> bool:
@@ -132,13 +163,44 @@ def _file(module: str) -> Path | None:
 
 
 def _key(functions: tuple[Callable[..., Any], ...], numba_version: str) -> str:
-    """Hash of the sources of `functions`, of the parameter files and of the compiler's version."""
-    files = {*PACKAGE.rglob("*.toml"), *(Path(f.__code__.co_filename) for f in functions)}
+    """Hash of the sources of `functions`, of the parameter files and of the compiler's version.
+
+    Hash and files are kept on disk with the stamps of the files: to follow all imports takes a second, to look at the stamps a
+    millisecond.
+    """
+    compiler = f"{numba_version} {sys.version}"
+    origins = [(f.__module__, f.__code__.co_filename) for f in functions]
+    asked = hashlib.sha256(repr((compiler, origins, sys.path, str(Path.cwd()))).encode()).hexdigest()[:20]
+    kept = user_folder() / "sources" / asked / "stamps.json"
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        known = json.loads(kept.read_text(encoding="utf-8"))
+        if known["stamps"] == _stamps({*known["stamps"], *_data_files()}):
+            os.utime(kept.parent)
+            return str(known["key"])
+    files = {*_data_files(), *(f for _, f in origins)}
     for function in functions:
         with suppress(ModuleNotFoundError):  # __main__, an interactive session
-            files |= set(source_files(function.__module__).values())
-    digest = hashlib.sha256(f"{numba_version} {sys.version}".encode())
-    for file in sorted(f for f in files if f.is_file()):
+            files |= {str(f) for f in source_files(function.__module__).values()}
+    files = {f for f in files if Path(f).is_file()}
+    stamps = _stamps(files)  # before they are read: who edits one meanwhile is noticed the next time
+    digest = hashlib.sha256(compiler.encode())
+    for file in sorted(files):
         digest.update(f"{file}\0".encode())
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
-    return digest.hexdigest()[:20]
+        digest.update(hashlib.sha256(Path(file).read_bytes()).digest())
+    key = digest.hexdigest()[:20]
+    with suppress(OSError):
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        partial = kept.with_name(f"{kept.name}.{os.getpid()}")
+        partial.write_text(json.dumps({"key": key, "stamps": stamps}), encoding="utf-8")
+        partial.replace(kept)
+        prune(kept.parent.parent, asked)
+    return key
+
+
+def _stamps(files: set[str]) -> dict[str, list[int]]:
+    return {file: list(_stamp(file)) for file in files}
+
+
+def _data_files() -> list[str]:
+    """The parameter files."""
+    return [f"{folder}{os.sep}{n}" for folder, _, names in os.walk(PACKAGE) for n in names if n.endswith(".toml")]

@@ -272,10 +272,11 @@ def _compiled(
     if key not in _COMPILED:
         from numba import njit
 
-        from robomill.models.model.cache import compiled_code
+        from robomill.models.model.cache import compiled_before, compiled_code
         from robomill.models.model.calls import check_kernels
 
-        check_kernels(init, step)
+        if not compiled_before(init, step):  # the same sources were checked then
+            check_kernels(init, step)
         options = {**COMPILER_OPTIONS, "nogil": True, "cache": cache}
         with compiled_code(init, step):
             first, second = functions()

@@ -28,6 +28,7 @@ from robomill.orchestration.runs.run import (
     LIVE,
     RUN,
     SIGNALS,
+    arrow,
     cast,
     check_vacant,
     finalise,
@@ -114,7 +115,9 @@ class Recorder:
         self._reserved = 0
         self._stream = pa.BufferedOutputStream(self._file, _PIECE)
         self._writer = pa.ipc.new_stream(self._stream, self._schema)
-        self._writer.write_batch(pa.record_batch([[]] * len(fields), schema=self._schema))  # without a batch there is no schema in the file
+        self._writer.write_batch(
+            pa.record_batch([pa.nulls(0, f.type) for f in fields], schema=self._schema)
+        )  # without a batch there is no schema in the file
         try:
             if aside is not None:
                 self._keep(aside)
@@ -193,8 +196,8 @@ class Recorder:
         self._flushed = time.monotonic()
 
     def _put(self, columns: FloatArray) -> None:
-        whole, n = pa.array(columns.reshape(-1)), columns.shape[1]  # parts of it are made in a third of the time
-        arrays = [whole.slice(i * n, n) if kind == pa.float64() else pa.array(cast(columns[i], kind)) for i, kind in enumerate(self._kinds)]
+        whole, n = arrow(columns.reshape(-1)), columns.shape[1]  # parts of it are made in a third of the time
+        arrays = [whole.slice(i * n, n) if kind == pa.float64() else arrow(cast(columns[i], kind)) for i, kind in enumerate(self._kinds)]
         self._put_batch(pa.RecordBatch.from_arrays(arrays, schema=self._schema))
 
     def _put_columns(self, columns: FloatArray, kept: range) -> None:
@@ -206,7 +209,7 @@ class Recorder:
             return
         batch = self._wrap(columns).slice(kept.start, len(kept))
         for i in self._other:
-            values = pa.array(cast(columns[self._taken[i], kept.start : kept.stop], self._kinds[i]))
+            values = arrow(cast(columns[self._taken[i], kept.start : kept.stop], self._kinds[i]))
             batch = batch.set_column(i, self._schema.field(i), values)
         self._put_batch(batch)
 
@@ -238,7 +241,7 @@ class Recorder:
     def _wrap(self, columns: FloatArray) -> pa.RecordBatch:
         """The array as Arrow sees it, nothing copied. Wrapping takes as long as writing, and the same array comes again and again."""
         if self._wrapped is None or self._wrapped[0] is not columns:
-            whole, n = pa.array(columns.reshape(-1)), columns.shape[1]
+            whole, n = arrow(columns.reshape(-1)), columns.shape[1]
             arrays = [
                 whole.slice(i * n, n) if kind == pa.float64() else pa.nulls(n, kind)
                 for i, kind in zip(self._taken, self._kinds, strict=True)
