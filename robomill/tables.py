@@ -6,15 +6,14 @@ import os
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 if TYPE_CHECKING:  # rich takes a tenth of a second to load, and a run begins without it
     from rich.console import Console
     from rich.text import Text
 
-    Content = str | Text
-    """A text as it is, or one with colours."""
-
+Content: TypeAlias = "str | Text"
+"""A text as it is, or one with colours."""
 PIPED_WIDTH = 120
 """Columns of a table where standard output is no terminal and COLUMNS does not say how many there are."""
 MOST_NOTES = 3
