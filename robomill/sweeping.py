@@ -29,18 +29,18 @@ import numpy as np
 from robomill.blind.workers import cores, work
 from robomill.cell import milling, summaries
 from robomill.cell.binding import convert, resolve, with_fmus
-from robomill.cell.equipment import load_system
-from robomill.cell.scenario import Scenario, load_scenario
+from robomill.cell.scenario import Scenario
 from robomill.cell.summaries import Function, Summary
+from robomill.loading import load
 from robomill.orchestration.assembly import Assembly, assemble
 from robomill.orchestration.errors import describe, unknown
 from robomill.orchestration.rig import Rig
 from robomill.orchestration.runs import checkpoint
 from robomill.orchestration.runs.lock import FolderLock
+from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import base_name
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.parameters import prepare
-from robomill.orchestration.system.toml_text import parse
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -186,9 +186,10 @@ def _subject(
     what: str | Path | Scenario | System, folder: Path, fmus: Path | None, stop: float | None, progress: Progress | None
 ) -> _Subject:
     if isinstance(what, str | Path):
-        file = Path(what)
-        is_system = file.is_file() and "scenario" not in parse(file.read_text(encoding="utf-8"))
-        what = load_system(file) if is_system else load_scenario(file)
+        found = load(what)
+        if isinstance(found, Run):
+            raise SweepError(f"{what} is the folder of a run that has been made; expected a scenario or a system file")
+        what = found
     if isinstance(what, System):
         system = what if fmus is None else with_fmus(what, fmus)
         end = system.stop if stop is None else stop
