@@ -113,7 +113,10 @@ def measure(checkouts: Mapping[str, Path], rounds: int, folder: Path) -> dict[st
 
 @contextmanager
 def checked_out(commit: str, folder: Path) -> Iterator[Path]:
-    """A commit of this repository in a folder of its own."""
+    """A commit of this repository in a folder of its own; or a folder that is a checkout already."""
+    if Path(commit).is_dir():
+        yield Path(commit).resolve()
+        return
     place = folder / "before"
     subprocess.run(["git", "worktree", "add", "--quiet", "--detach", str(place), commit], cwd=ROOT, check=True)
     try:
@@ -156,7 +159,7 @@ def page(found: Mapping[str, Mapping[str, Times]], sweep: tuple[int, int, float,
 def main() -> None:
     """Measure and write the page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.waiting", description=__doc__)
-    parser.add_argument("--before", metavar="COMMIT", help="also measure this commit, in turn")
+    parser.add_argument("--before", metavar="COMMIT", help="also measure this commit (or the checkout in this folder), in turn")
     parser.add_argument("--rounds", type=int, default=5, help="how often all take turns (default: 5)")
     parser.add_argument("--runs", type=int, default=1000, help="runs of the sweep (default: 1000)")
     parser.add_argument("--jobs", type=int, default=2, help="processes of the sweep (default: 2)")
