@@ -34,8 +34,9 @@ figures: $(DEVELOP) ## the studies and pictures of docs/validation.md and docs/r
 	$(BIN)/python docs/studies.py
 	$(BIN)/python docs/rate_studies.py
 
-bench: $(DEVELOP) ## masters side by side on the same FMUs: docs/benchmarks (those of others, as far as they are installed)
+bench: $(DEVELOP) ## masters side by side on the same FMUs, and what users wait for: docs/benchmarks (others as far as they are installed)
 	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks.waiting
 
 diagnose-real: $(READY) ## the gap between model and robot on the KR 300 recordings: docs/real_gap.md
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m robomill.real_gap

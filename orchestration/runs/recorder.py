@@ -115,9 +115,8 @@ class Recorder:
         self._reserved = 0
         self._stream = pa.BufferedOutputStream(self._file, _PIECE)
         self._writer = pa.ipc.new_stream(self._stream, self._schema)
-        self._writer.write_batch(
-            pa.record_batch([pa.nulls(0, f.type) for f in fields], schema=self._schema)
-        )  # without a batch there is no schema in the file
+        # without a batch there is no schema in the file
+        self._writer.write_batch(pa.record_batch([pa.nulls(0, f.type) for f in fields], schema=self._schema))
         try:
             if aside is not None:
                 self._keep(aside)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -125,30 +126,55 @@ def describe(file: Path, folder: Path, names: Sequence[str]) -> FmuDescription:
     if not xml.is_file():
         top = sorted({n.split("/")[0] for n in names})
         raise SlaveError(f"{file}: no modelDescription.xml in it, so not an FMU; it holds {', '.join(top[:20]) or 'nothing'}")
+    known = _content(file, xml)
+    made = replace(
+        known,
+        folder=folder,
+        library=_library(file, folder, known.identifier, names, str(fmpy.platform if known.fmi == FMI_2 else fmpy.platform_tuple)),
+        made_by_pythonfmu=(folder / "resources" / "slavemodule.txt").is_file(),
+    )
+    vars(made).update(ports=known.ports, references=known.references)  # one for all components that are this FMU
+    return made
+
+
+_KNOWN: dict[tuple[Path, bytes], FmuDescription] = {}
+_KEPT = 64
+"""Model descriptions that are kept, by file and content: to read one takes up to 70 ms per 1000 variables, and runs open the same again."""
+
+
+def _content(file: Path, xml: Path) -> FmuDescription:
+    """What modelDescription.xml says; folder, library and what made it are not known yet. Read once per process and content."""
+    key = file, hashlib.sha256(xml.read_bytes()).digest()
+    known = _KNOWN.get(key)
+    if known is not None:
+        return known
     fmi = _version(file, check_xml(xml, file).get("fmiVersion", "unknown"))
-    md = _read(file, folder)
+    md = _read(file, xml.parent)
     if md.coSimulation is None:
         only = "scheduled execution" if getattr(md, "scheduledExecution", None) is not None else "model exchange"
         raise SlaveError(f"{file}: is an FMU for {only} only; a co-simulation FMU is needed: export it with a solver")
-    variables = _variables(file, md, fmi)
-    return FmuDescription(
+    found = FmuDescription(
         fmi=fmi,
         file=file,
-        folder=folder,
-        library=_library(file, folder, md.coSimulation.modelIdentifier, names, str(fmpy.platform if fmi == FMI_2 else fmpy.platform_tuple)),
+        folder=xml.parent,
+        library=xml,
         identifier=md.coSimulation.modelIdentifier,
         guid=md.guid,
-        variables=variables,
+        variables=_variables(file, md, fmi),
         only_once=bool(md.coSimulation.canBeInstantiatedOnlyOncePerProcess),
         can_save_state=bool(md.coSimulation.canGetAndSetFMUstate),
         can_serialise_state=bool(md.coSimulation.canSerializeFMUstate),
-        made_by_pythonfmu=(folder / "resources" / "slavemodule.txt").is_file(),
+        made_by_pythonfmu=False,
         tolerance=_bound(md.defaultExperiment.tolerance) if md.defaultExperiment is not None else None,
         carries_tables=(md.generationTool or "").startswith("robomill "),
         log_categories=tuple(c.name for c in md.logCategories),
         warnings=tuple(_warnings(md)),
         units={u.name: u for u in md.unitDefinitions},
     )
+    _KNOWN[key] = found
+    for oldest in list(_KNOWN)[:-_KEPT]:
+        _KNOWN.pop(oldest, None)
+    return found
 
 
 def _warnings(md: Any) -> Iterator[str]:

@@ -8,6 +8,7 @@ order may leave a connection that goes backwards even where there is no algebrai
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterable, Mapping, Sequence
 
 from robomill.orchestration.slaves.protocol import Port, inputs, outputs
@@ -79,13 +80,25 @@ def execution_order(through: Mapping[Element, Sequence[Element]], links: Sequenc
         if source[0] != target[0]:
             matters = any(o in connected for o in through.get(target, ()))
             (hard if matters else soft).add((source[0], target[0]))
-    remaining, order = list(components), list[str]()
-    while remaining:
-        waiting = set(remaining)
-
-        def rank(name: str, waiting: set[str] = waiting) -> tuple[int, int]:
-            return tuple(sum(b == name and a in waiting for a, b in edges) for edges in (hard, soft))  # type: ignore[return-value]  # a pair
-
-        order.append(min(remaining, key=rank))
-        remaining.remove(order[-1])
+    place = {name: i for i, name in enumerate(components)}
+    waits = {name: [0, 0] for name in components}  # hard and soft connections from components that are not in the order yet
+    onward: dict[str, list[tuple[str, int]]] = {name: [] for name in components}
+    for kind, edges in enumerate((hard, soft)):
+        for a, b in edges:
+            waits[b][kind] += 1
+            onward[a].append((b, kind))
+    heap = [(*waits[name], place[name]) for name in components]
+    heapq.heapify(heap)
+    order: list[str] = []
+    while heap:
+        *rank, i = heapq.heappop(heap)
+        name = components[i]
+        if name not in waits or rank != waits[name]:  # it is in the order, or stands in the heap with fewer, too
+            continue
+        del waits[name]
+        order.append(name)
+        for b, kind in onward[name]:
+            if b in waits:
+                waits[b][kind] -= 1
+                heapq.heappush(heap, (*waits[b], place[b]))
     return order

@@ -403,3 +403,32 @@ class TestPackages:
         assert "x.ssp: not a zip archive, so not an SSP" in refused(capsys, "run", "x.ssp")
         assert "y.ssp: no such file; SSPs in that folder: x.ssp" in refused(capsys, "run", "y.ssp")
         assert "no variant none; variants: cartesian" in refused(capsys, "build", "--ssp", "part.toml", "--variant", "none")
+
+
+@pytest.mark.parametrize(
+    ("code", "absent"),
+    [
+        ("from robomill.cli import parser; parser().format_help()", ("numpy", "numba", "rich")),
+        ("import robomill.commands", ("matplotlib", "pandas", "rich", "fmpy", "scipy.ndimage", "scipy.optimize")),
+        (
+            "import numpy as np; from robomill.orchestration.runs.run import arrow; arrow(np.zeros(3)); arrow(np.array([True]))",
+            ("pandas",),
+        ),
+    ],
+)
+def test_a_command_loads_what_it_begins_with_and_no_more(code: str, absent: tuple[str, ...]) -> None:
+    check = f"import sys; {code}; print([name for name in {absent!r} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_options_that_are_added_when_they_are_used_are_in_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, option in (
+        (["identify", "stiffness"], "--tilt"),
+        (["sweep"], "--summary"),
+        (["plan"], "--dialect"),
+        (["rsi"], "--listen"),
+    ):
+        with pytest.raises(SystemExit):
+            main([*arguments, "--help"])
+        assert option in capsys.readouterr().out

@@ -36,7 +36,7 @@ def short(**options: object) -> SweepTable:
 
 
 def largest_force(found: Run) -> float:
-    """Of a function that other processes import."""
+    """Length of the largest force [N]; a function that other processes import."""
     return float(np.max(np.linalg.norm(found["sensor.f_T_T"], axis=1)))
 
 

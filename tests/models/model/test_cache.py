@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from robomill.models.model.cache import IN_USE, _key, compiled_code, prune, source_files, user_folder
+from robomill.models.model.cache import IN_USE, _key, compiled_before, compiled_code, prune, source_files, user_folder
+from robomill.models.model.calls import check_kernels
 
 MODEL = """
 from robomill.models.model.declaration import Model, Variable
@@ -165,3 +166,39 @@ def test_threads_may_look_for_sources_side_by_side() -> None:
         gc.set_threshold(*before)
         sys.setswitchinterval(interval)
     assert all(f == found[0] for f in found)
+
+
+def test_sources_that_have_not_changed_are_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROBOMILL_CACHE_DIR", str(tmp_path))
+    first = _key((prune,), "1")
+    monkeypatch.setattr("robomill.models.model.cache.source_files", lambda module: pytest.fail("followed imports again"))
+    assert _key((prune,), "1") == first
+    (stamps,) = (tmp_path / "sources").rglob("stamps.json")
+    stamps.write_text("{", encoding="utf-8")  # cut off: as if it were not there
+    monkeypatch.undo()
+    monkeypatch.setenv("ROBOMILL_CACHE_DIR", str(tmp_path))
+    assert _key((prune,), "1") == first
+
+
+def test_a_source_that_has_changed_has_another_key_and_one_that_is_touched_has_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROBOMILL_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.syspath_prepend(tmp_path)
+    source = tmp_path / "stamped_module.py"
+    source.write_text("def f():\n    return 1\n", encoding="utf-8")
+    function = __import__("stamped_module").f
+    first = _key((function,), "1")
+    os.utime(source, (1, 1))
+    assert _key((function,), "1") == first
+    source.write_text("def f():\n    return 2\n", encoding="utf-8")
+    assert _key((function,), "1") != first
+
+
+def test_whether_sources_were_compiled_before_is_known_by_their_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROBOMILL_CACHE_DIR", str(tmp_path))
+    assert not compiled_before(prune)
+    with compiled_code(prune):
+        pass
+    assert compiled_before(prune)
+    assert not compiled_before(check_kernels)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from robomill.conformance import check_fmu
 from robomill.orchestration.assembly import assemble, run
 from robomill.orchestration.errors import RunError, SlaveError, SystemFileError
 from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves import description
 from robomill.orchestration.slaves.fmu import FmuSlave
 from robomill.orchestration.slaves.protocol import PortData, Slave, inputs, outputs
 from robomill.orchestration.system.definition import Component, System
@@ -369,3 +371,34 @@ def test_nan_from_an_fmu_is_caught(euler):
     made = System("t", 0.004, (*made.components, Component("x", str(euler))), made.connections)
     with pytest.raises(RunError, match=r"component 's' at t = 0 s: output y is not a number"):
         run(made, stop=0.04, resolver=resolver([s]))
+
+
+def test_a_description_is_read_once_per_content_and_anew_when_the_file_has_changed(euler, tmp_path, monkeypatch):
+    read: list[str] = []
+    original = description.read_model_description
+    monkeypatch.setattr(description, "_KNOWN", {})
+    monkeypatch.setattr(description, "read_model_description", lambda *a, **k: read.append("") or original(*a, **k))
+    file = tmp_path / "again.fmu"
+    file.write_bytes(euler.read_bytes())
+    one, two = FmuSlave(file, "one"), FmuSlave(file, "two")
+    assert len(read) == 1
+    assert one.ports is two.ports
+    assert one.description.library != two.description.library  # each has its own unpacked copy
+    one.close()
+    two.close()
+    with zipfile.ZipFile(euler) as old, zipfile.ZipFile(file, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            new.writestr(name, content.replace(b"</ModelVariables>", b" </ModelVariables>") if name == "modelDescription.xml" else content)
+    FmuSlave(file, "three").close()
+    assert len(read) == 2
+
+
+def test_of_many_descriptions_the_oldest_are_forgotten(euler, tmp_path, monkeypatch):
+    monkeypatch.setattr(description, "_KNOWN", {})
+    monkeypatch.setattr(description, "_KEPT", 2)
+    for name in ("a", "b", "c"):
+        file = tmp_path / f"{name}.fmu"
+        file.write_bytes(euler.read_bytes())
+        FmuSlave(file, name).close()
+    assert [file.stem for file, _ in description._KNOWN] == ["b", "c"]
