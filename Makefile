@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: run test check quick build golden figures bench diagnose-real recordings clean help
+.PHONY: run test check docs quick build golden figures bench diagnose-real recordings clean help
 
 run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictures in results/test_part
 	$(BIN)/robomill build
@@ -22,20 +22,23 @@ check: $(READY) ## formatter, linter with docstring check, types, import rules
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+docs: $(READY) ## the documentation site in results/site; a broken link or a page that is in no table of contents is an error
+	$(BIN)/sphinx-build --conf-dir docs --doctree-dir results/doctrees --fail-on-warning --quiet . results/site
+
 build: $(READY) ## write every FMU to dist/
 	$(BIN)/robomill build
 
 golden: $(READY) ## write the golden results anew; review the diff
 	$(BIN)/python -m tests.fmus.regenerate
 
-figures: $(READY) ## the studies and pictures of docs/validation.md and docs/rate_control.md
+figures: $(READY) ## the studies and pictures of docs/explanation/validation.md and docs/explanation/rate_control.md
 	$(BIN)/python docs/studies.py
 	$(BIN)/python docs/rate_studies.py
 
 bench: $(READY) ## masters side by side on the same FMUs: docs/benchmarks (those of others, as far as they are installed)
 	$(BIN)/python -m benchmarks
 
-diagnose-real: $(READY) ## the gap between model and robot on the KR 300 recordings: docs/real_gap.md
+diagnose-real: $(READY) ## the gap between model and robot on the KR 300 recordings: docs/recordings/real_gap.md
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m robomill.real_gap
 
 recordings: $(READY) ## public recordings of real machines through the diagnosis: docs/recordings
