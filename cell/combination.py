@@ -16,7 +16,7 @@ from robomill.orchestration.system.definition import System
 __all__ = ["check_combination"]
 
 _FORCE = "f_T_T"
-"""Input that is a measured force vector (docs/reference/nomenclature.md)."""
+"""Input that is a measured force vector (docs/nomenclature.md)."""
 
 
 def check_combination(system: System) -> None:

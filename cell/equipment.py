@@ -51,9 +51,9 @@ __all__ = ["load_system", "machine_of", "ports_of", "robot_of", "tool_of"]
 Values = Mapping[str, "float | FloatArray"]
 """Parameter -> value in SI."""
 _GEOMETRY = ("dh_", "axis_", "q_min", "q_max", "p_FT_F", "quat_FT", "tool_length", "sensor_position", "holder_position", "p_FG_F")
-"""How the names of parameters begin that are the same piece of the machine wherever they stand (docs/reference/nomenclature.md)."""
+"""How the names of parameters begin that are the same piece of the machine wherever they stand (docs/nomenclature.md)."""
 _AXIS_ANGLES = ("q_ref", "q_link", "q_motor", "q")
-"""Inputs that are axis angles A1..A6 (docs/reference/nomenclature.md)."""
+"""Inputs that are axis angles A1..A6 (docs/nomenclature.md)."""
 _SAME = 1e-9
 """Part of the largest element by which geometry may differ: what a conversion of units rounds."""
 _KEYS = {"robot": ("name", "file", "compliance", "dynamics")}

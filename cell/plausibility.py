@@ -28,7 +28,7 @@ _PARAMETERS = {"diameter": "diameter", "block_size": "block_size", "Ktc": "cutti
 _RIGID = 1e90
 """N.m/rad from which a spring stands for none: Table 1 of the paper prints 9.9e99 N.mm/rad."""
 _GEOMETRY = re.compile(r"(p|quat|abc)_[A-Z]{2}(_[A-Z])?|dh_\w+|axis_sign|tool_length|sensor_position|holder_position")
-"""Names of parameters that are the same piece of the machine wherever they stand (docs/reference/nomenclature.md)."""
+"""Names of parameters that are the same piece of the machine wherever they stand (docs/nomenclature.md)."""
 _SAME = 1e-9
 """Part of the largest element by which geometry may differ: what a conversion of units rounds."""
 

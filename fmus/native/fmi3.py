@@ -113,7 +113,7 @@ def _references(interface: Interface, first: Mapping[str, Port], names: set[str]
 
 
 def terminals(interface: Interface) -> Iterator[Terminal]:
-    """Wrenches, forces, poses and displacements among the inputs and outputs, found by the names of docs/reference/nomenclature.md."""
+    """Wrenches, forces, poses and displacements among the inputs and outputs, found by the names of docs/nomenclature.md."""
     for causality in ("input", "output"):
         ports = {v.name: v for v in interface.model.variables if v.causality == causality}
         for name, v in ports.items():

@@ -18,7 +18,7 @@ Instant = float | datetime.datetime
 Span = tuple[float, float]
 """Begin and end [s]: what is at the begin belongs to it, what is at the end does not."""
 TICK = 1e-9
-"""s. The resolution of time in a run (docs/reference/nomenclature.md): stamps that are nearer than that are the same."""
+"""s. The resolution of time in a run (docs/nomenclature.md): stamps that are nearer than that are the same."""
 _EDGES = {"rises": np.greater, "falls": np.less, "changes": np.not_equal}
 EDGES = tuple(_EDGES)
 
