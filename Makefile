@@ -2,6 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
+# what tests, linters and benchmarks need besides
+DEVELOP := .venv/ready-dev
 
 .PHONY: run test check docs quick build golden figures bench diagnose-real recordings clean help
 
@@ -10,38 +12,38 @@ run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictu
 	$(BIN)/robomill run scenarios/test_part.toml --fmus --overwrite
 
 # A worker needs up to 3 GB. Twenty minutes on two cores; on a slow machine what has not begun after an hour is skipped and counted.
-test: $(READY) ## every test, the slow ones too, on up to four cores
+test: $(DEVELOP) ## every test, the slow ones too, on up to four cores
 	$(BIN)/python -m pytest -m "slow or not slow" --numprocesses auto --maxprocesses 4 --dist loadfile --within 60
 
-quick: $(READY) ## the short tests only
+quick: $(DEVELOP) ## the short tests only
 	$(BIN)/python -m pytest
 
-check: $(READY) ## formatter, linter with docstring check, types, import rules
+check: $(DEVELOP) ## formatter, linter with docstring check, types, import rules
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-docs: $(READY) ## the documentation site in results/site; a broken link or a page that is in no table of contents is an error
+docs: $(DEVELOP) ## the documentation site in results/site; a broken link or a page that is in no table of contents is an error
 	$(BIN)/sphinx-build --conf-dir docs --doctree-dir results/doctrees --fail-on-warning --quiet . results/site
 
 build: $(READY) ## write every FMU to dist/
 	$(BIN)/robomill build
 
-golden: $(READY) ## write the golden results anew; review the diff
+golden: $(DEVELOP) ## write the golden results anew; review the diff
 	$(BIN)/python -m tests.fmus.regenerate
 
-figures: $(READY) ## the studies and pictures of docs/explanation/validation.md and docs/explanation/rate_control.md
+figures: $(DEVELOP) ## the studies and pictures of docs/explanation/validation.md and docs/explanation/rate_control.md
 	$(BIN)/python docs/studies.py
 	$(BIN)/python docs/rate_studies.py
 
-bench: $(READY) ## masters side by side on the same FMUs: docs/benchmarks (those of others, as far as they are installed)
+bench: $(DEVELOP) ## masters side by side on the same FMUs: docs/benchmarks (those of others, as far as they are installed)
 	$(BIN)/python -m benchmarks
 
 diagnose-real: $(READY) ## the gap between model and robot on the KR 300 recordings: docs/recordings/real_gap.md
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m robomill.real_gap
 
-recordings: $(READY) ## public recordings of real machines through the diagnosis: docs/recordings
+recordings: $(DEVELOP) ## public recordings of real machines through the diagnosis: docs/recordings
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.recordings --pages docs/recordings
 
 $(READY): requirements.lock pyproject.toml
@@ -50,6 +52,10 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $(READY)
+
+$(DEVELOP): requirements-dev.lock $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-dev.lock
+	touch $(DEVELOP)
 
 clean: ## remove the environment and everything that was made
 	rm -rf .venv dist results

@@ -20,6 +20,7 @@ from robomill.cell.scenario import Scenario, Workpiece
 from robomill.models.metrology.height_map import cut_height_map
 from robomill.models.metrology.surface import SurfaceDeviation
 from robomill.models.model.declaration import FloatArray
+from robomill.orchestration.runs.picture import Picture
 from robomill.orchestration.runs.run import Run
 
 MAP = "RdBu_r"
@@ -73,7 +74,7 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece, nominal: bool = Fa
     rows = -(-shown // columns)
     size = np.array(workpiece.size[:2]) * 1e3
     width = 8.0 if alone else 6.4
-    figure = Figure(
+    figure = Picture(
         figsize=(width * columns + 1.2, max((0.72 * width * size[1] / size[0] + 0.9) * rows, LEAST_HEIGHT)), layout="constrained"
     )
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()

@@ -68,6 +68,7 @@ from robomill.models.planning.gcode import DIALECTS, Setup, Vector
 from robomill.models.planning.point_path import INTERPOLATIONS, Interpolation
 from robomill.models.planning.trajectory import Placement
 from robomill.models.process.cutting import MAX_TEETH, EndMill
+from robomill.orchestration import html
 from robomill.orchestration.system.definition import EQUIPMENT
 from robomill.orchestration.system.entries import Entry
 
@@ -178,6 +179,15 @@ class Scenario:
     """Robot, tool, material and sensor, where they are others than those of the system."""
     scan: Scan | None = None
     """How the surface is scanned, if it is."""
+
+    def _repr_html_(self) -> str:
+        program = "" if self.program is None else f", program {self.program.name}"
+        caption = f"{self.title}: scenario {self.name} of the kind {self.kind}, system {self.system.name}{program}"
+        rows = []
+        for v in self.variants:
+            own = [f"{c}.{name} = {value}" for c, values in v.parameters.items() for name, value in values.items()]
+            rows.append((v.name, v.title, ", ".join([*own, *(f"{c} = {source}" for c, source in v.sources.items())])))
+        return html.table(caption, ("variant", "title", "parameters and sources"), rows)
 
 
 def load_scenario(path: str | Path) -> Scenario:

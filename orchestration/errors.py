@@ -49,6 +49,10 @@ class ResultsError(OrchestrationError):
     """A folder with results cannot be read or written."""
 
 
+class MissingPackageError(OrchestrationError, ImportError):
+    """A package that is not installed with robomill itself is needed; the text names the command that installs it."""
+
+
 class RunError(OrchestrationError):
     """A run ended early because of a component; everything up to then is recorded."""
 

@@ -1,11 +1,11 @@
 """The digital twin of compliance-compensated robot milling.
 
-    from robomill import System, run
+    import robomill as rm
 
-    result = run(System.load("my_cell.toml"), "results/my_cell")
-    result["drive.q_link"]          # float64[n, 6]
+    runs = rm.run("groove")                      # a scenario that comes with robomill, in all its variants
+    runs["cartesian"]["compliance.p_BT_B"]       # float64[n, 3], m
 
-These names are those of `robomill.api`, imported when they are asked for: a part of the package, and an FMU's
+The names are those of `robomill.api`, imported when they are asked for: a part of the package, and an FMU's
 process, does not load the rest of it.
 """
 
@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from robomill.api import Run, Scenario, System, load_scenario, run
+    from robomill.api import Diagnosed, Run, Runs, Scenario, System, diagnose, load, load_scenario, run
 
-__all__ = ["Run", "Scenario", "System", "load_scenario", "run"]
+__all__ = ["Diagnosed", "Run", "Runs", "Scenario", "System", "diagnose", "load", "load_scenario", "run"]
+__version__ = "0.1.0"
 
 if not (Path(__file__).parent / "models").is_dir():  # a checkout on a system without symbolic links
     __path__.append(str(Path(__file__).parents[1]))
@@ -29,3 +30,7 @@ def __getattr__(name: str) -> Any:
     from robomill import api
 
     return getattr(api, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 from rich.box import SIMPLE
 from rich.table import Table
 
-from robomill.files import FILES
+from robomill.files import FILES, vacant
+from robomill.option_types import add_overwrite
 
 if TYPE_CHECKING:
     from robomill.diagnosis.catalogue import Catalogue
@@ -49,6 +50,8 @@ def add_arguments(parser: Any) -> None:
     page = steps.add_parser("page", help="write the results of scored benchmarks as Markdown", description="Write the page of results.")
     page.add_argument("folders", type=Path, nargs="+", metavar="DIR", help="folders of scored benchmarks")
     page.add_argument("--output", type=Path, default=PAGE, metavar="FILE", help=f"the page (default: {PAGE}); {REASONS} beside it")
+    add_overwrite(score, "score.json")
+    add_overwrite(page, "the page")
     for step in (make, run, score, page):
         step.add_argument("--json", action="store_true", default=SUPPRESS, help="print the result as JSON and nothing else")
 
@@ -98,8 +101,8 @@ def lacking(catalogue: Catalogue, parameters: Sequence[str]) -> Catalogue:
 
 def blind(options: Namespace) -> int:
     """`robomill blind`: exit status 1 if a case could not be diagnosed."""
-    from robomill.commands import _console
     from robomill.progress import progress_bar
+    from robomill.tables import console, say
 
     with progress_bar(options.json) as report:
         if options.step == "make":
@@ -117,10 +120,14 @@ def blind(options: Namespace) -> int:
             text = f"{summary['done']} diagnosed, {summary['before']} were there, {len(summary['failed'])} failed, of {summary['cases']}"
             text += "".join(f"\ncase {name}: {error}" for name, error in sorted(summary["failed"].items()))
         elif options.step == "page":
+            if not options.overwrite:
+                vacant(options.output, option="--output")
             summary, text = write_page(options.folders, options.output)
         else:
             from robomill.blind.score import score
 
+            if not options.overwrite:
+                vacant(options.folder / "score.json", option="another DIR")
             found = score(
                 options.folder,
                 isolability=not options.no_isolability,
@@ -136,10 +143,10 @@ def blind(options: Namespace) -> int:
     elif text:
         print(text)
     else:
-        console = _console()
+        screen = console()
         for table in tables(summary):
-            console.print(table)
-        console.print(f"everything, effect by effect, is in {options.folder / 'score.json'}", highlight=False)
+            screen.print(table)
+        say(f"everything, effect by effect, is in {options.folder / 'score.json'}")
     return 1 if summary.get("failed") else 0
 
 

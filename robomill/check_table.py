@@ -2,41 +2,37 @@
 
 from __future__ import annotations
 
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.table import Table
-
+from robomill import tables
 from robomill.diagnosis.check import Checked, Shown
 from robomill.report import units
+from robomill.tables import Heading
 
-HEADINGS = ("effect", "shows at", "smallest visible", "usual", "tolerances\n%", "does not show at", "would help")
+HEADINGS = (
+    Heading("effect", "left"),
+    Heading("shows at", "left", folds=True),
+    Heading("smallest visible"),
+    Heading("usual"),
+    Heading("tolerances\n%"),
+    Heading("does not show at", "left", folds=True),
+    Heading("would help", "left", folds=True),
+)
 
 
-def show(checked: Checked, console: Console) -> None:
+def show(checked: Checked) -> None:
     """The table, sets that do not split, and what is missing."""
     made = ", ".join(f"{name} ({n} repeat{'' if n == 1 else 's'})" for name, n in checked.conditions.items())
     guess = "; nothing was repeated, so the noise is a guess" if checked.noise_is_a_guess else ""
-    table = Table(title=f"{made}{guess}", title_justify="left", box=SIMPLE)
-    for heading in HEADINGS:
-        table.add_column(heading, justify="right" if heading in HEADINGS[2:5] else "left", no_wrap=heading == HEADINGS[0], overflow="fold")
     by_effect: dict[str, list[Shown]] = {}
     for e in checked.effects:
         by_effect.setdefault(e.effect, []).append(e)
-    for effect, places in by_effect.items():
-        table.add_row(effect, *_row(places))
-    console.print(table)
-    for names in checked.sets:
-        console.print(f"will not split: {', '.join(names)}", highlight=False, markup=False)
-    notes = [("changes no measured channel", checked.nothing), ("measured, and no effect changes it", checked.silent)]
-    for what, found in notes:
-        if found:
-            console.print(f"{what}: {', '.join(found)}", highlight=False, markup=False)
-    for text in checked.missing:
-        console.print(f"missing: {text}", highlight=False, markup=False)
-    for text in checked.skipped:
-        console.print(f"note: {text}", highlight=False, markup=False)
+    tables.show(f"{made}{guess}", HEADINGS, [(effect, *_row(places)) for effect, places in by_effect.items()])
+    tables.say(*(f"will not split: {', '.join(names)}" for names in checked.sets))
+    remarks = [("changes no measured channel", checked.nothing), ("measured, and no effect changes it", checked.silent)]
+    tables.say(*(f"{what}: {', '.join(found)}" for what, found in remarks if found))
+    tables.say(*(f"missing: {text}" for text in checked.missing))
+    tables.notes(checked.skipped, "what --json prints")
     effort = checked.effort
-    console.print(f"{effort.simulations} simulations, {effort.taken_over} taken over, {effort.seconds:.0f} s", highlight=False)
+    tables.say(f"{effort.simulations} simulations, {effort.taken_over} taken over, {effort.seconds:.0f} s")
 
 
 def _row(places: list[Shown]) -> tuple[str, ...]:

@@ -13,10 +13,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
+from robomill import __version__
 from robomill.models.planning.gcode import DIALECTS
 from robomill.models.planning.point_path import INTERPOLATIONS
 from robomill.models.planning.quantities import QUANTITIES
-from robomill.option_types import in_unit, probability
+from robomill.option_types import add_overwrite, in_unit, probability
 from robomill.orchestration.errors import Interrupted, OrchestrationError
 
 DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exchangeable FMUs."
@@ -36,8 +37,13 @@ ACTIONS = {
     "stability": ("stability_command", "run"),
     "rsi": ("rsi_command", "partner"),
     "krc": ("rsi_command", "robot"),
+    "completion": ("completion_command", "run"),
 }
 """Module and function of each command; imported when it is called, because some take seconds."""
+
+
+SHELLS = ("bash", "zsh", "fish")
+"""Shells that commands are completed in."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -56,6 +62,7 @@ def parser() -> argparse.ArgumentParser:
     main_parser = _Parser(
         "robomill", description=DESCRIPTION, epilog="Start with: robomill example groove, then robomill run scenarios/groove.toml"
     )
+    main_parser.add_argument("--version", action="version", version=f"robomill {__version__}")
     commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     example = _command(commands, "example", "list the examples that come with robomill, or copy one here", "robomill example groove")
@@ -209,6 +216,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="P",
         help="probability of an effect on a machine that has none, between 0 and 1 (default: 0.02)",
     )
+    add_overwrite(diagnose)
     diagnose.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
     diagnose.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="simulate on the workers of this Dask cluster instead")
 
@@ -231,6 +239,10 @@ def parser() -> argparse.ArgumentParser:
         commands, "krc", "be the robot controller of such a link, simulated", "robomill krc scenarios/rsi/link.toml --lost 0.001"
     )
     rsi_command.add_robot_arguments(krc)
+    completion = _command(
+        commands, "completion", "print what makes a shell complete commands, options and files", 'eval "$(robomill completion bash)"'
+    )
+    completion.add_argument("shell", choices=SHELLS, help="which shell; docs/completion.md says where the text belongs")
     return main_parser
 
 
@@ -255,6 +267,7 @@ def _stability_arguments(stability: argparse.ArgumentParser) -> None:
     )
     stability.add_argument("--out", type=Path, metavar="DIR", help="folder for stability.json and the pictures (default: results/NAME)")
     stability.add_argument("--no-pictures", action="store_true", help="skip the pictures")
+    add_overwrite(stability)
 
 
 def _plan_arguments(plan: argparse.ArgumentParser) -> None:
@@ -315,6 +328,7 @@ def _plan_arguments(plan: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="write the program for a controller: KUKA KRL (.src), ABB RAPID (.mod) or G-code (.ngc); may be repeated",
     )
+    add_overwrite(plan, "files")
     plan.add_argument(
         "--spline", action="store_true", help="with --write FILE.src: SPLINE blocks through the points instead of LIN with C_DIS"
     )

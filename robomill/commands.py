@@ -11,17 +11,13 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
+from rich.text import Text
 
 from robomill import conformance
-from robomill.cell import experiments, milling, part, path_learning, removal_rate, scan, static_loads
+from robomill.cell import experiments, milled, milling, path_learning, removal_rate, scan, static_loads
 from robomill.cell import package as ssp
 from robomill.cell.binding import convert, resolve, with_fmus
 from robomill.cell.equipment import load_system
-from robomill.cell.evaluation import Figures, Result, evaluate
 from robomill.cell.plausibility import unusual_values
 from robomill.cell.scenario import Scenario, ScenarioError, load_scenario
 from robomill.diagnosis.outcome import adopt
@@ -30,29 +26,22 @@ from robomill.fmus.components import COMPONENTS, component
 from robomill.fmus.documentation import reference_files
 from robomill.fmus.python.builder import build as build_python
 from robomill.models.components.recording import replay_model
-from robomill.models.metrology.stl import write_stl
 from robomill.models.model.declaration import Model
 from robomill.orchestration.assembly import assemble
 from robomill.orchestration.assembly import run as run_once
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.runs.lock import FolderLock
-from robomill.orchestration.runs.run import Run, check_vacant
+from robomill.orchestration.runs.run import Run
 from robomill.orchestration.ssp.importing import open_ssp
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.toml_text import parse
 from robomill.progress import progress_bar
+from robomill.tables import Heading, notes, say, show
 
 DEFAULT_FMI = 2
 """Version of FMI that is built where none is asked for; Python FMUs know no other."""
 RESULTS = Path("results")
-_SHOWN = (
-    ("max_deviation_m", "max deviation", 1e3, "mm", "{:.2f}"),
-    ("rms_deviation_m", "rms", 1e3, "mm", "{:.2f}"),
-    ("p95_deviation_m", "95 %", 1e3, "mm", "{:.2f}"),
-    ("peak_force_n", "peak force", 1.0, "N", "{:.0f}"),
-    ("reaction_t50_s", "reaction", 1e3, "ms", "{:.0f}"),
-    ("real_time_factor", "speed", 1.0, "x real", "{:.0f}"),
-)
+VARIANT = Heading("variant", "left")
 
 
 def run(options: Namespace) -> int:
@@ -118,20 +107,10 @@ def _only_cells_take(options: Namespace, kind: str) -> None:
         )
 
 
-def _chosen(scenario: Scenario, names: Sequence[str] | None) -> Scenario:
-    if not names:
-        return scenario
-    known = {v.name: v for v in scenario.variants}
-    unknown = [n for n in names if n not in known]
-    if unknown:
-        raise ScenarioError(f"{scenario.file}: no variant {', '.join(unknown)}; variants: {', '.join(known)}")
-    return replace(scenario, variants=tuple(known[n] for n in names))
-
-
 def _run_experiment(options: Namespace) -> int:
     experiment = experiments.load_experiment(options.file)
     folder = options.out or RESULTS / experiment.name
-    notes, warnings = experiments.remarks(experiment, options.variant)
+    found, warnings = experiments.remarks(experiment, options.variant)
     for text in warnings:
         print(f"warning: {text}", file=sys.stderr)
     with progress_bar(options.json) as report:
@@ -139,24 +118,21 @@ def _run_experiment(options: Namespace) -> int:
         with FolderLock(folder):
             again = options.overwrite
             runs = experiments.run_experiment(experiment, folder, options.variant, options.fmus, options.csv, report, overwrite=again)
-    said = {"notes": notes, "warnings": warnings}
+    said = {"notes": found, "warnings": warnings}
     summary = {"scenario": experiment.name, "kind": experiment.kind, "runs": [asdict(r) for r in runs], **said}
     _write(folder / "summary.json", summary)
     if options.json:
         print(json.dumps(summary, indent=1))
         return 0
-    table = Table(title=experiment.title, title_justify="left", box=SIMPLE)
-    for heading in ("condition", "repeat", "duration\ns", "largest displacement\nmm", "largest force\nN"):
-        table.add_column(heading, justify="left" if heading == "condition" else "right")
+    rows = []
     for r in runs:
         moved = "" if r.max_displacement_m is None else f"{1e3 * r.max_displacement_m:.3f}"
         force = "" if r.max_force_n is None else f"{r.max_force_n:.0f}"
-        table.add_row(r.condition, str(r.repeat), f"{r.duration_s:.1f}", moved, force)
-    console = _console()
-    console.print(table)
-    for text in notes:
-        console.print(f"note: {text}", highlight=False, markup=False)
-    console.print(f"{len(runs)} runs are in {folder}/", highlight=False)
+        rows.append([r.condition, str(r.repeat), f"{r.duration_s:.1f}", moved, force])
+    numbers = ("repeat", "duration\ns", "largest displacement\nmm", "largest force\nN")
+    show(experiment.title, [Heading("condition", "left"), *map(Heading, numbers)], rows)
+    notes(found, f"{folder / milled.SUMMARY}")
+    say(f"{len(runs)} runs are in {folder}/")
     return 0
 
 
@@ -174,127 +150,67 @@ def _run_learning(options: Namespace) -> int:
     if options.json:
         print(json.dumps(summary, indent=1))
         return 0
-    table = Table(title=scenario.title, title_justify="left", box=SIMPLE)
-    for heading in (
-        "variant",
-        "pass",
-        "rms\nmm",
-        "worst\nmm",
-        "no contact\n%",
-        "with F/k, rms\nmm",
-        "worst\nmm",
-        "program\npoints",
-        "worst\nmm",
-    ):
-        table.add_column(heading, justify="left" if heading == "variant" else "right")
+    rows = []
     for r in results:
         for n, p in enumerate(r.passes, 1):
             f, last = p.figures, n == len(r.passes)
             lengths = [f"{1e3 * f[k]:.3f}" for k in ("rms_m", "worst_m", "smoothed_rms_m", "smoothed_worst_m")]
             program = [str(r.figures["points"]), f"{1e3 * r.figures['program_worst_m']:.3f}"] if last else ["", ""]
-            table.add_row(r.variant.title if n == 1 else "", str(n), *lengths[:2], f"{100.0 * f['no_contact']:.0f}", *lengths[2:], *program)
-    console = _console()
-    console.print(table)
-    console.print(
-        f"In {folder}/: per variant a run per pass, path.mod (RAPID), path.ngc (G-code, unless the tool turns), learnt.png", highlight=False
-    )
+            rows.append([r.variant.title, str(n), *lengths[:2], f"{100.0 * f['no_contact']:.0f}", *lengths[2:], *program])
+    numbers = ("pass", "rms\nmm", "worst\nmm", "no contact\n%", "with F/k, rms\nmm", "worst\nmm", "program\npoints", "worst\nmm")
+    show(scenario.title, [VARIANT, *map(Heading, numbers)], rows)
+    say(f"In {folder}/: per variant a run per pass, path.mod (RAPID), path.ngc (G-code, unless the tool turns), learnt.png")
     return 0
 
 
 def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
-    assert scenario.workpiece is not None  # load_scenario checks it for this kind
-    wanted = _chosen(scenario, options.variant)
-    chosen = wanted.variants
-    if not (options.overwrite or options.resume):
-        check_vacant(folder / v.name for v in chosen)
-    results: list[Result] = []
+    complete: list[milled.Runs] = []
     try:
         with progress_bar(options.json) as report:
-            again = {"resume": options.resume, "overwrite": options.overwrite}
-            job = milling.lay_out(wanted, folder, options.fmus, **again, checkpoint_every=options.checkpoint_every)
-            if options.stl:
-                part.require(job.system)
-            unusual = milling.check_variants(replace(job, system=_adopted(_looped(job.system, options), options)), chosen)
-            job = replace(job, warnings=(*job.warnings, *unusual))
-            for text in job.warnings:
-                print(f"warning: {text}", file=sys.stderr)
-            job = milling.with_pilot(job, report)
-            job = replace(job, system=_adopted(_looped(job.system, options), options))  # the plan and its offline force stay nominal
-            for variant in chosen:
-                recorded, factor = milling.mill(job, variant, report, csv=options.csv)
-                result = evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor)
-                results.append(scan.scanned(scenario, result) if scenario.scan else result)
-                if options.stl:
-                    write_stl(folder / variant.name / "part.stl", part.cut_part(recorded, scenario.workpiece).surface())
-                summary = _write_summary(scenario, folder, results, job)
+            runs = milled.mill_variants(
+                scenario,
+                folder,
+                options.variant,
+                changed=lambda system: _adopted(_looped(system, options), options),
+                fmus=options.fmus,
+                csv=options.csv,
+                stl=options.stl,
+                checkpoint_every=options.checkpoint_every,
+                resume=options.resume,
+                overwrite=options.overwrite,
+                progress=report,
+                warn=lambda text: print(f"warning: {text}", file=sys.stderr),
+                done=complete.append,
+            )
     except (OrchestrationError, KeyboardInterrupt):
-        if results and not options.json:
-            _console().print(_table(scenario, results), "These variants are complete; go on with --resume.", highlight=False)
+        if complete and not options.json:
+            _show_milled(complete[-1])
+            say("These variants are complete; go on with --resume.")
         raise
-    files: list[Path] = []
-    if not options.no_pictures:
-        from robomill.cell import pictures  # matplotlib takes a second to load
-
-        files = pictures.draw_all(scenario, results, folder)
-        if scenario.scan:
-            files += scan.draw(scenario, results, folder)
+    files = [] if options.no_pictures else runs.pictures()
     if options.json:
-        print(json.dumps(summary, indent=1))
+        print((folder / milled.SUMMARY).read_text(encoding="utf-8"), end="")
         return 0
-    console = _console()
-    console.print(_table(scenario, results))
-    for result in results:
-        console.print(f"{result.title}: {_largest(result.figures)}", highlight=False)
-        if scenario.scan:
-            console.print(f"  {scan.text(result, scenario.paper.get(result.name, {}))}", highlight=False)
-    for text in job.notes:
-        console.print(f"note: {text}", highlight=False, markup=False)
+    _show_milled(runs)
+    if scenario.scan:
+        say(*(f"{r.title}: {scan.text(r, scenario.paper.get(r.name, {}))}" for r in runs.results))
+    notes(runs.notes, f"{folder / milled.SUMMARY}")
     pictures_note = f" and {len(files)} pictures (start with {files[0].name})" if files else ""
-    console.print(f"In {folder}/: a recording per variant, summary.json{pictures_note}", highlight=False)
+    say(f"In {folder}/: a recording per variant, {milled.SUMMARY}{pictures_note}")
     return 0
 
 
-def _write_summary(scenario: Scenario, folder: Path, results: Sequence[Result], job: milling.Job) -> dict[str, Any]:
-    """Write summary.json: the results so far, and what it already held of other variants of this scenario."""
-    file = folder / "summary.json"
-    try:
-        old = json.loads(file.read_text(encoding="utf-8"))["variants"]
-    except (OSError, ValueError, KeyError, TypeError):
-        old = {}
-    figures = {**old, **{r.name: asdict(r.figures) for r in results}}
-    said = {"notes": list(job.notes), "warnings": list(job.warnings)}
-    summary = {"scenario": scenario.name, **said, "variants": {v.name: figures[v.name] for v in scenario.variants if v.name in figures}}
-    _write(file, summary)
-    return summary
-
-
-def _table(scenario: Scenario, results: Sequence[Result]) -> Table:
-    """Our figures, and beside them those of the paper where it has them."""
-    table = Table(title=f"{scenario.title}\nin brackets: published", title_justify="left", box=SIMPLE)
-    table.add_column("variant", no_wrap=True)
-    for _, title, _, unit, _ in _SHOWN:
-        table.add_column(f"{title}\n{unit}", justify="right")
-    for r in results:
-        cells = []
-        for key, _, factor, _, form in _SHOWN:
-            ours, published = getattr(r.figures, key), scenario.paper.get(r.name, {}).get(key)
-            text = "-" if ours is None else form.format(factor * ours)
-            if key == "max_deviation_m" and r.figures.max_deviation_limited:
-                text = f">= {text}"
-            cells.append(text if published is None else f"{text} ({form.format(factor * published)})")
-        table.add_row(r.title, *cells)
-    return table
-
-
-def _largest(figures: Figures) -> str:
-    """Where the largest deviation is, whether it may be more, or why there is none."""
-    if figures.max_deviation_m is None:
-        return str(figures.note)
-    text = f"largest deviation: {figures.max_deviation_location}"
-    if figures.max_deviation_limited:
-        size = f">= {1e3 * figures.max_deviation_m:.2f} mm (limit of the measure)"
-        text += f"; {size}: somewhere a thin wall or the rim of the block is gone, and nothing is left there to measure to"
-    return text
+def _show_milled(runs: milled.Runs) -> None:
+    """Our figures, and beside them those of the paper where it has them; where the largest deviation is, in short."""
+    headings = [VARIANT, *(Heading(f"{c.title}\n{c.unit}") for c in milled.COLUMNS), Heading("largest at", "left", folds=True)]
+    rows = [[*row, (r.figures.max_deviation_location or "").partition(":")[0]] for row, r in zip(runs.rows(), runs.results, strict=True)]
+    show(f"{runs.scenario.title}\nin brackets: published" if runs.scenario.paper else runs.scenario.title, headings, rows)
+    for r in runs.results:
+        if r.figures.max_deviation_m is None:
+            say(f"{r.title}: {r.figures.note}")
+        elif r.figures.max_deviation_limited:
+            size = f">= {1e3 * r.figures.max_deviation_m:.2f} mm (limit of the measure)"
+            say(f"{r.title}: {size}: somewhere a thin wall or the rim of the block is gone, and nothing is left there to measure to")
 
 
 def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
@@ -316,15 +232,13 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
     if options.json:
         print(json.dumps(summary, indent=1))
         return 0
-    table = Table(title=f"{scenario.title}\nin brackets: published", title_justify="left")
-    for heading in ("variant", "mean displacement\nmm", "largest\nmm", "smallest\nmm"):
-        table.add_column(heading, justify="left" if heading == "variant" else "right")
+    rows = []
     for name, size in magnitudes.items():
         mean = f"{1e3 * size.mean():.2f}" + (f" ({1e3 * published[name]:.2f})" if name in published else "")
-        table.add_row(titles[name], mean, f"{1e3 * size.max():.2f}", f"{1e3 * size.min():.2f}")
-    console = _console()
-    console.print(table)
-    console.print(f"summary.json and the picture are in {folder}/", highlight=False)
+        rows.append([titles[name], mean, f"{1e3 * size.max():.2f}", f"{1e3 * size.min():.2f}"])
+    numbers = ("mean displacement\nmm", "largest\nmm", "smallest\nmm")
+    show(f"{scenario.title}\nin brackets: published", [VARIANT, *map(Heading, numbers)], rows)
+    say(f"summary.json and the picture are in {folder}/")
     return 0
 
 
@@ -351,34 +265,29 @@ def _run_removal_rate(options: Namespace) -> int:
     if options.json:
         print(json.dumps(summary, indent=1))
         return 0
-    console = _console()
-    console.print(_rate_table(scenario, results))
+    _show_rates(scenario, results)
     for r in results:
-        for text in r.remarks:
-            console.print(f"{r.variant.title}: {text}", highlight=False, markup=False)
-    console.print(f"In {folder}/: a recording per variant, summary.json and {len(files)} pictures", highlight=False)
+        say(*(f"{r.variant.title}: {text}" for text in r.remarks))
+    say(f"In {folder}/: a recording per variant, summary.json and {len(files)} pictures")
     return 0
 
 
-def _rate_table(scenario: removal_rate.RateScenario, results: Sequence[removal_rate.RateResult]) -> Table:
+def _show_rates(scenario: removal_rate.RateScenario, results: Sequence[removal_rate.RateResult]) -> None:
     """Time, peak and each section of all variants, and beside them what the paper has."""
-    table = Table(title=f"{scenario.title}\nin brackets: published", title_justify="left", box=SIMPLE)
     columns = [("duration_s", "time\ns", "{:.2f}"), ("saved_percent", "saved\n%", "{:z.0f}"), ("peak_force_n", "peak\nN", "{:.0f}")]
     for section in scenario.sections:
         columns.append((f"force_{section.name}_n", f"{section.name}\nmean N", "{:.0f}"))
         columns.append((f"std_{section.name}_n", "std\nN", "{:.1f}"))
         columns.append((f"line_{section.name}_hz", "line\nHz", "{:.0f}"))
     columns = [c for c in columns if c[0] in results[0].figures]
-    table.add_column("variant")
-    for _, heading, _ in columns:
-        table.add_column(heading, justify="right")
+    rows = []
     for r in results:
         published = scenario.paper.get(r.variant.name, {})
         cells = [
             form.format(r.figures[key]) + (f" ({form.format(published[key])})" if key in published else "") for key, _, form in columns
         ]
-        table.add_row(r.variant.title, *cells)
-    return table
+        rows.append([r.variant.title, *cells])
+    show(f"{scenario.title}\nin brackets: published", [VARIANT, *(Heading(text) for _, text, _ in columns)], rows)
 
 
 def _looped(system: System, options: Namespace) -> System:
@@ -502,20 +411,11 @@ def check(options: Namespace) -> int:
         print(json.dumps({name: [asdict(r) for r in results] for name, results in reports.items()}, indent=1))
         return 1 if failed else 0
     colour = {"passed": "green", "failed": "red", "finding": "yellow", "skipped": "cyan"}
-    console = _console()
     for name, results in reports.items():
-        table = Table(title=name, title_justify="left", show_header=False)
-        for r in results:
-            table.add_row(r.check, f"[{colour[r.outcome]}]{r.outcome}[/]", escape(r.detail))
-        console.print(table)
-    console.print(f"{failed} checks failed" if failed else "no check failed", highlight=False)
+        rows = [[r.check, Text(r.outcome, style=colour[r.outcome]), r.detail] for r in results]
+        show(name, [Heading("check", "left"), Heading("outcome", "left"), Heading("detail", "left", folds=True)], rows)
+    say(f"{failed} checks failed" if failed else "no check failed")
     return 1 if failed else 0
-
-
-def _console() -> Console:
-    """Standard output; wide enough for the tables where it is not a terminal."""
-    console = Console()
-    return console if console.is_terminal else Console(width=120)
 
 
 def _write(file: Path, content: Any) -> None:

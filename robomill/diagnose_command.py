@@ -11,8 +11,6 @@ from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rich.console import Console
-
 from robomill.cell import next_runs
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
@@ -21,18 +19,22 @@ from robomill.diagnosis.check import check
 from robomill.diagnosis.engine import diagnose_campaign
 from robomill.diagnosis.experiment.campaign import Campaign, load_campaign
 from robomill.diagnosis.experiment.design import Kind, Offer, Quantity
+from robomill.diagnosis.experiment.simulation import Report
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.outcome import adopt
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, as_json
-from robomill.files import FILES
+from robomill.diagnosis.outcome.verdict import FALSE_ALARM
+from robomill.files import FILES, vacant
 from robomill.fmus.components import NAMES, companion, component, home, is_component
 from robomill.joints import projections
 from robomill.models.model.cache import source_files
 from robomill.models.model.declaration import Model
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.system.definition import Component, System
+from robomill.tables import say
 
 CATALOGUE = "catalogue.toml"
+ANSWER = "diagnosis.json"
 SIMULATIONS = "simulations"
 """Folder in that of the answer: what has been simulated, until the diagnosis is finished."""
 
@@ -53,22 +55,60 @@ def menu(system: System, folder: Path, file: Path = next_runs.KINDS) -> Menu:
     return Menu(kinds=lambda: [designed(k) for k in next_runs.kinds_for(system, file)], projections=projections(system))
 
 
-def kinds_file(options: Namespace) -> Path:
-    """The file of kinds of runs that is named, or that beside the system, or the milling cells' one. It is read: errors come first."""
-    beside = options.system.parent / next_runs.OWN if options.system is not None else None
-    file: Path = options.next_runs or (beside if beside is not None and beside.is_file() else next_runs.KINDS)
+def kinds_file(named: Path | None, first: Path | None) -> Path:
+    """The file of kinds of runs that is named, or that beside the system in the file `first`, or the milling cells' one.
+
+    It is read: errors come first.
+    """
+    beside = None if first is None else first.parent / next_runs.OWN
+    file = named or (beside if beside is not None and beside.is_file() else next_runs.KINDS)
     next_runs.load_kinds(file)
     return file
+
+
+def answered(
+    campaign: Campaign,
+    catalogue: Catalogue,
+    kinds: Path,
+    *,
+    jobs: int = 1,
+    repair: bool = False,
+    false_alarm: float = FALSE_ALARM,
+    store: Store | None = None,
+    scheduler: str | None = None,
+    progress: Report | None = None,
+) -> Diagnosis:
+    """Diagnose runs with the components, units and next runs of milling cells; `kinds`: file of the kinds of next runs.
+
+    The other arguments, and what is raised, are those of `diagnosis.engine.diagnose_campaign`.
+    """
+    with TemporaryDirectory() as folder:
+        return diagnose_campaign(
+            campaign,
+            catalogue,
+            resolver=resolve,
+            convert=convert,
+            workers=max(1, jobs),
+            report=progress,
+            menu=menu(campaign.system, Path(folder), kinds),
+            repair=repair,
+            false_alarm=false_alarm,
+            store=store,
+            scheduler=scheduler,
+        )
 
 
 def run(options: Namespace) -> int:
     """Exit status 0: answered; 1: the log is not usable."""
     from robomill.progress import progress_bar
 
-    file = catalogue_file(options)
+    if not (options.check or options.overwrite):
+        vacant(options.out / ANSWER)
+    first: Path | None = options.campaign or options.system
+    file = catalogue_file(options.catalogue, first)
     campaign = campaign_of(options)
     system = campaign.system
-    systems = [system, *(p.system for p in campaign.parts if p.system is not system)]
+    systems = systems_of(campaign)
     catalogue = catalogue_of(*systems, file=file)
     store = Store(options.out / SIMULATIONS, sources(*systems))
     if len(store) and not options.json:
@@ -76,23 +116,21 @@ def run(options: Namespace) -> int:
             f"{len(store)} simulations of an interrupted diagnosis are in {store.folder}/; those that still hold are taken over",
             file=sys.stderr,
         )
-    kinds = kinds_file(options)
+    kinds = kinds_file(options.next_runs, first)
     if options.check:
         return _check(options, campaign, catalogue, store, kinds)
-    with progress_bar(options.json) as progress, TemporaryDirectory() as folder:
+    with progress_bar(options.json) as progress:
         try:
-            found = diagnose_campaign(
+            found = answered(
                 campaign,
                 catalogue,
-                resolver=resolve,
-                convert=convert,
-                workers=max(1, options.jobs),
-                report=progress,
-                menu=menu(system, Path(folder), kinds),
+                kinds,
+                jobs=options.jobs,
                 repair=options.repair,
                 false_alarm=options.false_alarm,
                 store=store,
                 scheduler=options.scheduler,
+                progress=progress,
             )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
@@ -103,8 +141,8 @@ def run(options: Namespace) -> int:
     if options.json:
         print(as_json(found.result))
     else:
-        print("\n".join(lines(found.answer)))
-        print(f"report: {page}; beside it diagnosis.json{' and adopt.ssv' if (options.out / 'adopt.ssv').is_file() else ''}")
+        say(*lines(found.answer))
+        say(f"report: {page}; beside it diagnosis.json{' and adopt.ssv' if (options.out / 'adopt.ssv').is_file() else ''}")
     return 1 if found.answer.verdict == "bad_log" else 0
 
 
@@ -122,7 +160,7 @@ def _check(options: Namespace, campaign: Campaign, catalogue: Catalogue, store: 
     if options.json:
         print(as_json(found.result))
     else:
-        show(found, Console())
+        show(found)
     return 0
 
 
@@ -137,15 +175,19 @@ def campaign_of(options: Namespace) -> Campaign:
     return load_campaign(options.campaign, load_system)
 
 
-def catalogue_file(options: Namespace) -> Path:
-    """The catalogue that is named, or that beside the system or campaign, or the milling cell's.
+def systems_of(campaign: Campaign) -> list[System]:
+    """The systems of a campaign, that of the first runs first."""
+    system = campaign.system
+    return [system, *(p.system for p in campaign.parts if p.system is not system)]
+
+
+def catalogue_file(named: Path | None, first: Path | None) -> Path:
+    """The catalogue that is named, or that beside the system or campaign in the file `first`, or the milling cell's.
 
     FileNotFoundError where the named one is not there.
     """
-    named: Path | None = options.catalogue
     if named is not None and not named.is_file():
         raise FileNotFoundError(f"no catalogue {named}; without --catalogue it is {CATALOGUE} beside the system, or the milling cell's")
-    first: Path | None = options.campaign or options.system
     beside = None if first is None else first.parent / CATALOGUE
     return named or (beside if beside is not None and beside.is_file() else FILES / "scenarios" / CATALOGUE)
 
@@ -180,7 +222,7 @@ def write(found: Diagnosis, system: System, runs: Sequence[Run], catalogue: Cata
     from robomill import report
 
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "diagnosis.json").write_text(as_json(found.result) + "\n", encoding="utf-8")
+    (folder / ANSWER).write_text(as_json(found.result) + "\n", encoding="utf-8")
     if found.answer.verdict in ("identified", "ambiguous"):
         adopt.write(found.adopted, folder / "adopt.ssv")
     else:

@@ -14,7 +14,10 @@ from rich.console import Console
 from rich.table import Table
 
 from robomill import identify_cubes, identify_cycle, identify_hammer, identify_sensor, identify_stations
+from robomill.files import vacant
+from robomill.identify_report import REPORT
 from robomill.measured_set import MeasuredSet, MeasuredSetError, Quantity, read_measured
+from robomill.option_types import add_overwrite
 
 _Q = Quantity("q", "rad", 6, ("q_link", "q", "q_motor"))
 STIFFNESS = (
@@ -83,6 +86,8 @@ def add_arguments(parser: Any) -> None:
     identify_sensor.add_arguments(kinds)
     identify_cubes.add_arguments(kinds)
     identify_hammer.add_arguments(kinds)
+    for kind in kinds.choices.values():
+        add_overwrite(kind, "results, and readings that --simulate writes,")
     for kind in (stiffness, payload):
         kind.add_argument(
             "measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/how_to/identify.md)"
@@ -94,6 +99,10 @@ def add_arguments(parser: Any) -> None:
 
 def run(options: Namespace) -> int:
     """Identify and say what was found; status 1 where something is not determined or negative."""
+    if not options.overwrite:
+        files = [] if options.out is None else [options.out if options.out.suffix in (".toml", ".ssv") else options.out / REPORT]
+        drawn = getattr(options, "plot", None)
+        vacant(*files, *([] if drawn is None else [drawn]), option="--out" if drawn is None else "--out, --plot")
     return {
         "stiffness": _stiffness,
         "payload": _payload,

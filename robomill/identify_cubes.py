@@ -103,7 +103,6 @@ def add_arguments(kinds: Any) -> None:
     kind.add_argument("--compare", metavar="NAME", help="springs to compare with: name of models/data/compliance or a .toml file")
     kind.add_argument("--simulate", metavar="NAME", help="first write the readings that a robot with these springs gives")
     kind.add_argument("--seed", type=int, default=1, metavar="N", help="of the simulated noise (default: 1)")
-    kind.add_argument("--overwrite", action="store_true", help="let --simulate replace readings (default: that is refused)")
     kind.add_argument("--out", type=Path, metavar="DIR", help="write report.json, report.txt and cubes.png")
     kind.add_argument("--json", action="store_true", default=SUPPRESS, help="print the result as JSON and nothing else")
 

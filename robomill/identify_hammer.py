@@ -185,7 +185,7 @@ def _simulate(options: Namespace) -> list[Path]:
         flat = {f"{port}[{i + 1}]": v[:, i] for port, v in values.items() for i in range(v.shape[1])}
         ports = {c: PortData(name=c.partition(".")[2], causality="output", unit=units[c.partition("[")[0]]) for c in flat}
         about = {"robot": machine.robot.name, "tool": machine.tool.name, "labels": {"condition": name, "simulated": True}}
-        write_run(options.simulate / name, time, flat, ports, about, overwrite=True)
+        write_run(options.simulate / name, time, flat, ports, about, overwrite=options.overwrite)
         folders.append(options.simulate / name)
     return folders
 

@@ -11,12 +11,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 DPI = 110
+REPORT = "report.json"
 
 
 def keep(folder: Path, result: Mapping[str, Any], lines: Sequence[str], pictures: Mapping[str, Figure]) -> None:
     """Write report.json, report.txt and NAME.png of each picture to the folder, which is made."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "report.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    (folder / REPORT).write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     (folder / "report.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     for name, figure in pictures.items():
         figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={"Software": None})

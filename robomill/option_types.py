@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Callable
+from typing import Any
 
 from robomill.models.model.units import convert
 from robomill.orchestration.system.parameters import quantity
@@ -33,3 +34,8 @@ def probability(text: str) -> float:
     if not 0.0 < value < 1.0:
         raise argparse.ArgumentTypeError(f"{text!r} is no probability between 0 and 1, such as 0.02")
     return value
+
+
+def add_overwrite(parser: Any, what: str = "results") -> None:
+    """`--overwrite`: what is there is replaced only where somebody says so."""
+    parser.add_argument("--overwrite", action="store_true", help=f"replace {what} that are there (default: that is refused)")

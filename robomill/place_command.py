@@ -8,7 +8,8 @@ from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robomill.option_types import in_unit
+from robomill.files import vacant
+from robomill.option_types import add_overwrite, in_unit
 
 if TYPE_CHECKING:
     from robomill.cell.placement import Placing
@@ -31,6 +32,7 @@ def add_arguments(parser: Any) -> None:
     parser.add_argument("--free", default=_FREE, metavar="LIST", help=f"what may change, of {_FREE} (default: all)")
     parser.add_argument("--no-mill", action="store_true", help="do not simulate the program at both places")
     parser.add_argument("--no-pictures", action="store_true", help="skip the map")
+    add_overwrite(parser)
 
 
 def run(options: Namespace) -> int:
@@ -44,6 +46,8 @@ def run(options: Namespace) -> int:
 
     scenario = load_scenario(options.file)
     folder = options.out or Path("results") / f"{scenario.name}_placed"
+    if not options.overwrite:
+        vacant(folder / "place.json")
     folder.mkdir(parents=True, exist_ok=True)
     span = [1e-3 * v for v in options.range]
     with progress_bar(options.json) as report, FolderLock(folder):

@@ -18,6 +18,7 @@ from robomill.cell.milling import check, notes_of, read_program
 from robomill.cell.plan_checks import Findings, check_plan
 from robomill.cell.robot_programs import is_robot_program, read_robot_program
 from robomill.cell.scenario import OFFSETS, load_scenario, place_in_block
+from robomill.files import vacant
 from robomill.models.model.declaration import FloatArray
 from robomill.models.model.parameters import load
 from robomill.models.planning.gcode import HOME, Program, Setup, Vector
@@ -31,6 +32,7 @@ from robomill.models.planning.trajectory import plan as plan_path
 from robomill.models.process.cutting import EndMill
 from robomill.models.robot.kinematics import SPINDLE_ACROSS, Robot, Tool, load_robot
 from robomill.option_types import in_unit
+from robomill.tables import Heading, notes, say, show
 
 _PLACES = {"at", "turn", "start", "home", "offset", "zero", "block", "tool", "dialect", "no_block_delete", "wear"}
 """Options that a scenario has its own keys for."""
@@ -53,6 +55,8 @@ class _Task:
 
 def plan(options: Namespace) -> int:
     """Duration, length, extent, what is asked of the axes, notes and warnings; status 1 with warnings."""
+    if not options.overwrite:
+        vacant(*([] if options.out is None else [options.out]), *options.write, option="--out, --write")
     task = _task(options)
     if options.within is None:
         planned = plan_path(task.program, task.placement)
@@ -61,9 +65,9 @@ def plan(options: Namespace) -> int:
         planned, reach = plan_within(task.program, task.placement, task.robot, task.tool, task.q_start, options.within)
     if options.out is not None:
         np.save(options.out, planned.table)
-    notes = [*notes_of(task.program), *planned.notes, *_write(task, options), *_asked_of_axes(reach)]
+    found = [*_write(task, options), *_asked_of_axes(reach), *notes_of(task.program), *planned.notes]
     warnings = (*task.findings.texts, *reach.too_fast(planned))
-    _show(planned, reach, notes, warnings, options.json)
+    _show(planned, reach, found, warnings, options.json)
     return 1 if warnings else 0
 
 
@@ -217,7 +221,7 @@ def _from_zero(values: list[float], zero: Vector) -> Vector:
     return x, y, z
 
 
-def _show(planned: Plan, reach: Reach, notes: list[str], warnings: tuple[str, ...], as_json: bool) -> None:
+def _show(planned: Plan, reach: Reach, found: list[str], warnings: tuple[str, ...], as_json: bool) -> None:
     extent = planned.position(np.linspace(0.0, planned.duration, 2001))
     low, high = extent.min(axis=0), extent.max(axis=0)
     if as_json:
@@ -230,25 +234,29 @@ def _show(planned: Plan, reach: Reach, notes: list[str], warnings: tuple[str, ..
             "highest_m": high.tolist(),
             "axes": _axes(reach),
             "singular": {name: {"nearness": w.value, "line": w.line, "path_time_s": w.tau} for name, w in _singular(reach)},
-            "notes": notes,
+            "notes": found,
             "warnings": list(warnings),
         }
         print(json.dumps(figures, indent=1))
         return
-    print(f"{planned.name}: {planned.duration:.2f} s, {planned.length:.3f} m, {len(planned.table)} segments, every pose can be reached")
-    print(
+    say(
+        f"{planned.name}: {planned.duration:.2f} s, {planned.length:.3f} m, {len(planned.table)} segments, every pose can be reached",
         "tool tip in the base, mm: "
-        + ", ".join(f"{a} {1e3 * lo:.1f} .. {1e3 * hi:.1f}" for a, lo, hi in zip("xyz", low, high, strict=True))
+        + ", ".join(f"{a} {1e3 * lo:.1f} .. {1e3 * hi:.1f}" for a, lo, hi in zip("xyz", low, high, strict=True)),
     )
-    print("of the limit" + "".join(f"{quantity:<21}" for quantity in ("", *QUANTITIES))[9:] + "to the end of the axis")
-    for axis in _axes(reach):
-        shares = "".join(f"{100.0 * axis[q]['share']:>4.0f} %, line {axis[q]['line']:<8}" for q in QUANTITIES)
-        print(f"axis A{axis['axis']}                 {shares}{axis['margin_deg']:.1f} deg, line {axis['margin_line']}")
-    print("nearest to singular (0): " + ", ".join(f"{name} {w.value:.2f} at line {w.line}" for name, w in _singular(reach)))
-    for note in notes:
-        print(f"note: {note}")
+    rows = [
+        [
+            f"axis A{axis['axis']}",
+            *(f"{100.0 * axis[q]['share']:.0f} %, line {axis[q]['line']}" for q in QUANTITIES),
+            f"{axis['margin_deg']:.1f} deg, line {axis['margin_line']}",
+        ]
+        for axis in _axes(reach)
+    ]
+    show("of the limit, and how far the end of the axis is", [Heading("axis", "left"), *map(Heading, (*QUANTITIES, "to the end"))], rows)
+    say("nearest to singular (0): " + ", ".join(f"{name} {w.value:.2f} at line {w.line}" for name, w in _singular(reach)))
     for text in warnings:
-        print(f"warning: {text}")
+        say(f"warning: {text}")
+    notes(found, "what --json prints")
 
 
 def _axes(reach: Reach) -> list[dict[str, Any]]:

@@ -1,7 +1,9 @@
-"""The bar that shows how far a command is."""
+"""What shows how far a command is: a bar on a terminal, elsewhere a line from time to time."""
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -10,18 +12,42 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 
 from robomill.cell import milling
 
+INTERVAL = 10.0
+"""Seconds between two lines, where standard error is no terminal: a log of an hour has 360 of them."""
+
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[milling.Progress]:
-    """A progress bar on stderr; nothing with --json or where stderr is no terminal."""
+    """Show progress on standard error: a bar where it is a terminal, elsewhere a line each INTERVAL; nothing if `quiet`."""
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description:40}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
-        tasks: dict[str, TaskID] = {}
+    if quiet:
+        yield lambda what, done, total: None
+    elif not console.is_terminal:
+        yield _Lines().report
+    else:
+        columns = (TextColumn("{task.description:40}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn())
+        with Progress(*columns, console=console, transient=True) as bar:
+            tasks: dict[str, TaskID] = {}
 
-        def report(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bar.add_task(what, total=total or None)
-            bar.update(tasks[what], completed=done)
+            def report(what: str, done: int, total: int) -> None:
+                if what not in tasks:
+                    tasks[what] = bar.add_task(what, total=total or None)
+                bar.update(tasks[what], completed=done)
 
-        yield report
+            yield report
+
+
+class _Lines:
+    """Progress as lines; the first when INTERVAL has passed, so that what is short says nothing."""
+
+    def __init__(self) -> None:
+        self._last = time.monotonic()
+
+    def report(self, what: str, done: int, total: int) -> None:
+        """Print what is being done and how far it is, if the last line is INTERVAL ago."""
+        now = time.monotonic()
+        if now - self._last < INTERVAL:
+            return
+        self._last = now
+        share = f"{100 * done / total:.0f} %, {done} of {total}" if total else f"{done} done"
+        print(f"{what}: {share}", file=sys.stderr, flush=True)

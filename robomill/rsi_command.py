@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from robomill.files import vacant
 from robomill.option_types import in_unit
 
 DONE, BAD = 0, 1
@@ -34,7 +35,7 @@ def add_partner_arguments(parser: Any) -> None:
         "--fmus", type=Path, nargs="?", const=Path("dist"), metavar="FOLDER", help="answer with the FMUs in FOLDER (dist)"
     )  # fmt: skip
     parser.add_argument("--label", action="append", default=[], metavar="KEY=VALUE", help="a label of the recorded run; may be repeated")
-    parser.add_argument("--overwrite", action="store_true", help="replace a run that is in the folder")
+    parser.add_argument("--overwrite", action="store_true", help="replace a run that is in the folder, or FILE.xml")
     parser.add_argument(
         "--config", type=Path, metavar="FILE.xml", help="write KUKA's configuration file for this link, and do nothing else"
     )
@@ -84,6 +85,8 @@ def partner(options: Namespace) -> int:
 
     link = load_link(options.link)
     if options.config is not None:
+        if not options.overwrite:
+            vacant(options.config, option="--config")
         ethernet.write(link.config, options.config)
         print(json.dumps({"written": str(options.config)}) if options.json else f"{options.config}: copy it to the robot controller")
         return DONE

@@ -10,14 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.table import Table
+from rich.text import Text
 
 from robomill.cell.scenario import load_scenario
 from robomill.cell.stability import Cell, LineStability, judge, lobes_at, map_of, prepare
 from robomill.cell.stability_pictures import RPM, SPEEDS, chosen, draw_lobes, draw_map
+from robomill.files import vacant
+from robomill.tables import Content, Heading, notes, say, show
 
+ANSWER = "stability.json"
 STABLE, UNSTABLE = 0, 1
 LOWEST, HIGHEST = 0.4, 1.6
 """Spindle speeds shown, over the slowest and the fastest of the program."""
@@ -31,11 +32,13 @@ MAP_CELLS = (13, 13)
 def run(options: Namespace) -> int:
     """Judge every line that cuts; status 1 if one is unstable. Pictures and stability.json go to the folder."""
     scenario = load_scenario(options.scenario)
+    folder: Path = options.out or Path("results") / scenario.name
+    if not options.overwrite:
+        vacant(folder / ANSWER)
     cell = prepare(scenario, options.modes, options.rigid)
     lines = judge(cell)
     worst = min(lines, key=lambda x: x.margin)
     speeds = _speeds(options.speeds, lines)
-    folder: Path = options.out or Path("results") / scenario.name
     folder.mkdir(parents=True, exist_ok=True)
     result = _figures(scenario.name, cell, lines, speeds)
     files = []
@@ -48,8 +51,8 @@ def run(options: Namespace) -> int:
         result["map"] = {"line": worst.line, "x_m": x.tolist(), "y_m": y.tolist(), "margin": [[_number(v) for v in row] for row in margin]}
         if not options.no_pictures:
             files.append(draw_map(x, y, margin, worst, (float(p[0]), float(p[1])), folder / "stability_map.png"))
-    (folder / "stability.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    files.append(folder / "stability.json")
+    (folder / ANSWER).write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    files.append(folder / ANSWER)
     if options.json:
         print(json.dumps(result, indent=1))
     else:
@@ -109,8 +112,7 @@ def _figures(name: str, cell: Cell, lines: Sequence[LineStability], speeds: tupl
 
 
 def _show(cell: Cell, lines: Sequence[LineStability], files: Sequence[Path]) -> None:
-    table = Table(title=f"{cell.planned.name}: margin = limit of the depth over the planned one", title_justify="left", box=SIMPLE)
-    for heading in (
+    numbers = (
         "line",
         "rev/min",
         "depth\nmm",
@@ -120,27 +122,27 @@ def _show(cell: Cell, lines: Sequence[LineStability], files: Sequence[Path]) -> 
         "chatter\nHz",
         "growth\nper tooth",
         "mode\ncoupling",
-        "",
-    ):
-        table.add_column(heading, justify="right")
+        "verdict",
+    )
+    rows: list[list[Content]] = []
     for x in sorted(lines, key=lambda x: x.margin)[:SHOWN]:
-        table.add_row(
-            str(x.line),
-            f"{x.spindle_speed * RPM:.0f}",
-            f"{1e3 * x.depth:.2f}",
-            f"{math.degrees(x.engaged[0]):.0f}..{math.degrees(x.engaged[1]):.0f}",
-            f"{x.margin:.2f}" if math.isfinite(x.margin) else "none",
-            f"{1e3 * x.depth * x.margin:.2f}" if math.isfinite(x.margin) else "none",
-            f"{x.chatter:.1f}" if math.isfinite(x.chatter) else "-",
-            "-" if x.growth is None else f"{x.growth:.4f}",
-            f"{x.coupling:.2f}" if math.isfinite(x.coupling) else "none",
-            "stable" if x.stable else "[red]unstable[/red]",
+        rows.append(
+            [
+                str(x.line),
+                f"{x.spindle_speed * RPM:.0f}",
+                f"{1e3 * x.depth:.2f}",
+                f"{math.degrees(x.engaged[0]):.0f}..{math.degrees(x.engaged[1]):.0f}",
+                f"{x.margin:.2f}" if math.isfinite(x.margin) else "none",
+                f"{1e3 * x.depth * x.margin:.2f}" if math.isfinite(x.margin) else "none",
+                f"{x.chatter:.1f}" if math.isfinite(x.chatter) else "-",
+                "-" if x.growth is None else f"{x.growth:.4f}",
+                f"{x.coupling:.2f}" if math.isfinite(x.coupling) else "none",
+                "stable" if x.stable else Text("unstable", style="red"),
+            ]
         )
-    console = Console(width=110)
-    console.print(table)
+    show(f"{cell.planned.name}: margin = limit of the depth over the planned one", list(map(Heading, numbers)), rows)
     if len(lines) > SHOWN:
-        console.print(f"{len(lines) - SHOWN} lines of larger margin are in stability.json")
-    for note in cell.notes:
-        print(f"note: {note}")
+        say(f"{len(lines) - SHOWN} lines of larger margin are in {ANSWER}")
+    notes(cell.notes, ANSWER)
     for file in files:
         print(f"wrote {file}")

@@ -11,22 +11,31 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
+from robomill.orchestration import html
 from robomill.orchestration.errors import ResultsError, unknown
+from robomill.orchestration.optional import optional
 from robomill.orchestration.runs import flight
 from robomill.orchestration.runs.lock import is_locked
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
 from robomill.orchestration.system.toml_text import parse
 
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
+
 _ROWS_PER_GROUP = 50_000
 RUN, SIGNALS, LIVE, CSV = "run.toml", "signals.parquet", "signals.arrow", "signals.csv"
 CHECKPOINT = "checkpoint.zip"
+MOST_PANELS = 8
+"""Arrays that are drawn where none is named: as many as can be read on one page."""
 ASIDE = "before-"  # the signals of a run while it is being taken up again
 
 
@@ -85,6 +94,87 @@ class Run:
 
     def _members(self, name: str) -> list[str]:
         return [name] if name in self.columns else [n for n in self.columns if base_name(n) == name]
+
+    def arrays(self, *names: str) -> list[str]:
+        """Names of all arrays and scalars, or those in `names`. KeyError says which there is not, and what comes close."""
+        known = list(dict.fromkeys(base_name(n) for n in self.columns))
+        for name in names:
+            if name not in self:
+                raise KeyError(unknown("column", name, known))
+        return list(names) or known
+
+    def to_pandas(self, *names: str) -> pd.DataFrame:
+        """All columns, or those of the arrays in `names`, as float64 over time t [s], which is the index; units are in `attrs["units"]`.
+
+        MissingPackageError without pandas (`pip install robomill[pandas]`); KeyError for an unknown name.
+        """
+        pandas = optional("pandas", "Run.to_pandas")
+        columns = [n for name in self.arrays(*names) for n in self._members(name)]
+        frame: pd.DataFrame = pandas.DataFrame({n: self.columns[n] for n in columns}, index=pandas.Index(self.t, name="t"))
+        frame.attrs["units"] = {"t": "s", **{n: self.unit(n) for n in columns}}
+        return frame
+
+    def to_xarray(self, *names: str) -> xr.Dataset:
+        """All arrays, or those in `names`, each over t [s] and one axis per index: a vector of three has the axes (t, i3).
+
+        Variables have the attributes `units` and `description`. MissingPackageError without xarray (`pip install robomill[xarray]`);
+        KeyError for an unknown name.
+        """
+        xarray = optional("xarray", "Run.to_xarray")
+        data = {}
+        for name in self.arrays(*names):
+            values = self[name]
+            axes = ("t", *(f"{letter}{size}" for letter, size in zip("ijk", values.shape[1:], strict=False)))
+            data[name] = (axes, values, {"units": self.unit(name), "description": self._port(name).description})
+        made: xr.Dataset = xarray.Dataset(data, coords={"t": ("t", self.t, {"units": "s"})}, attrs={"outcome": self.outcome})
+        return made
+
+    def to_csv(self, file: str | Path, *names: str, overwrite: bool = False) -> Path:
+        """Write t [s] and all columns, or those of the arrays in `names`, with all digits; returns the file.
+
+        ResultsError where the file is there and `overwrite` is not given; KeyError for an unknown name.
+        """
+        place = Path(file)
+        columns = {n: self.columns[n] for name in self.arrays(*names) for n in self._members(name)}
+        if place.exists() and not overwrite:
+            raise ResultsError(f"{place} is there already; choose another name, or allow overwriting (overwrite = True)")
+        pyarrow.csv.write_csv(pa.table({"t": self.t, **columns}), place)
+        return place
+
+    def plot(self, *names: str) -> Figure:
+        """Draw each of the arrays in `names` over time in a panel of its own; without names the first MOST_PANELS that change.
+
+        The figure has `savefig`; a notebook shows it. KeyError for an unknown name.
+        """
+        from robomill.orchestration.runs import picture  # matplotlib takes a second to load
+
+        found = self.arrays(*names)
+        shown = found if names else [n for n in found if np.ptp(self[n], axis=0).max(initial=0.0) > 0.0][:MOST_PANELS]
+        left_out = "" if len(shown) == len(found) else f": {len(shown)} of {len(found)} arrays; plot(name, ...) draws others"
+        panels = []
+        for name in shown:
+            members = self._members(name)
+            values = np.stack([self.columns[m] for m in members], axis=1)
+            panels.append(picture.Panel(name, self.unit(name), values, [m[len(name) :] for m in members]))
+        return picture.draw(self.t, panels, f"{self._title}{left_out}")
+
+    @property
+    def _title(self) -> str:
+        return str(self.info.get("system") or self.folder.name)
+
+    def _port(self, name: str) -> PortData:
+        return self.ports[self._members(name)[0]]
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for name in self.arrays():
+            values = self[name]
+            span = (f"{values.min():.4g}", f"{values.max():.4g}") if values.size else ("-", "-")
+            shape = " x ".join(map(str, values.shape[1:])) or "1"
+            rows.append((name, shape, self.unit(name) or "-", *span, self._port(name).description))
+        end = f"to t = {self.t[-1]:.6g} s" if len(self) else "no rows"
+        caption = f"Run {self._title}: {self.outcome}, {len(self)} rows, {end}"
+        return html.table(caption, ("array", "elements", "unit", "least", "largest", "description"), rows)
 
     @staticmethod
     def load(folder: str | Path) -> Run:

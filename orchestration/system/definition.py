@@ -37,6 +37,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from robomill.orchestration import html
 from robomill.orchestration.errors import SystemFileError, unknown
 from robomill.orchestration.loop.acceleration import DEFAULT, Iteration
 from robomill.orchestration.system.entries import Entry
@@ -211,6 +212,12 @@ class System:
             raise SystemFileError(f"{place}: {error}" if place else str(error)) from None
         both = merged(old.parameters, parameters)
         return replace(self, components=tuple(replace(c, parameters=both) if c is old else c for c in self.components))
+
+    def _repr_html_(self) -> str:
+        end = "" if self.stop is None else f", to t = {self.stop:g} s"
+        caption = f"System {self.name}: step {1e3 * self.step:g} ms{end}, {self.algorithm}, {len(self.connections)} connections"
+        rows = ((c.name, c.source, ", ".join(f"{k} = {v}" for k, v in c.parameters.items())) for c in self.components)
+        return html.table(caption, ("component", "source", "parameters"), rows)
 
     @staticmethod
     def load(file: str | Path, convert: Convert = same_unit_only) -> System:

@@ -12,8 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from robomill import __version__
 from robomill.example_command import copy, examples
 from robomill.fmus.components import NAMES
+from tests.tolerances import physics
 
 ROOT = Path(__file__).parents[2]
 OURS = ("models", "fmus", "orchestration", "cell", "conformance", "diagnosis", "blind")
@@ -36,9 +38,9 @@ def archives(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(archives: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]]:
-    """The folder that the wheel is installed in, and an environment in which only that is found."""
+    """The folder that the wheel from the sdist is installed in, and an environment in which only that is found."""
     site = tmp_path_factory.mktemp("site")
-    wheel = next((archives / "direct").glob("*.whl"))
+    wheel = next((archives / "again").glob("*.whl"))
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", str(site), str(wheel)]
     subprocess.run(pip, check=True, capture_output=True)
     return site, {**os.environ, "PYTHONPATH": str(site), "ROBOMILL_CACHE_DIR": str(site.parent / "cache")}
@@ -82,9 +84,26 @@ def test_it_runs_beside_foreign_packages_of_the_same_names(installed: tuple[Path
     where = "import robomill, robomill.models as m; print(robomill.__file__, m.__file__)"
     files = subprocess.run([sys.executable, "-c", where], cwd=work, env=installed[1], capture_output=True, text=True, check=True).stdout
     assert all(Path(f).is_relative_to(installed[0]) for f in files.split())
-    robomill(installed, work, "example", "static_loads")
-    summary = json.loads(robomill(installed, work, "run", "scenarios/static_loads.toml", "--json"))
-    assert len(summary["cases"]) == 60
+    robomill(installed, work, "example", "groove")
+    arguments = ("run", "scenarios/groove.toml", "--variant", "uncompensated", "--no-pictures", "--json")
+    summary = json.loads(robomill(installed, work, *arguments))
+    deviation = summary["variants"]["uncompensated"]["max_deviation_m"]
+    assert deviation == pytest.approx(1.4e-3, abs=physics(1.4e-3, relative=0.1))  # sec. 3.2 of paper 000, as tests/cell/test_groove.py
+    assert robomill(installed, work, "--version") == f"robomill {__version__}\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "column"), [("servo_axis", "axis."), ("heated_rod", "rod.")])
+def test_an_example_that_stands_alone_runs_from_the_wheel(
+    installed: tuple[Path, dict[str, str]], work: Path, name: str, column: str
+) -> None:
+    robomill(installed, work, "example", name, name)
+    assert {"README.md", "machine.py", "catalogue.toml"} <= {f.name for f in (work / name).iterdir()}
+    told = json.loads(robomill(installed, work, "run", f"{name}/system.toml", "--json"))
+    assert any(c.startswith(column) for c in told["columns"])
+    script = "import robomill as rm; run = rm.load('results/" + told["system"] + "'); print(len(run), run.plot().axes[0].get_ylabel())"
+    said = subprocess.run([sys.executable, "-c", script], cwd=work, env=installed[1], capture_output=True, text=True, check=True).stdout
+    assert int(said.split()[0]) == told["rows"]
 
 
 @pytest.mark.slow
