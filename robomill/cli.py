@@ -242,7 +242,7 @@ def parser() -> argparse.ArgumentParser:
     completion = _command(
         commands, "completion", "print what makes a shell complete commands, options and files", 'eval "$(robomill completion bash)"'
     )
-    completion.add_argument("shell", choices=SHELLS, help="which shell; docs/completion.md says where the text belongs")
+    completion.add_argument("shell", choices=SHELLS, help="which shell; docs/how_to/python.md says where the text belongs")
     return main_parser
 
 
