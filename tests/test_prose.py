@@ -42,12 +42,14 @@ def test_no_sentence_is_too_long(page: Path) -> None:
 
 def test_a_long_sentence_is_found() -> None:
     long = "word " * (LONGEST + 1)
-    text = f"# Title\n\n{long}end.\n\n```\n{long}\n```\n- {'word ' * LONGEST}\n- {'word ' * LONGEST}\n\n| {'word ' * 30} | {'word ' * 30} |\n"
+    short = "word " * LONGEST
+    text = f"# Title\n\n{long}end.\n\n```\n{long}\n```\n- {short}\n- {short}\n\n| {short} | {short} |\n"
     assert [s.partition(" ")[0] for s in long_sentences(text)] == [str(LONGEST + 2)]
 
 
 def test_words_are_spelled_as_in_the_dictionary() -> None:
     """By typos, which knows common misspellings; words of this project that look like one are in pyproject.toml."""
     places = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "docs", "examples", "robomill"]
-    found = subprocess.run([TYPOS, "--format", "brief", "--no-check-filenames", *places], cwd=ROOT, capture_output=True, text=True, check=False)
+    command = [TYPOS, "--format", "brief", "--no-check-filenames", *places]
+    found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stdout + found.stderr
