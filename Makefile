@@ -5,7 +5,7 @@ READY := .venv/ready
 # what tests, linters and benchmarks need besides
 DEVELOP := .venv/ready-dev
 
-.PHONY: run test check quick build golden figures bench diagnose-real recordings clean help
+.PHONY: run test check docs quick build golden figures bench diagnose-real recordings clean help
 
 run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictures in results/test_part
 	$(BIN)/robomill build
@@ -24,13 +24,16 @@ check: $(DEVELOP) ## formatter, linter with docstring check, types, import rules
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+docs: $(DEVELOP) ## the documentation site in results/site; a broken link or a page that is in no table of contents is an error
+	$(BIN)/sphinx-build --conf-dir docs --doctree-dir results/doctrees --fail-on-warning --quiet . results/site
+
 build: $(READY) ## write every FMU to dist/
 	$(BIN)/robomill build
 
 golden: $(DEVELOP) ## write the golden results anew; review the diff
 	$(BIN)/python -m tests.fmus.regenerate
 
-figures: $(DEVELOP) ## the studies and pictures of docs/validation.md and docs/rate_control.md
+figures: $(DEVELOP) ## the studies and pictures of docs/explanation/validation.md and docs/explanation/rate_control.md
 	$(BIN)/python docs/studies.py
 	$(BIN)/python docs/rate_studies.py
 
@@ -38,7 +41,7 @@ bench: $(DEVELOP) ## masters side by side on the same FMUs, and what users wait 
 	$(BIN)/python -m benchmarks
 	$(BIN)/python -m benchmarks.waiting
 
-diagnose-real: $(READY) ## the gap between model and robot on the KR 300 recordings: docs/real_gap.md
+diagnose-real: $(READY) ## the gap between model and robot on the KR 300 recordings: docs/recordings/real_gap.md
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m robomill.real_gap
 
 recordings: $(DEVELOP) ## public recordings of real machines through the diagnosis: docs/recordings

@@ -166,10 +166,10 @@ def summary(m: Measured) -> str:
     c, filling = find(r, C_LOOP, "memory"), find(r, C_LOOP_FILLING, "memory")
     if memory and disk and c and filling:
         said.append(
-            f"On the ring our compiled loop takes {number(memory.cpu.median)} us of CPU per step with results in memory, "
+            f"On the ring our compiled loop takes {number(memory.cpu.median)} us of CPU per step with results in memory. That is "
             f"{number(ratio(r, memory))} times the plain C loop whose memory is there before its clock starts ({number(c.cpu.median)} us) "
             f"and {number(memory.cpu.median / filling.cpu.median)} times the one that takes it as it fills, as ours does "
-            f"({number(filling.cpu.median)} us); with results on disk {number(disk.cpu.median)} us, {number(ratio(r, disk))} times "
+            f"({number(filling.cpu.median)} us). With results on disk {number(disk.cpu.median)} us, {number(ratio(r, disk))} times "
             f"the C loop that keeps them in the memory that is there (aim: 2)."
         )
     ours = [row for row in (find(g, OURS, "memory"), find(g, OURS, "disk")) if row]

@@ -1,4 +1,4 @@
-"""Cost, memory and accuracy of tri-dexels by the distance of their lines: ``python -m benchmarks.tridexels`` (docs/workpiece.md).
+"""Cost, memory and accuracy of tri-dexels by the distance of their lines: ``python -m benchmarks.tridexels`` (docs/how_to/workpiece.md).
 
 A block of 200 x 150 x 30 mm is milled in rows 12 mm apart, 2 mm deep, with a cutter of 16 mm, 0.4 mm per step of 4 ms (0.1 m/s): 30 000
 steps are two minutes. Times are of the processor, of one core.

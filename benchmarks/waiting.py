@@ -151,7 +151,7 @@ def page(found: Mapping[str, Mapping[str, Times]], sweep: tuple[int, int, float,
         "",
         f"{runs} runs of the groove (7.3 s of machining, 1837 steps each) with summaries only, "
         f"{jobs} {'process' if jobs == 1 else 'processes'}, from the command to the table, planning included:",
-        f"{cpu:.1f} s of CPU ({1e3 * cpu / runs:.1f} ms per run), {wall:.1f} s of wall clock. See [sweeps](../sweep.md).",
+        f"{cpu:.1f} s of CPU ({1e3 * cpu / runs:.1f} ms per run), {wall:.1f} s of wall clock. See [sweeps](../how_to/sweep.md).",
     ]
     return "\n".join(lines) + "\n"
 

@@ -1,4 +1,4 @@
-"""The figures of score.json, by what they measure (docs/blind.md says what each means)."""
+"""The figures of score.json, by what they measure (docs/maintainers/blind.md says what each means)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of single sets (docs/blind.md says what each means): withheld effects, nulls by repeats, machines, few repeats, campaigns."""
+"""Figures of single sets (docs/maintainers/blind.md says what each means): effects, nulls by repeats, machines, few repeats, campaigns."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """What a plan shows to be wrong before anything is run: nothing cut, rapids through material, another tool than the program's.
 
-Only geometry of program, block and tool (`models/planning/dry_run.py`); docs/gcode.md says what each text means.
+Only geometry of program, block and tool (`models/planning/dry_run.py`); docs/how_to/gcode.md says what each text means.
 """
 
 from __future__ import annotations

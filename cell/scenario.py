@@ -7,7 +7,7 @@ A scenario is TOML. Physical values carry their unit (``"0.2 mm"``); only 0 need
     kind = "milling"                    # or "static_loads"
     system = "milling_cell.toml"        # components and connections, beside the scenario
     program = "groove.ngc"              # G-code, or a path of points in TOML
-    # how the program is read where it does not say itself (docs/gcode.md); places in mm of its own zero (G54):
+    # how the program is read where it does not say itself (docs/how_to/gcode.md); places in mm of its own zero (G54):
     start = ["0 mm", "0 mm", "50 mm"]   # where the tool stands before the first block
     home = ["0 mm", "0 mm", "100 mm"]   # where G28, G30 and G53 lead
     dialect = "fanuc"                   # linuxcnc (default), fanuc, haas, marlin: units of dwells

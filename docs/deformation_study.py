@@ -1,4 +1,4 @@
-"""Pictures of docs/deformation.md: ``python -m docs.deformation_study``. Overcut over all directions of feed, scans of both parts."""
+"""Pictures of docs/explanation/deformation.md: ``python -m docs.deformation_study``. Overcut over the directions of feed, scans of both."""
 
 from __future__ import annotations
 

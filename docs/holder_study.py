@@ -1,4 +1,4 @@
-"""Pictures and figures of docs/spindle_holder.md: ``python -m docs.holder_study``. Spindle orientation, budget of the compensation."""
+"""Pictures and figures of docs/explanation/spindle_holder.md: ``python -m docs.holder_study``. Spindle orientation, compensation budget."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Table of docs/mixing.md: ``python -m docs.mixing_study`` mills the short slot with every combination and writes it.
+"""Table of docs/explanation/mixing.md: ``python -m docs.mixing_study`` mills the short slot with every combination and writes it.
 
 Robots, sensors, controllers and ways of programming of four papers, in one cell: ``scenarios/mixing_cell.toml``.
 """

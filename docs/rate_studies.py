@@ -1,4 +1,4 @@
-"""The design of the rate control behind docs/rate_control.md: `make figures` prints its table and draws its pictures anew."""
+"""The design of the rate control behind docs/explanation/rate_control.md: `make figures` prints its table and draws its pictures anew."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The picture of docs/rsi.md: what is sent when a packet, the robot controller or the sensor fails.
+"""The picture of docs/how_to/rsi.md: what is sent when a packet, the robot controller or the sensor fails.
 
     python docs/rsi_study.py
 

@@ -1,4 +1,4 @@
-"""The studies behind docs/validation.md: `make figures` runs them, prints their tables and draws their pictures anew."""
+"""The studies behind docs/explanation/validation.md: `make figures` runs them, prints their tables and draws their pictures anew."""
 
 from __future__ import annotations
 

@@ -223,7 +223,8 @@ def diagnose(
     progress: show it on standard error.
 
     Returns verdict, effects, closure; `report(folder)` writes the page. A log that is not usable is an answer ("bad_log"), no error.
-    DataError where the runs do not fit the system; the other errors are those of `load`. A worked example is docs/tutorial.md.
+    DataError where the runs do not fit the system; the other errors are those of `load`.
+    A worked example is docs/tutorials/diagnose_a_log.md.
     """
     subject = load(system) if isinstance(system, str | Path) else system
     if not isinstance(subject, _System):

@@ -184,7 +184,9 @@ def parser() -> argparse.ArgumentParser:
         "bring a foreign log in as a run folder (CSV, npz, MAT, MDF4, RSI)",
         "robomill import data/kuka_kr300_recordings/map.toml data/kuka_kr300_recordings/recording_A.npz --out runs/A",
     )
-    bring.add_argument("mapping", type=Path, metavar="MAP.toml", help="which column is which port, unit, frame, clock: docs/import.md")
+    bring.add_argument(
+        "mapping", type=Path, metavar="MAP.toml", help="which column is which port, unit, frame, clock: docs/how_to/import.md"
+    )
     bring.add_argument("log", type=Path, metavar="LOG", help="the log")
     bring.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder for the run")
     bring.add_argument("--label", action="append", default=[], metavar="KEY=VALUE", help="a label beside those of the mapping, or instead")
@@ -201,7 +203,7 @@ def parser() -> argparse.ArgumentParser:
         "runs", type=Path, nargs="*", metavar="RUN", help="folders of measured runs; repeats of one condition belong together"
     )
     diagnose.add_argument(
-        "--campaign", type=Path, metavar="FILE.toml", help="in place of these: conditions of several systems (docs/campaigns.md)"
+        "--campaign", type=Path, metavar="FILE.toml", help="in place of these: conditions of several systems (docs/how_to/campaigns.md)"
     )
     diagnose.add_argument(
         "--held-out",
@@ -225,7 +227,7 @@ def parser() -> argparse.ArgumentParser:
     )
     diagnose.add_argument("--out", type=Path, default=Path("results") / "diagnosis", metavar="DIR", help="folder for the answer")
     diagnose.add_argument(
-        "--check", action="store_true", help="say what these runs can show, and what is missing: nothing is fitted, docs/check.md"
+        "--check", action="store_true", help="say what these runs can show, and what is missing: nothing is fitted, docs/how_to/check.md"
     )
     diagnose.add_argument("--repair", action="store_true", help="correct a clock that is late, and diagnose the rest")
     diagnose.add_argument(
@@ -261,7 +263,7 @@ def parser() -> argparse.ArgumentParser:
     completion = _command(
         commands, "completion", "print what makes a shell complete commands, options and files", 'eval "$(robomill completion bash)"'
     )
-    completion.add_argument("shell", choices=SHELLS, help="which shell; docs/python.md says where the text belongs")
+    completion.add_argument("shell", choices=SHELLS, help="which shell; docs/how_to/python.md says where the text belongs")
     return main_parser
 
 

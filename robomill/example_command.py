@@ -22,12 +22,21 @@ LONGEST_NAME = 200
 FOLDERS = {
     "heated_rod": (
         Path("examples") / "heated_rod",
-        "A heated rod with its controller: minutes to hours, for docs/bring_your_own_system.md",
+        "A heated rod with its controller: minutes to hours, for docs/tutorials/bring_your_own_system.md",
     ),
-    "kalman_sensor": (Path("examples") / "kalman_sensor", "A component of your own: package, model, effect, tests, for docs/components.md"),
+    "kalman_sensor": (
+        Path("examples") / "kalman_sensor",
+        "A component of your own: package, model, effect, tests, for docs/tutorials/write_a_component.md",
+    ),
     "recordings": (Path("data") / "kuka_kr300_recordings", "Two recordings of a KUKA KR 300 with their mapping: robomill import"),
-    "servo_axis": (Path("examples") / "servo_axis", "A servo axis: model, mapping, catalogue, answer, for docs/bring_your_own_system.md"),
-    "tutorial": (Path("docs") / "tutorial", "A raw log with its mapping, for docs/tutorial.md: from the log to an adopted effect"),
+    "servo_axis": (
+        Path("examples") / "servo_axis",
+        "A servo axis: model, mapping, catalogue, answer, for docs/tutorials/bring_your_own_system.md",
+    ),
+    "tutorial": (
+        Path("docs") / "tutorials" / "log",
+        "A raw log with its mapping, for docs/tutorials/diagnose_a_log.md: from the log to an adopted effect",
+    ),
 }
 """Examples that are a whole folder, with the folders in it."""
 

@@ -90,7 +90,7 @@ def add_arguments(parser: Any) -> None:
         add_overwrite(kind, "results, and readings that --simulate writes,")
     for kind in (stiffness, payload):
         kind.add_argument(
-            "measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/identify.md)"
+            "measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/how_to/identify.md)"
         )
         kind.add_argument("--robot", metavar="NAME", help="name of models/data/robots or a .toml file (default: what the set or run says)")
         kind.add_argument("--tool", metavar="NAME", help="name of models/data/tools or a .toml file (default: what the set or run says)")

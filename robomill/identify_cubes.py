@@ -99,7 +99,7 @@ def add_arguments(kinds: Any) -> None:
         description="Identify the springs between cubes on the robot from laser triangulation readings, loaded and unloaded.",
         epilog="Example: robomill identify cubes data/kr300_cubes/cubes.toml --compare kr300_r2500_ultra",
     )
-    kind.add_argument("measured", type=Path, metavar="SET.toml", help="cubes, loads and table of readings (docs/identify.md)")
+    kind.add_argument("measured", type=Path, metavar="SET.toml", help="cubes, loads and table of readings (docs/how_to/identify.md)")
     kind.add_argument("--compare", metavar="NAME", help="springs to compare with: name of models/data/compliance or a .toml file")
     kind.add_argument("--simulate", metavar="NAME", help="first write the readings that a robot with these springs gives")
     kind.add_argument("--seed", type=int, default=1, metavar="N", help="of the simulated noise (default: 1)")
@@ -138,7 +138,7 @@ def _compliance(name: str) -> Compliance:
 def read_set(file: Path) -> MeasuredCubes:
     """The measured set of a TOML file. MeasuredSetError says what is wrong and what is expected."""
     if not file.is_file():
-        raise MeasuredSetError(f"no measured set {file}; expected a TOML file of cubes and loads, see docs/identify.md")
+        raise MeasuredSetError(f"no measured set {file}; expected a TOML file of cubes and loads, see docs/how_to/identify.md")
     top = Entry.load(file, MeasuredSetError, convert, name=str(file))
     top.keys({"robot", "q", "readings", "unit", "cube", "load"}, {"sensors", "spots", "given"})
     sensors = top.get("sensors", {}).keys((), ("noise", "averages", "systematic"))

@@ -50,7 +50,9 @@ def add_arguments(kinds: Any) -> None:
     )
     sensor.add_argument("--out", type=Path, metavar="FILE.toml", help='write the holder with its matrix for `[sensor] file = "FILE.toml"`')
     sensor.add_argument("--plot", type=Path, metavar="FILE.png", help="draw measured against applied force")
-    sensor.add_argument("measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/identify.md)")
+    sensor.add_argument(
+        "measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/how_to/identify.md)"
+    )
     sensor.add_argument("--robot", metavar="NAME", help="name of models/data/robots or a .toml file (default: what the set or run says)")
     sensor.add_argument("--tool", metavar="NAME", help="name of models/data/tools or a .toml file (default: what the set or run says)")
     sensor.add_argument("--json", action="store_true", default=SUPPRESS, help="print the result as JSON and nothing else")

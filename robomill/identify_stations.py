@@ -34,7 +34,9 @@ def add_arguments(kinds: Any) -> None:
         description="Compare the stiffness that pushes along x, y, z show at stations with that of springs, with and without tilt axes.",
         epilog="Example: robomill identify stations results/stations/*-1 --compliance scenarios/kr210/table_3_1.toml",
     )
-    kind.add_argument("measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/identify.md)")
+    kind.add_argument(
+        "measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/how_to/identify.md)"
+    )
     kind.add_argument("--compliance", required=True, metavar="NAME", help="springs: name of models/data/compliance or a .toml file")
     kind.add_argument("--robot", metavar="NAME", help="name of models/data/robots or a .toml file (default: what the set or run says)")
     kind.add_argument("--tool", metavar="NAME", help="name of models/data/tools or a .toml file (default: what the set or run says)")

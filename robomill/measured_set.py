@@ -110,7 +110,7 @@ def _mm(tool: Tool) -> list[float]:
 
 def _top(file: Path) -> Entry:
     if not file.is_file():
-        raise MeasuredSetError(f"no measured set {file}; expected a TOML file of columns or a run folder, see docs/identify.md")
+        raise MeasuredSetError(f"no measured set {file}; expected a TOML file of columns or a run folder, see docs/how_to/identify.md")
     if file.suffix != ".toml":
         raise MeasuredSetError(f"{file} is no measured set: expected a run folder, or a TOML file that says which columns of it are what")
     return Entry.load(file, MeasuredSetError, convert, name=str(file))

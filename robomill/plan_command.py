@@ -127,7 +127,9 @@ def _is_scenario(file: Path) -> bool:
 def _from_scenario(options: Namespace) -> _Task:
     given = sorted(f"--{name.replace('_', '-')}" for name in _PLACES if getattr(options, name))
     if given:
-        raise ValueError(f"{', '.join(given)} goes with programs; {options.program} is a scenario, which has keys for that (docs/gcode.md)")
+        raise ValueError(
+            f"{', '.join(given)} goes with programs; {options.program} is a scenario, which has keys for that (docs/how_to/gcode.md)"
+        )
     scenario = load_scenario(options.program)
     if scenario.program is None or scenario.workpiece is None:
         raise ValueError(f"{options.program}: a scenario of kind {scenario.kind!r} has no program to plan")

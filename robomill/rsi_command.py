@@ -25,7 +25,7 @@ Address = tuple[str, int]
 def add_partner_arguments(parser: Any) -> None:
     """Options of `robomill rsi`."""
     _add_priority(parser)
-    parser.add_argument("link", type=Path, metavar="LINK.toml", help="what goes over the wire, limits, watchdog: docs/rsi.md")
+    parser.add_argument("link", type=Path, metavar="LINK.toml", help="what goes over the wire, limits, watchdog: docs/how_to/rsi.md")
     parser.add_argument("--listen", type=address, metavar="IP:PORT", help="where to wait for the robot controller (default: the link's)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the recorded session (default: results/NAME)")
     parser.add_argument(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,8 @@ FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 NAMED = re.compile(
     r"(?<![\w./-])((?:blind|cell|conformance|data|diagnosis|docs|examples|fmus|models|orchestration|robomill|scenarios|tests)/[\w./-]+\.(?:py|md|toml|json|ngc|c|csv|svg|png))\b"
 )
+TOCTREE = re.compile(r"^```\{toctree\}\n(.*?)^```", re.MULTILINE | re.DOTALL)
+PAGE_NAME = re.compile(r"(?<![\w./-])docs/[\w/-]+\.md\b")
 HISTORY = ("CHANGELOG.md", "docs/decisions")
 """Pages that name what was there when they were written."""
 
@@ -74,3 +77,53 @@ def test_every_page_is_reached_from_the_readme() -> None:
         folders = {q for t in targets if t.is_dir() for q in t.glob("*.md")}
         new = {t for t in targets | folders if t.is_file()} - reached
     assert not (lost := sorted(name(p) for p in set(PAGES) - reached)), f"no way from the README to {', '.join(lost)}"
+
+
+def in_contents(page: Path, root: Path = ROOT) -> set[Path]:
+    """Pages that the tables of contents of a page name (directive toctree of Sphinx), patterns among them."""
+    lines = [line.strip() for body in TOCTREE.findall(page.read_text(encoding="utf-8")) for line in body.splitlines()]
+    found: set[Path] = set()
+    for entry in (re.sub(r"^.*<(.+)>$", r"\1", line) for line in lines if line and not line.startswith(":")):
+        place = Path(os.path.normpath((root if entry.startswith("/") else page.parent) / entry.lstrip("/")))
+        found |= {p for suffix in (".md", ".ipynb") for p in place.parent.glob(place.name + suffix)}
+    return found
+
+
+def test_every_page_is_reached_from_the_contents_of_the_site() -> None:
+    """What Sphinx says in seconds, in milliseconds; links and anchors of the built site are checked by `make docs`."""
+    reached, new = set(), {ROOT / "docs" / "index.md"}
+    while new:
+        reached |= new
+        new = {t for p in new if p.suffix == ".md" for t in in_contents(p)} - reached
+    pages = {p for s in ("md", "ipynb") for p in (ROOT / "docs").rglob(f"*.{s}") if "/." not in p.as_posix()}
+    assert not (lost := sorted(name(p) for p in pages - reached)), f"in no table of contents: {', '.join(lost)}"
+
+
+def test_a_page_in_no_contents_is_found(tmp_path: Path) -> None:
+    (tmp_path / "index.md").write_text("# A\n```{toctree}\n:glob:\n\none\nTwo </b/two>\nb/t*\n```\n")
+    (tmp_path / "b").mkdir()
+    for page in ("one.md", "lost.md", "b/two.md", "b/three.ipynb"):
+        (tmp_path / page).write_text("# A page\n")
+    named = in_contents(tmp_path / "index.md", tmp_path)
+    assert {p.relative_to(tmp_path).as_posix() for p in named} == {"one.md", "b/two.md", "b/three.ipynb"}
+
+
+def test_pages_that_code_and_data_name_are_there() -> None:
+    folders = (
+        "benchmarks",
+        "blind",
+        "cell",
+        "conformance",
+        "diagnosis",
+        "docs",
+        "examples",
+        "fmus",
+        "models",
+        "orchestration",
+        "robomill",
+        "scenarios",
+        "tests",
+    )
+    files = [p for f in folders for p in (ROOT / f).rglob("*") if p.suffix in {".py", ".toml"} and not p.is_symlink()]
+    named = {(name(p), page) for p in [*files, ROOT / "Makefile"] for page in PAGE_NAME.findall(p.read_text(encoding="utf-8"))}
+    assert not (lost := sorted(f"{place} names {page}" for place, page in named if not (ROOT / page).exists())), "; ".join(lost)

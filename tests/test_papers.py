@@ -1,4 +1,4 @@
-"""Every row of docs/papers.md names a test that there is and that carries the mark `paper`."""
+"""Every row of docs/explanation/papers.md names a test that there is and that carries the mark `paper`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from tests import ROOT
 
-PAGE = ROOT / "docs" / "papers.md"
+PAGE = ROOT / "docs" / "explanation" / "papers.md"
 HEAD = ["what", "paper", "FACTS10", "ours", "ratio", "assumption", "test"]
 NODE = re.compile(r"`(tests/[\w/]+\.py)((?:::\w+)+)`")
 SECTION_7 = {

@@ -81,7 +81,7 @@ RELATIVE = {
     "cutoff": 0.005,
 }
 ABSOLUTE = {"p_FT": 5e-6, "payload": 0.2, "load": 0.02, "offset_f": 0.2, "offset_m": 0.03, "cog": 1e-4}
-"""Standard deviations of the calibrated numbers (docs/blind.md): relative, and in the unit of the number."""
+"""Standard deviations of the calibrated numbers (docs/maintainers/blind.md): relative, and in the unit of the number."""
 
 
 @dataclass(frozen=True)

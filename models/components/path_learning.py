@@ -173,6 +173,6 @@ MODEL = Model(
         "or raise search_limit",
         "force limit exceeded: at t = {t:.3f} s the force is {filtered_force:.1f} N, more than {desired_force} N for {held_time:.3f} s "
         "after it passed force_limit = {force_limit} N, and the feed stands: teach guiding points further from the part, "
-        "or check gain = {gain:.3g} m/(N s) against the stiffness of the contact (docs/path_learning.md)",
+        "or check gain = {gain:.3g} m/(N s) against the stiffness of the contact (docs/explanation/path_learning.md)",
     ),
 )

@@ -1,4 +1,4 @@
-"""The mapping file of a foreign log: which column is which port, in which unit, frame and sign, on which clock. See docs/import.md."""
+"""The mapping file of a foreign log: which column is which port, in which unit, frame, sign, on which clock. See docs/how_to/import.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`make diagnose-real`: the study of the recorded KR 300, as docs/real_gap.md, docs/real_gap.json (the keys of a diagnosis) and pictures.
+"""`make diagnose-real`: the study of the recorded KR 300, as real_gap.md and real_gap.json (the keys of a diagnosis) with pictures.
 
 Needs the two recordings in data/kuka_kr300_recordings and about two minutes.
 """
@@ -17,7 +17,12 @@ from robomill.real_gap.study import diagnose
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("docs"), help="folder for real_gap.md, real_gap.json and pictures (default: docs)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs") / "recordings",
+        help="folder for real_gap.md, real_gap.json and pictures (default: %(default)s)",
+    )
     parser.add_argument("--runs", type=Path, default=Path("results") / "real_gap", help="folder for the imported runs")
     options = parser.parse_args(arguments)
     result = diagnose(options.runs)

@@ -218,7 +218,7 @@ def _number(x: float) -> str:
 
 
 def page(r: Result, pictures: Sequence[Path]) -> str:
-    """docs/real_gap.md."""
+    """docs/recordings/real_gap.md."""
     A, B = r.gates
     c = r.closures
     where = _table(

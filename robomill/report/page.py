@@ -484,7 +484,7 @@ def _about(s: Subject) -> str:
     effort = s.answer.effort.simulations
     parts.append(
         _paragraph(
-            f"Catalogue: {s.catalogue.file.name}. {_count(effort, 'simulation')} of the closed loop. What the method cannot do: docs/limits.md."
+            f"Catalogue: {s.catalogue.file.name}. {_count(effort, 'simulation')} of the closed loop. What the method cannot do: docs/explanation/limits.md."
         )
     )
     return "\n".join(p for p in parts if p)

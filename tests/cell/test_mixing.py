@@ -1,4 +1,4 @@
-"""The table of docs/mixing.md is what runs: robots x sensors x controllers x programming; the rest is refused with the reason."""
+"""The table of docs/explanation/mixing.md is what runs: robots x sensors x controllers x programming; the rest has a reason."""
 
 from __future__ import annotations
 

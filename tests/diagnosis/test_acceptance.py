@@ -142,7 +142,7 @@ def never_surer(whole: Mapping[str, Any], rest: Mapping[str, Any]) -> None:
 
 
 BEYOND = pytest.mark.xfail(
-    reason="several effects, or late clocks and effects, fit a small system as the true one does: docs/limits.md", strict=False
+    reason="several effects, or late clocks and effects, fit a small system as the true one does: docs/explanation/limits.md", strict=False
 )
 
 

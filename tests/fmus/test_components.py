@@ -19,12 +19,12 @@ from robomill.orchestration.assembly import run
 from robomill.orchestration.errors import SystemFileError
 from tests.fmus import demo
 
-PAGE = Path(__file__).parents[2] / "docs" / "components.md"
+PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "write_a_component.md"
 
 
 @pytest.fixture
 def smoother(tmp_path: Path) -> Iterator[Path]:
-    """The model of docs/components.md in a file."""
+    """The model of docs/tutorials/write_a_component.md in a file."""
     before = list(sys.path), set(sys.modules)
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     file = tmp_path / "smoother.py"

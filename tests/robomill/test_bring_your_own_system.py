@@ -1,4 +1,4 @@
-"""docs/bring_your_own_system.md, word for word in an empty folder; what is said where the cause is not listed, or where there is none."""
+"""docs/tutorials/bring_your_own_system.md, word by word in an empty folder; and where the cause is not known, or there is none."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from robomill.logs.importing import import_log
 from robomill.orchestration.runs.run import Run
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "bring_your_own_system.md"
+PAGE = ROOT / "docs" / "tutorials" / "bring_your_own_system.md"
 AXIS = ROOT / "examples" / "servo_axis"
 WELL = 0.9
 """Closure on the held-out condition: what the machine does otherwise than the model is a tenth of a gap at most."""

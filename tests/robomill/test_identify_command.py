@@ -164,7 +164,7 @@ class TestStiffness:
         for files, text in (
             ([tmp_path / "unnamed"], "does not say its robot (label ''): give --robot, one of fanuc_r2000ic, irb6400r_25_150"),
             ([bare], "no displacement: expected a column *.d_T_B; it has robot.q_link, load.f_T_B"),
-            ([tmp_path / "nowhere"], "expected a TOML file of columns or a run folder, see docs/identify.md"),
+            ([tmp_path / "nowhere"], "expected a TOML file of columns or a run folder, see docs/how_to/identify.md"),
             (
                 [FANUC.parent / "forces.csv"],
                 "is no measured set: expected a run folder, or a TOML file that says which columns of it are what",

@@ -80,7 +80,7 @@ def diagnosed(campaign: Campaign, store: Store | None = None) -> Answer:
 @pytest.mark.slow
 @pytest.mark.parametrize(("joint", "error", "seed"), [(2, 0.15, 500), (1, 0.15, 501), (3, 0.15, 502)])
 def test_a_stiffness_error_is_found_and_placed(joint: int, error: float, seed: int) -> None:
-    """The machines of docs/campaigns.md, which says what they show and what not."""
+    """The machines of docs/how_to/campaigns.md, which says what they show and what not."""
     answer = diagnosed(measured(joint, error, seed))
     first = answer.which[0]
     assert answer.verdict in ("identified", "ambiguous")

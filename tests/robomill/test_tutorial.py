@@ -1,4 +1,4 @@
-"""The way of docs/tutorial.md, with a mapping that has a sign wrong: from the machine's CSV to a report that says so."""
+"""The way of docs/tutorials/diagnose_a_log.md, with a mapping that has a sign wrong: from the machine's CSV to a report that says so."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from robomill.cli import main
 
-TUTORIAL = Path("docs/tutorial")
+TUTORIAL = Path("docs/tutorials/log")
 
 
 @pytest.mark.slow

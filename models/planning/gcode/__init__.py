@@ -1,4 +1,4 @@
-"""Read a G-code program (RS-274) as CAM systems write it: text in, moves in SI out (docs/gcode.md).
+"""Read a G-code program (RS-274) as CAM systems write it: text in, moves in SI out (docs/how_to/gcode.md).
 
 Three linear axes: lines, arcs and helices, cycles. What has no effect on the path is skipped and noted; what would change the path
 and is not built, or is malformed, is refused with one `GCodeError` that says where, what was found and what is supported.

@@ -1,4 +1,4 @@
-"""Robot programs in the languages of controllers: KUKA KRL, ABB RAPID and G-code, from one internal form (docs/planning.md).
+"""Robot programs in the languages of controllers: KUKA KRL, ABB RAPID and G-code, from one internal form (docs/how_to/planning.md).
 
 `poses` holds the internal form, a sequence of poses in the workpiece frame; `krl`, `rapid` and `gcode_text` write it; `krl` and
 `rapid` read back what they wrote; `convert` makes it of a program that was read and of it a path that is planned.

@@ -116,7 +116,7 @@ def test_the_sensor_filter_of_50_ms_does_not_belong_into_the_loop() -> None:
 
 
 def test_even_a_light_filter_must_be_counted() -> None:
-    """First order, 10 ms, on top of the loop of the twin: docs/rate_control.md, two digits."""
+    """First order, 10 ms, on top of the loop of the twin: docs/explanation/rate_control.md, two digits."""
     filtered = B_UNDELAYED * control.tf([1.0], [0.010, 1.0])
     assert critical_gain(filtered, 2) == pytest.approx(77.0, rel=0, abs=physics(77.0, absolute=0.5))
     assert damping(sampled_loop(filtered, LOOP_GAIN, 2)) == pytest.approx(0.44, rel=0, abs=physics(0.44, absolute=PRINTED))

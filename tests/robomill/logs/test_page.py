@@ -1,4 +1,4 @@
-"""Every example of docs/import.md runs, and every key of a mapping is in one of them."""
+"""Every example of docs/how_to/import.md runs, and every key of a mapping is in one of them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from tests import ROOT
 from tests.robomill.logs.test_bags import written
 from tests.tolerances import ROUNDOFF
 
-EXAMPLES = re.findall(r"^```toml\n# (\S+)\n(.*?)^```", (ROOT / "docs" / "import.md").read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+EXAMPLES = re.findall(
+    r"^```toml\n# (\S+)\n(.*?)^```", (ROOT / "docs" / "how_to" / "import.md").read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+)
 
 
 def forces(file: Path) -> None:

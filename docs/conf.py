@@ -1,0 +1,43 @@
+"""The documentation site: ``make docs`` builds it with Sphinx into results/site.
+
+The sources are the Markdown pages of the checkout, where they stand: a link that works in a checkout works on the site.
+A page that is in no table of contents, a link without target and an anchor without heading are warnings; the build ends with an error.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+
+project = "robomill"
+author = "the developers of robomill"
+version = release = importlib.metadata.version("robomill")
+language = "en"
+
+extensions = ["myst_nb", "sphinx_copybutton"]
+root_doc = "docs/index"
+include_patterns = [
+    "docs/**",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "examples/*/README.md",
+    "examples/kalman_sensor/kalman_sensor/*.md",
+    "scenarios/recordings/README.md",
+]
+exclude_patterns = [".*", "blind", "results", "robomill", "tests"]
+
+myst_heading_anchors = 4  # as the usual renderers of Markdown make them
+highlight_language = "text"
+nb_execution_mode = "off"  # they are executed by tests/test_notebooks.py
+
+html_theme = "pydata_sphinx_theme"
+html_title = "robomill"
+html_theme_options = {
+    "header_links_before_dropdown": 6,
+    "navigation_with_keys": False,
+    "secondary_sidebar_items": ["page-toc"],
+    "show_toc_level": 2,
+}
+html_copy_source = False
+html_show_sourcelink = False
+html_extra_path = ["_root"]  # index.html: from the root of the site to the start page
+html_use_index = False
