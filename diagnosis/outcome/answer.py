@@ -27,6 +27,7 @@ from robomill.diagnosis.localisation.where import Where
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.families import Family
 from robomill.diagnosis.outcome.next_run import NextRun
+from robomill.diagnosis.outcome.steps import Steps
 from robomill.diagnosis.outcome.verdict import Tests, Verdict
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
 
@@ -111,7 +112,7 @@ class Visible:
     location: str
     parameter: str
     value: float
-    """SHOWS standard deviations (`visibility`) [unit]."""
+    """SHOWS standard deviations (`visibility`) [unit]; infinite where it does not show."""
     unit: str
 
 
@@ -139,6 +140,8 @@ class Answer:
     families: tuple[Family, ...] = ()
     """Effects that count as one, or that cannot be told apart; likeliest first."""
     how_far: tuple[HowFar, ...] = ()
+    steps: Steps | None = None
+    """The accepted effects one after the other."""
     next_run: NextRun | None = None
     isolability: tuple[Pair, ...] | None = None
     gap: Gap | None = None
