@@ -253,9 +253,7 @@ class Conclusion:
         """What would have been seen, by candidate and parameter (`visibility`)."""
         seen = Seen(self.search.evidence, self.search.candidates)
         return tuple(
-            Visible(c.effect, c.location, name, value, c.unit)
-            for c in self.search.candidates
-            for name, value in seen.smallest(c).items()
+            Visible(c.effect, c.location, name, value, c.unit) for c in self.search.candidates for name, value in seen.smallest(c).items()
         )
 
     def next_run(self, verdict: str) -> next_run.NextRun | None:
