@@ -54,7 +54,8 @@ class HowFar:
     before: float
     after: float
     floor: float
-    """Root mean squares [unit]: of the gap with the nominal system and with the adopted effects, noise taken off unless it is a guess; of noise."""
+    """Root mean squares [unit]: of the gap with the nominal system and with the adopted effects; of noise, which is taken off the others
+    unless it is a guess."""
     closure: float | None = None
     interval: list[float] | None = None
     """1 - G_after / G_before with its 90 % interval; None, like what follows, where the gap is not `measurable` beside the noise."""

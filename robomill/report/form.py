@@ -14,21 +14,18 @@ from robomill.diagnosis.localisation.where import WHOLE
 from robomill.report.html import code, figure, paragraph, table
 from robomill.report.sheet import Sheet
 from robomill.report.style import AFTER, BEFORE, MUTED
-from robomill.report.subject import ALL, KINDS, Subject, closed, left, listed, there_was
+from robomill.report.subject import ALL, KINDS, Subject, closed, hardest, left, listed, there_was
 from robomill.report.units import join, number, percent, quantity, scale, with_interval
 
+FORM = ".form.json"
+"""Ending of the file that a form is adopted from."""
 CURVES = 6
 """Ports whose curve is drawn, at most: those with the largest parts of the gap come first."""
 
 
-def form_of(s: Subject) -> Form | None:
-    """The form that the answer has, if it has one."""
-    return s.answer.form
-
-
 def section(s: Subject, figures: Mapping[str, str]) -> str:
     """Formula, terms and curve of each port; how far the gap shrinks with it; where it was seen, and where it is worse."""
-    f = form_of(s)
+    f = s.answer.form
     if f is None or not f.ports:
         return ""
     what = "added to what comes out of" if f.side == "output" else "added to what goes into"
@@ -40,6 +37,8 @@ def section(s: Subject, figures: Mapping[str, str]) -> str:
     parts += [paragraph(f"It is {listed(f.like, 'or')}.")] if f.like else []
     caption = "What the nominal simulation leaves, and the form, over the variable of its first term (means of samples with like values)."
     parts += [figure(figures, "form", caption), _terms(f.ports), _closes(s, f), _ranges(f), paragraph(f.note) if f.note else ""]
+    if f.specification:
+        parts.append(paragraph("Simulate with it:") + f"<pre><code>robomill run SCENARIO.toml --adopt adopt{FORM}</code></pre>")
     return "\n".join(p for p in parts if p)
 
 
@@ -55,7 +54,7 @@ def _terms(ports: Sequence[PortForm]) -> str:
 
 def _closes(s: Subject, f: Form) -> str:
     """The closed loop with the form, in the hardest test."""
-    kind = next((k for k in KINDS if any(h.on == k for h in f.how_far)), None)
+    kind = hardest(f.how_far)
     if kind is None:
         return ""
     rows = []
@@ -90,7 +89,7 @@ def _ranges(f: Form) -> str:
 
 def draw(s: Subject, sheet: Sheet) -> Figure | None:
     """For each port the mean gap and the form over a variable."""
-    f = form_of(s)
+    f = s.answer.form
     shown = [(p, p.curve) for p in f.ports if p.curve is not None][:CURVES] if f is not None else []
     if not shown:
         return None
@@ -100,14 +99,13 @@ def draw(s: Subject, sheet: Sheet) -> Figure | None:
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, (p, c) in zip(axes, shown, strict=False):
         factor, symbol = scale(p.unit, float(np.abs([*c.left, *c.form]).max()) or 1.0)
-        along, across = scale(c.unit, float(np.abs(c.x).max()) or 1.0)
-        x = along * np.asarray(c.x)
+        x = np.asarray(c.x)  # in the unit that the formula has
         ax.axhline(0.0, color=MUTED, lw=0.5)
         ax.plot(x, factor * np.asarray(c.left), "o", color=BEFORE, ms=3.0)
         ax.plot(x, factor * np.asarray(c.form), color=AFTER, lw=1.4)
         ax.set_title(Sheet(sheet.width / columns).title(p.port))
         ax.set_ylabel(symbol or "(no unit)")
-        ax.set_xlabel(f"{c.variable}{f' in {across}' if across else ''}")
+        ax.set_xlabel(f"{c.variable}{f' in {c.unit}' if c.unit != '1' else ''}")
     for ax in axes[len(shown) :]:
         ax.axis("off")
     handles = [Line2D([], [], color=BEFORE, marker="o", ms=3.0, lw=0, label="left by the nominal simulation")]

@@ -11,7 +11,7 @@ from robomill.diagnosis.outcome.verdict import Tests
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import base_name
 from robomill.report.html import code, count, fold, paragraph, table
-from robomill.report.subject import GUESS, HELD_OUT, KINDS, Subject, listed, spoken
+from robomill.report.subject import GUESS, HELD_OUT, Subject, listed, spoken
 from robomill.report.units import number, percent, quantity
 from robomill.report.words import likelihood, one_in, rank
 

@@ -137,7 +137,7 @@ class Subject:
     @property
     def hardest(self) -> str | None:
         """The hardest kind of test that the closure was measured in; None where it was not."""
-        return next((kind for kind in KINDS if any(h.on == kind for h in self.answer.how_far)), None)
+        return hardest(self.answer.how_far)
 
     def far(self, kind: str | None, channel: str) -> HowFar | None:
         """Entry of `how_far` for an array on one kind of runs."""
@@ -155,6 +155,11 @@ class Subject:
         others = sorted(found[1:], key=lambda h: -h.before / h.floor if h.floor else 0.0)
         chosen = [*found[:1], *others[: count - 1]]
         return [h for h in found if h in chosen]
+
+
+def hardest(measured: Iterable[HowFar]) -> str | None:
+    """The hardest kind of test among these; None where there is none."""
+    return min((h.on for h in measured), key=list(KINDS).index, default=None)
 
 
 def spoken(name: str) -> str:
@@ -250,7 +255,7 @@ def _answer(s: Subject) -> str:
             why = "does not change with time as the gap does"
         elif (new := s.answer.transfer) is not None and new.worth < 0.0:
             why = "does not hold in new conditions"
-        return f"Something real that is not in the catalogue, in {place}: the best model {why}{where}."
+        return f"Something real that is not in the catalogue, in {place}: the best model {why}{where}{_formed(s)}."
     if s.verdict == "ambiguous":
         sure, open_ = s.sure, [w for w in s.answer.which if w.probability < IDENTIFIED]
         first = f"The gap is caused by {causes(sure)}, together with one of" if sure else "The gap has one of"
@@ -258,6 +263,17 @@ def _answer(s: Subject) -> str:
         rest = f" or one of {len(open_) - CAUSES} others" if len(open_) > CAUSES else ""
         return f"{first} several causes that these runs cannot tell apart: {listed(names, 'or')}{rest}."
     return f"The gap is caused by {causes(s.sure)}{_shrinks(s)}."
+
+
+def _formed(s: Subject) -> str:
+    """How much of the whole gap goes with the form of the unknown in the loop."""
+    known = s.answer.form.how_far if s.answer.form else ()
+    kind = hardest(known)
+    whole = next((h for h in known if h.on == kind and h.channel == WHOLE and h.closure is not None), None)
+    if whole is None:
+        return ""
+    how = "the gap to within the noise" if whole.within_noise else f"{closed(whole)[0]} of the gap"
+    return f"; a form that was found for it closes {how} in {KINDS[whole.on]}"
 
 
 def reason(finding: Finding) -> str:

@@ -100,6 +100,8 @@ def percent_interval(interval: Sequence[float] | None) -> str:
     if interval is None:
         return ""
     low, high = (percent(x) for x in sorted(interval))
+    if low == high and min(map(abs, interval)) >= MANIFOLD:
+        return low
     if low == high:
         low, high = (join(f"{100.0 * x:.1f}".replace("-", "−"), "%") for x in sorted(interval))
     return join("within 0.1", "%") if low == high else f"{low} to {high}"

@@ -31,4 +31,4 @@ def one_in(p: float) -> str:
 
 def rank(p: float) -> str:
     """The part of the simulated machines that look like this one: `1 in 50`, or that there was none among them."""
-    return f"fewer than 1 in {MACHINES}" if p * MACHINES < 1.5 else one_in(p)
+    return f"fewer than 1 in {MACHINES}" if round(p * (MACHINES + 1)) <= 1 else one_in(p)

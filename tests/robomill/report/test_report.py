@@ -23,8 +23,11 @@ from robomill.diagnose_command import lines
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.design import Kind, Offer, Quantity
+from robomill.diagnosis.forms.layout import Curve, Form, PortForm, Range, TermFound, Worse
 from robomill.diagnosis.gate.checks import Finding
+from robomill.diagnosis.inference.machines import MACHINES
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Estimate, Gap, Menu, Which
+from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.verdict import Verdict
 from robomill.models.robot.kinematics import forward
 from robomill.orchestration.runs.run import Run
@@ -33,7 +36,7 @@ from robomill.report.figures import draw_all, overlay
 from robomill.report.page import page as html
 from robomill.report.sheet import Sheet
 from robomill.report.style import COLOURS, MARK, WIDTH
-from robomill.report.subject import Subject, verdict_sentence
+from robomill.report.subject import Subject, size, verdict_sentence
 from robomill.report.where import times
 from tests.diagnosis.demo import CATALOGUE, SYSTEM, changed, measure, resolve
 from tests.tolerances import EXACT, ROUNDOFF
@@ -222,6 +225,72 @@ class TestContent:
         assert "the noise is a guess" in _text(html(_saying(s, gap=guess), {}))
         assert "the noise is a guess" not in _text(html(s, {}))
 
+    def test_effect_by_effect_ends_at_what_remains(self, page: Callable[[str], Path], subject: Callable[[str], Subject]) -> None:
+        text = _text(page("identified"))
+        far = next(h for h in subject("identified").answer.how_far if h.on == "held-out condition" and h.channel == "sensors.y")
+        assert f"stiffness, spring 2 {size(far, far.after)}".replace("\u00a0", " ") in text
+        assert f"noise {size(far, far.floor)} –".replace("\u00a0", " ") in text
+
+    def test_no_jargon_outside_of_a_fold(self, page: Callable[[str], Path]) -> None:
+        for verdict in (*VERDICTS, "unknown elsewhere", "growing"):
+            body = page(verdict).read_text(encoding="utf-8").split("</style>", 1)[1]
+            shown = re.sub(r"<details.*?</details>", "", body, flags=re.DOTALL)
+            assert [word for word in ("nats", "whiten", "chi2", "posterior", "nan %", "126 %") if word in shown] == []
+
+    def test_tests_are_told_in_words(self, page: Callable[[str], Path], subject: Callable[[str], Subject]) -> None:
+        text = _text(page("identified"))
+        assert f"have none, fewer than 1 in {MACHINES} speak as strongly for one as these runs do" in text
+        assert "That the best model is right is practically certain" in text
+        s = subject("none")
+        tests = s.answer.tests
+        assert tests is not None
+        assert "so no effect is believed" in _text(html(_saying(s, tests=replace(tests, p_none=0.4)), {}))
+        doubtful = replace(tests, p_none=1e-3, nothing=0.4)
+        assert "but all in all nothing is wrong with a probability of 40 %" in _text(html(_saying(s, tests=doubtful), {}))
+        refuted = _text(html(_saying(s, tests=replace(doubtful, nothing=1e-3, p_fit=0.05)), {}))
+        assert "That the nearest one is right is very unlikely (5 %)" in refuted
+        assert "Probability that nothing is wrong" not in refuted
+
+    def test_what_remains_is_never_nothing(self, subject: Callable[[str], Subject]) -> None:
+        s = subject("identified")
+        far = tuple(replace(h, after=0.0, closure=1.0, interval=[0.93, 1.0], within_noise=True) for h in s.answer.how_far)
+        text = _text(html(_saying(s, how_far=far, steps=None), {}))
+        assert "to within the noise of" in verdict_sentence(_saying(s, how_far=far))
+        assert "to within the noise at least 93 %" in text
+        assert not re.search(r"\b0 µ?m\b|closed 100 %", text)
+
+    def test_a_form_of_the_unknown_is_shown(self, subject: Callable[[str], Subject], tmp_path: Path) -> None:
+        s = subject("unknown")
+        assert 'id="form"' not in html(s, {})
+        term = TermFound("sgn(v)", 0.3, [0.28, 0.33], "N", 0.7)
+        curve = Curve("v", "m/s", [-1.0, 1.0], [-0.31, 0.29], [-0.3, 0.3])
+        port = PortForm("masses.force", "N", "0.3 sgn(v)", (term,), 0.97, curve)
+        far = HowFar("x rms", "all channels, whitened", "1", "held-out condition", 9.0, 2.0, 1.0, 0.95, [0.9, 0.97], 1.0, "repeats", 0.95)
+        bad = (Worse("sensors.y[2]", "held-out condition", 1e-6, 2e-6, "m"),)
+        form = Form("masses", "input", 0.0, (port,), ("like friction",), (far,), (Range("v", "m/s", [-1.0, 2.0], None),), bad)
+        formed = _saying(s, form=form)
+        text = _text(report.write(formed, tmp_path))
+        for said in ("masses.force += 0.3 sgn(v) [N]", "0.300 N 0.280 to 0.330 70 %", "It is like friction.", "v −1.00 to 2.00 m/s –"):
+            assert said in text
+        assert "It makes worse: sensors.y[2] (new conditions: from 1.00 µm to 2.00 µm)" in text
+        assert "a form that was found for it closes 95 % of the gap in new conditions" in text
+        assert {"form.svg", "form.png"} <= _figures(tmp_path / "report.html")
+
+    def test_runs_date_and_version_are_said(self, subject: Callable[[str], Subject]) -> None:
+        s = subject("identified")
+        run = replace(s.runs[0], info={"imported": {"date": "2026-11-20T08:15:30+00:00"}, "labels": {"condition": "slot"}})
+        clock = replace(run, info={"imported": {"date": "1970-01-01T00:00:13+00:00"}})
+        text = _text(html(replace(s, runs=[run, clock], made="diagnosed on 2026-11-24 by robomill 0.1.0"), {}))
+        assert "slot 2026-11-20 08:15" in text
+        assert "1970" not in text
+        assert "Diagnosed on 2026-11-24 by robomill 0.1.0." in text
+
+    def test_a_page_of_the_runs_in_space_is_linked_where_it_is(self, subject: Callable[[str], Subject], tmp_path: Path) -> None:
+        s = subject("none")
+        assert "view.html" not in report.write(s, tmp_path).read_text()
+        (tmp_path / "view.html").write_text("<html></html>")
+        assert '<a href="view.html">' in report.write(s, tmp_path).read_text()
+
     def test_names_are_escaped(self, subject: Callable[[str], Subject]) -> None:
         text = html(replace(subject("none"), system=replace(SYSTEM, name="a <b> & c")), {})
         assert "a &lt;b&gt; &amp; c" in text
@@ -291,6 +360,12 @@ class TestUnits:
     def test_percentages_of_many_times_are_large(self) -> None:
         texts = [units.percent(share).replace("\u00a0", " ") for share in (9.0, 15.0, -15.0)]
         assert texts == ["900 %", "over 1000 %", "below −1000 %"]  # MANIFOLD
+
+    def test_intervals_go_from_low_to_high(self) -> None:
+        assert units.with_interval(-2.0, (-1.5, -2.5), "N")[1] == "−2.50 to −1.50"
+        assert units.percent_interval([0.98, 0.9]).replace("\u00a0", " ") == "90 % to 98 %"
+        assert units.percent_interval([0.97301, 0.97302]).replace("\u00a0", " ") == "within 0.1 %"
+        assert units.percent_interval([-43.0, -12.0]).replace("\u00a0", " ") == "below −1000 %"
 
     def test_a_number_with_many_decimals_has_an_exponent(self) -> None:
         assert [units.number(x) for x in (1.234e-3, 1.234e-5, -3e-14)] == ["0.00123", "1.23e−05", "−3e−14"]  # DECIMALS
