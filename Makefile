@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: run test check quick build golden figures bench diagnose-real recordings clean help
+.PHONY: run test check quick build golden figures bench recordings clean help
 
 run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictures in results/test_part
 	$(BIN)/robomill build
@@ -34,9 +34,6 @@ figures: $(READY) ## the studies and pictures of docs/validation.md and docs/rat
 
 bench: $(READY) ## masters side by side on the same FMUs: docs/benchmarks (those of others, as far as they are installed)
 	$(BIN)/python -m benchmarks
-
-diagnose-real: $(READY) ## the gap between model and robot on the KR 300 recordings: docs/real_gap.md
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m robomill.real_gap
 
 recordings: $(READY) ## public recordings of real machines through the diagnosis: docs/recordings
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.recordings --pages docs/recordings
