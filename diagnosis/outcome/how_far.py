@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from robomill.diagnosis.catalogue import Address
 from robomill.diagnosis.experiment.simulation import setting
@@ -42,7 +43,7 @@ class _Figure:
     channel: str
     metric: str
     unit: str
-    members: FloatArray
+    members: npt.NDArray[np.intp]
     """Indices of its channels."""
     weight: FloatArray
     """Factor of each channel of the laboratory, [channels]."""
@@ -71,7 +72,7 @@ class Closing:
         self._figures = [_Figure(WHOLE, WHOLE, "1", active, scale)]
         for name, members in metrics(search, titles).items():
             unit = laboratory.ports[laboratory.channels[members[0]]].unit or ""
-            self._figures.append(_Figure(name, titles.get(name, name), unit, np.array(members), np.ones(len(scale))))
+            self._figures.append(_Figure(name, titles.get(name, name), unit, np.array(members, dtype=np.intp), np.ones(len(scale))))
         self._predicted = _predicted(self._before, groups, n, search.evidence.active)
 
     @property

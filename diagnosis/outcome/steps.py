@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import Candidate, physical
+from robomill.diagnosis.catalogue import Address, Candidate, physical
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.outcome.how_far import Closing
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -44,7 +44,8 @@ class Steps:
 
 def steps(closing: Closing, fit: Fit) -> Steps:
     """The effects of a model one after the other, each set simulated: (number of effects - 1) simulations more per condition and repeat."""
-    kind, values, added = closing.hardest, {}, []
+    values: dict[Address, float] = {}
+    kind, added = closing.hardest, []
     for c in ranked(fit, closing.search.evidence.space.without(list(fit.values))):
         values |= {a: fit.values[a] for a in c.addresses}
         found = closing.of(physical(values), (kind,))
@@ -72,8 +73,10 @@ def signatures(fit: Fit) -> dict[Candidate, FloatArray]:
 
     Empty where the sensitivities are not known.
     """
+    if fit.sensitivities is None:
+        return {}
     found, at = {}, 0
-    for c in fit.model if fit.sensitivities is not None else ():
+    for c in fit.model:
         x = np.array([fit.values[a] / c.prior.scale for a in c.addresses])
         found[c] = np.asarray(fit.sensitivities[:, at : at + len(x)] @ x)
         at += len(x)

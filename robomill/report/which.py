@@ -41,8 +41,8 @@ def section(s: Subject) -> str:
             )
         )
     if s.verdict == "none":  # probabilities of what is not there would only confuse
-        rows = [(effect, values, component) for effect, _, values, component, _ in rows]
-        return paragraph(_INTRO[s.verdict]) + table(("Effect", "Value (90 % interval)", "Component"), rows) + paragraph(_tried(s))
+        closest = [(effect, values, component) for effect, _, values, component, _ in rows]
+        return paragraph(_INTRO[s.verdict]) + table(("Effect", "Value (90 % interval)", "Component"), closest) + paragraph(_tried(s))
     shown = table(("Effect", "Probability", "Value (90 % interval)", "Component", "Could be confused with"), rows)
     return paragraph(_INTRO[s.verdict]) + shown + _sets(s) + _isolability(s) + paragraph(_tried(s)) + _adopt(s)
 
