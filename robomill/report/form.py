@@ -65,7 +65,9 @@ def _closes(s: Subject, f: Form) -> str:
             (escape(ALL if h.channel == WHOLE else s.titles.get(h.channel, h.channel)), *sizes, f"{value}<small>{interval}</small>")
         )
     worse = [
-        f"{w.channel} ({KINDS[w.on]}: from {quantity(w.before, w.unit)} to {quantity(w.after, w.unit)})" for w in f.worse if w.on in KINDS
+        f"{w.channel} ({KINDS[w.on]}: from {quantity(w.before, w.unit)} to {quantity(w.after, w.unit)})"
+        for w in f.worse
+        if not w.channel.startswith(WHOLE)
     ]
     remark = f" It makes worse: {listed(worse)}." if worse else ""
     text = f"The closed loop with the form in it, in {KINDS[kind]}.{remark}"
