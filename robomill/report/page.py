@@ -78,7 +78,7 @@ def _tiles(s: Subject) -> str:
         tiles.append((f"{nevertheless}, in {KINDS[s.hardest]}", value, ", ".join(filter(None, [interval, far.ceiling(whole, "at best ")]))))
     if s.verdict == "identified":
         least = min((w.probability for w in s.sure), default=0.0)
-        about = f"with a probability of {percent(least)}{'' if len(s.sure) == 1 else ' or more each'}"
+        about = f"{'with a probability of' if len(s.sure) == 1 else 'the least certain one:'} {percent(least)}"
         tiles.append(("Effects named", str(len(s.sure)), about))
     if s.verdict == "ambiguous":
         tiles.append(("Possible causes", str(len(s.answer.which)), f"{len(s.sure)} of them certain"))
