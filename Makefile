@@ -5,7 +5,7 @@ READY := .venv/ready
 # what tests, linters and benchmarks need besides
 DEVELOP := .venv/ready-dev
 
-.PHONY: run test check docs quick build golden figures bench diagnose-real recordings clean help
+.PHONY: run test check docs quick build golden figures bench recordings clean help
 
 run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictures in results/test_part
 	$(BIN)/robomill build
@@ -40,9 +40,6 @@ figures: $(DEVELOP) ## the studies and pictures of docs/explanation/validation.m
 bench: $(DEVELOP) ## masters side by side on the same FMUs, and what users wait for: docs/benchmarks (others as far as they are installed)
 	$(BIN)/python -m benchmarks
 	$(BIN)/python -m benchmarks.waiting
-
-diagnose-real: $(READY) ## the gap between model and robot on the KR 300 recordings: docs/recordings/real_gap.md
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m robomill.real_gap
 
 recordings: $(DEVELOP) ## public recordings of real machines through the diagnosis: docs/recordings
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.recordings --pages docs/recordings

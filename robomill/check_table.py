@@ -5,6 +5,7 @@ from __future__ import annotations
 from robomill import tables
 from robomill.diagnosis.check import Checked, Shown
 from robomill.report import units
+from robomill.report.subject import together
 from robomill.tables import Heading
 
 HEADINGS = (
@@ -43,23 +44,12 @@ def _row(places: list[Shown]) -> tuple[str, ...]:
     span = [units.quantity(size, unit) for size in (sizes[:1] if len(sizes) == 1 else (sizes[0], sizes[-1]))]
     shares = sorted({round(100.0 * p.by_tolerance) for p in places})
     helps = dict.fromkeys(h.name for p in places for h in (*p.channels[:1], *p.runs[:1]))
-    hidden = [(_together([p.location for p in places if p.state == state]), end) for state, end in (("if large", ""), ("not", " (never)"))]
+    hidden = [(together([p.location for p in places if p.state == state]), end) for state, end in (("if large", ""), ("not", " (never)"))]
     return (
-        _together([p.location for p in places if p.state == "shows"]) or "-",
+        together([p.location for p in places if p.state == "shows"]) or "-",
         " .. ".join(dict.fromkeys(span)),
         units.quantity(first.usual, unit),
         " .. ".join(map(str, dict.fromkeys((shares[0], shares[-1])))),
         "; ".join(f"{names}{end}" for names, end in hidden if names) or "-",
         ", ".join(helps) or "-",
     )
-
-
-def _together(names: list[str]) -> str:
-    """`joint 1, 2, 5, tool` for places whose names differ in their last word."""
-    found: list[str] = []
-    head = ""
-    for name in dict.fromkeys(names):
-        start, _, end = name.rpartition(" ")
-        found.append(end if start and start == head else name)
-        head = start
-    return ", ".join(found)

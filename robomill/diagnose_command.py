@@ -6,7 +6,9 @@ import hashlib
 import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
+from datetime import date
 from functools import cache
+from importlib.metadata import version
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -227,7 +229,8 @@ def write(found: Diagnosis, system: System, runs: Sequence[Run], catalogue: Cata
         adopt.write(found.adopted, folder / "adopt.ssv")
     else:
         (folder / "adopt.ssv").unlink(missing_ok=True)  # of an earlier answer
-    return report.write(report.Subject(found, system, runs, catalogue), folder)
+    made = f"diagnosed on {date.today().isoformat()} by robomill {version('robomill')}"
+    return report.write(report.Subject(found, system, runs, catalogue, made), folder)
 
 
 def sources(*systems: System) -> str:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from statistics import mean
 
 from benchmarks.recordings import table
 from benchmarks.recordings.cases import PREPARED, Case
+from benchmarks.recordings.earlier import Earlier, earlier
 from benchmarks.recordings.measure import Outcome
 
 
@@ -33,8 +35,29 @@ def alone(case: Case, outcome: Outcome) -> list[str]:
     return ["", f"Least squares on all {len(case.logs)} runs: {both}."]
 
 
+def counted(case: Case, outcome: Outcome, first: Earlier | None) -> list[str]:
+    """How many expected effects are named, how far the channels close in the mean: here, by least squares, by the first edition."""
+    named = {v.effect for v in table.named(outcome, "expected")}
+    means = [mean(c.closure for c in outcome.closures), mean(c.by_least_squares for c in outcome.closures)] if outcome.closures else []
+    said = f"{len(named)} of {len(case.expected)} expected effects are named"
+    said += (
+        f"; the channels of the held-out runs close by {100 * means[0]:.1f} % in the mean (least squares {100 * means[1]:.1f} %)."
+        if means
+        else "."
+    )
+    if first is None:
+        return ["", said]
+    known = [c for c in (table.by_first(c, first) for c in outcome.closures) if c is not None]
+    also = sorted(set(first.effects) - set(case.expected))
+    closes = f", and closed {100 * mean(known):.1f} % in the mean" if known else ""
+    more = f" It named {', '.join(also)} beside them." if also else ""
+    right = len(set(first.effects) & set(case.expected))
+    return ["", said, f"The first edition ({first.study}; commit {first.commit[:10]}) named {right} of them{closes}.{more}"]
+
+
 def text(case: Case, outcome: Outcome) -> str:
     """The page."""
+    first = earlier(case.name)
     guess = " Nothing was repeated: the noise is a guess." if outcome.guessed else ""
     right, count = table.inside(outcome)
     scope = f"below {case.band:g} Hz" if case.band else "at all frequencies"
@@ -50,6 +73,7 @@ def text(case: Case, outcome: Outcome) -> str:
         f"**Verdict**: {outcome.verdict}.{guess}",
         "",
         f"**Known beforehand**: {case.known}.",
+        *counted(case, outcome, first),
         "",
         *([f"**Error**: {outcome.error}", ""] if outcome.error else []),
         *[f"- log: {text}" for text in outcome.findings],
@@ -59,7 +83,7 @@ def text(case: Case, outcome: Outcome) -> str:
         "",
         "## Which",
         "",
-        *table.values(outcome),
+        *table.values(outcome, first),
         "",
         "expected: known to be there; absent: known not to be there; more: nothing is known of it. Least squares: all expected effects "
         "fitted together to the diagnosed runs, intervals by a bootstrap over blocks of time.",
@@ -68,10 +92,11 @@ def text(case: Case, outcome: Outcome) -> str:
         "",
         f"## How far: held-out runs, {scope}{moving}",
         "",
-        *table.closed(outcome),
+        *table.closed(outcome, first),
         "",
         "closure: 1 - squares after / squares before, no noise taken off.",
         "Least squares: with the expected effects, fitted to the diagnosed runs.",
+        *(["First edition: 1 - the squares that its page has as left / squares before."] if first else []),
         *alone(case, outcome),
         "",
         f"{outcome.samples} samples diagnosed, {outcome.simulations} simulations, {outcome.cpu:.1f} s of CPU.",

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from benchmarks.recordings.cases import Case
-from benchmarks.recordings.measure import Outcome, Value
+from benchmarks.recordings.earlier import Earlier
+from benchmarks.recordings.measure import Closure, Outcome, Value
 
 NAMED = 0.5
 """Probability from which an effect counts as named: it is likelier there than not."""
@@ -18,23 +19,43 @@ def number(value: float | None, interval: tuple[float, float] | None = None) -> 
     return f"{value:.4g}" + (f" ({interval[0]:.4g} to {interval[1]:.4g})" if interval else "")
 
 
-def values(outcome: Outcome) -> list[str]:
-    """Rows of a Markdown table of all effects."""
-    rows = ["| effect | | p | answer (90 %) | least squares (90 %) | unit |", "|---|---|---|---|---|---|"]
+def values(outcome: Outcome, first: Earlier | None = None) -> list[str]:
+    """Rows of a Markdown table of all effects; beside them what the `first` edition said, if it did."""
+    heads = ["effect", "", "p", "answer (90 %)", "least squares (90 %)", *(["first edition (90 %)"] if first else []), "unit"]
+    rows = [_row(heads), _row(["---"] * len(heads))]
     for v in outcome.values:
         p = f"{v.probability:.2f}" if v.value is not None else "-"
-        by = number(v.by_least_squares, v.its_interval)
-        rows.append(f"| {v.effect} | {v.status} | {p} | {number(v.value, v.interval)} | {by} | {v.unit} |")
+        cells = [v.effect, v.status, p, number(v.value, v.interval), number(v.by_least_squares, v.its_interval)]
+        if first is not None:
+            said = first.effects.get(v.effect)
+            cells.append(number(said[0], (said[1], said[2])) if said else "-")
+        rows.append(_row([*cells, v.unit]))
     return rows
 
 
-def closed(outcome: Outcome) -> list[str]:
-    """Rows of a Markdown table of the channels of the held-out runs."""
-    rows = ["| channel | rms before | after | unit | closure | least squares |", "|---|---|---|---|---|---|"]
+def closed(outcome: Outcome, first: Earlier | None = None) -> list[str]:
+    """Rows of a Markdown table of the channels of the held-out runs; beside them what the `first` edition left, if it is known."""
+    heads = ["channel", "rms before", "after", "unit", "closure", "least squares", *(["first edition"] if first else [])]
+    rows = [_row(heads), _row(["---"] * len(heads))]
     for c in outcome.closures:
-        shown = f"{100 * c.closure:.1f} % | {100 * c.by_least_squares:.1f} %"
-        rows.append(f"| {c.channel} | {c.before:.3g} | {c.after:.3g} | {c.unit} | {shown} |")
+        cells = [c.channel, f"{c.before:.3g}", f"{c.after:.3g}", c.unit, share(c.closure), share(c.by_least_squares)]
+        rows.append(_row([*cells, *([share(by_first(c, first))] if first else [])]))
     return rows
+
+
+def by_first(c: Closure, first: Earlier) -> float | None:
+    """Closure of a channel by the first edition: 1 - the square of what it left over that of the gap; None where it is not known."""
+    after = first.after.get(c.channel)
+    return None if after is None else 1.0 - (after / c.before) ** 2
+
+
+def share(closure: float | None) -> str:
+    """`93.4 %`, or a dash."""
+    return "-" if closure is None else f"{100 * closure:.1f} %"
+
+
+def _row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
 
 
 def named(outcome: Outcome, status: str) -> list[Value]:

@@ -15,6 +15,7 @@ from robomill.diagnosis.catalogue import Address
 from robomill.diagnosis.experiment.design import Kind
 from robomill.diagnosis.experiment.segments import Structure
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, decimate
+from robomill.diagnosis.forms.layout import Form
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.isolability import Pair
@@ -27,6 +28,7 @@ from robomill.diagnosis.localisation.where import Where
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.families import Family
 from robomill.diagnosis.outcome.next_run import NextRun
+from robomill.diagnosis.outcome.steps import Steps
 from robomill.diagnosis.outcome.verdict import Tests, Verdict
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
 
@@ -111,7 +113,7 @@ class Visible:
     location: str
     parameter: str
     value: float
-    """SHOWS standard deviations (`visibility`) [unit]."""
+    """SHOWS standard deviations (`visibility`) [unit]; infinite where it does not show."""
     unit: str
 
 
@@ -139,6 +141,8 @@ class Answer:
     families: tuple[Family, ...] = ()
     """Effects that count as one, or that cannot be told apart; likeliest first."""
     how_far: tuple[HowFar, ...] = ()
+    steps: Steps | None = None
+    """The accepted effects one after the other."""
     next_run: NextRun | None = None
     isolability: tuple[Pair, ...] | None = None
     gap: Gap | None = None
@@ -156,6 +160,8 @@ class Answer:
     predictive: dict[str, dict[str, float]] | None = None
     """Model -> condition -> gain in log score there [nats] when it is fitted to the others."""
     unknown: Unknown | None = None
+    form: Form | None = None
+    """What an unknown law is like."""
     effort: Effort = field(default_factory=Effort)
     skipped: tuple[str, ...] = ()
     """What of the catalogue the system does not have, in words."""

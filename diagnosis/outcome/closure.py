@@ -1,6 +1,7 @@
 """How far the gap shrinks: the closed loop simulated again with the adopted effects, against held-out runs.
 
-G = mean over pairs of repeats a != b of r_a' W r_b: noise cancels. With a single run: r' W r less what noise is expected to give.
+G = mean over pairs of repeats a != b of r_a' W r_b: noise cancels. With a single run: r' W r less what noise is expected to give; where
+that is a guess it is not taken off, because nothing may be closed that was not measured.
 Closure = 1 - G_after / G_before. Intervals: bootstrap over blocks of time. Ceiling: the closure of what is the same in every repeat
 (path-locked mean), cross-fitted: the mean that a repeat is compared with does not hold that repeat. Of a condition that was measured
 once: what a regression closes (`ceiling`).
@@ -34,6 +35,8 @@ class Products:
     """What is left when the mean of other repeats (or what a regression makes of the gap) is taken away, noise taken off."""
     regressed: bool
     """Whether the floor is that of a regression."""
+    kept: FloatArray
+    """Noise that is a guess: it was taken off `before`, `after` and `floor`, and stays in what is said of them."""
     samples: FloatArray
     """Samples in the block."""
 
@@ -51,7 +54,8 @@ class HowFar:
     before: float
     after: float
     floor: float
-    """Root mean squares [unit]: of the gap with the nominal system and with the adopted effects, noise taken off; of noise."""
+    """Root mean squares [unit]: of the gap with the nominal system and with the adopted effects; of noise, which is taken off the others
+    unless it is a guess."""
     closure: float | None = None
     interval: list[float] | None = None
     """1 - G_after / G_before with its 90 % interval; None, like what follows, where the gap is not `measurable` beside the noise."""
@@ -61,6 +65,8 @@ class HowFar:
     ratio: float | None = None
     """`closure` / `ceiling`, if that is more than 0."""
     measurable: bool = True
+    within_noise: bool = False
+    """Whether what is left with the adopted effects is not measurable beside the noise: `after` may be nothing."""
     why_no_ceiling: str | None = None
 
 
@@ -75,12 +81,14 @@ def products(
     variance: FloatArray,
     others: Sequence[FloatArray] = (),
     predicted: FloatArray | None = None,
+    *,
+    guessed: bool = False,
 ) -> Products:
     """Sums over blocks; `measured` repeats [samples, channels], simulated `before` and `after`, `variance` of noise per channel.
 
     `others`: repeats of the same condition that were diagnosed; their mean is what a perfect model would know. Without them each repeat is
     compared with the mean of the rest of `measured`: what is left beyond noise does not come again, and no model can have it.
-    A single repeat is compared with what is `predicted` of its gap, [samples, channels].
+    A single repeat is compared with what is `predicted` of its gap, [samples, channels]. `guessed`: `variance` is no more than a guess.
     """
     rows = min(len(x) for x in (*measured, *before, *after, *others))
     edges = np.linspace(0, rows, min(BLOCKS, max(2, rows // 4)) + 1).astype(int)
@@ -107,7 +115,9 @@ def products(
         floor = pairs(simulated, simulated, 0.0)
     regressed = not others and n == 1
     lengths = np.diff(edges).astype(np.float64)
-    return Products(pairs(*before, 0.0), pairs(*after, 0.0), lengths * float(variance.sum()), floor, regressed, lengths)
+    noise = lengths * float(variance.sum())
+    kept = noise if guessed and n == 1 else np.zeros_like(noise)
+    return Products(pairs(*before, 0.0), pairs(*after, 0.0), noise, floor, regressed, kept, lengths)
 
 
 def figures(parts: Sequence[Products], metric: str = "", channel: str = "", unit: str = "1", on: str = "", seed: int = 0) -> HowFar:
@@ -116,21 +126,24 @@ def figures(parts: Sequence[Products], metric: str = "", channel: str = "", unit
     closure = 1 - sum of `after` / sum of `before`, ceiling = 1 - sum of `floor` / sum of `before`, over all blocks; the interval (90 %)
     is that of blocks drawn anew.
     """
-    before, after = np.concatenate([p.before for p in parts]), np.concatenate([p.after for p in parts])
-    samples, noise = np.concatenate([p.samples for p in parts]), np.concatenate([p.noise for p in parts])
+    before, after, floor, samples, noise, kept = (
+        np.concatenate([getattr(p, name) for p in parts]) for name in ("before", "after", "floor", "samples", "noise", "kept")
+    )
     rng = np.random.default_rng(seed)
     choice = rng.integers(0, len(before), (BLOCK_RESAMPLES, len(before)))
-    b, a = before[choice].sum(axis=1), after[choice].sum(axis=1)
-    measurable = bool(np.quantile(b, 0.05) > 0.0 and before.sum() > 0.05 * noise.sum() / max(np.sqrt(len(before)), 1.0))
-    rms, left, floor = (float(np.sqrt(max(x.sum(), 0.0) / samples.sum())) for x in (before, after, noise))
+    least = [float(np.quantile(x[choice].sum(axis=1), 0.05)) for x in (before, after)]
+    measurable = bool(least[0] > 0.0 and before.sum() > 0.05 * noise.sum() / max(np.sqrt(len(before)), 1.0))
+    before, after, floor = before + kept, after + kept, floor + kept
+    rms, left, size = (float(np.sqrt(max(x.sum(), 0.0) / samples.sum())) for x in (before, after, noise))
+    common = (metric, channel, unit, on, rms, left, size)
     if not measurable:
         why = "the gap before is not measurable: its interval includes 0"
-        return HowFar(metric, channel, unit, on, rms, left, floor, measurable=False, why_no_ceiling=why)
-    closed = 1.0 - a / np.maximum(b, 1e-300)
+        return HowFar(*common, measurable=False, within_noise=least[1] <= 0.0, why_no_ceiling=why)
+    closed = 1.0 - after[choice].sum(axis=1) / np.maximum(before[choice].sum(axis=1), 1e-300)
     closure = min(float(1.0 - after.sum() / before.sum()), 1.0)  # no more than what there was
     interval = [min(float(np.quantile(closed, q)), 1.0) for q in (0.05, 0.95)]
-    ceiling = min(1.0, 1.0 - sum(float(p.floor.sum()) for p in parts) / float(before.sum()))
+    ceiling = min(1.0, 1.0 - float(floor.sum()) / float(before.sum()))
     ceiling = max(ceiling, closure)  # what is closed can be closed
     by = "regression" if any(p.regressed for p in parts) else "repeats"
     ratio = closure / ceiling if ceiling > 0.0 else None
-    return HowFar(metric, channel, unit, on, rms, left, floor, closure, interval, ceiling, by, ratio)
+    return HowFar(*common, closure, interval, ceiling, by, ratio, within_noise=least[1] <= 0.0)

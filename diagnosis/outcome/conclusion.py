@@ -27,7 +27,8 @@ from robomill.diagnosis.localisation.where import Located, Where, combined, dire
 from robomill.diagnosis.outcome import next_run
 from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Menu, Unknown, Visible, Which, curves_of, titles_of
 from robomill.diagnosis.outcome.families import Family, families
-from robomill.diagnosis.outcome.how_far import CLOSING, how_far, metrics
+from robomill.diagnosis.outcome.how_far import CLOSING, Closing, metrics
+from robomill.diagnosis.outcome.steps import steps
 from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, over_noise, tested
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -122,17 +123,20 @@ class Conclusion:
             transfer=moved,
             tests=tests,
             families=self.families(tests.p_fit),
+            smallest_visible=self.smallest(),
         )
         acts = verdict in ("identified", "ambiguous", "unknown")
         adopted = physical(self.best.values) if acts else {}
         if verdict == "none":
-            answer = replace(answer, smallest_visible=self.smallest(), probability_none=tests.nothing)
+            answer = replace(answer, probability_none=tests.nothing)
         else:
+            closing = Closing(search, self.groups, self.titles) if adopted else None
             found = located(self.laboratory, self.n, self.search.catalogue, self.search.nuisances, self.figures(), self.menu.projections)
             answer = replace(
                 answer,
                 where=combined(verdict, self.where(), found.where),
-                how_far=how_far(self.search, self.groups, adopted, self.titles) if adopted else (),
+                how_far=closing.of(adopted, list(closing.kinds)) if closing else (),
+                steps=steps(closing, self.best) if closing else None,
                 next_run=self.next_run(verdict) if acts else None,
                 replay=found.replay,
                 swap=found.swap,
@@ -248,8 +252,9 @@ class Conclusion:
     def smallest(self) -> tuple[Visible, ...]:
         """What would have been seen, by candidate and parameter (`visibility`)."""
         seen = Seen(self.search.evidence, self.search.candidates)
-        found = [(c, name, value) for c in self.search.candidates for name, value in seen.smallest(c).items()]
-        return tuple(Visible(c.effect, c.location, name, value, c.unit) for c, name, value in found)
+        return tuple(
+            Visible(c.effect, c.location, name, value, c.unit) for c in self.search.candidates for name, value in seen.smallest(c).items()
+        )
 
     def next_run(self, verdict: str) -> next_run.NextRun | None:
         """The designed run that tells the likely models apart; None where there is only one, or no kind of run."""

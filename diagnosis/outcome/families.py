@@ -13,6 +13,7 @@ import numpy as np
 
 from robomill.diagnosis.catalogue import Candidate
 from robomill.diagnosis.inference.estimation import Fit, Space
+from robomill.diagnosis.outcome.steps import signatures
 from robomill.orchestration.slaves.protocol import FloatArray
 
 CORRELATED = 0.95
@@ -40,12 +41,12 @@ def families(fits: Sequence[Fit], weights: Sequence[float] | FloatArray, space: 
     likely = dict.fromkeys((c.name for c in candidates), 0.0)
     shown: dict[str, tuple[float, Candidate, FloatArray]] = {}
     for f, p in zip(fits, weights, strict=True):
-        for name, (c, signature) in _parts(f).items():
-            likely[name] = likely.get(name, 0.0) + float(p)
+        for c, signature in signatures(f).items():
+            likely[c.name] = likely.get(c.name, 0.0) + float(p)
             # alone an effect shows what it is like; beside others, only what is left to it
             rank = float(p) + (1.0 if len(f.model) == 1 else 0.0)
-            if name not in shown or rank > shown[name][0]:
-                shown[name] = (rank, c, signature)
+            if c.name not in shown or rank > shown[c.name][0]:
+                shown[c.name] = (rank, c, signature)
     order = sorted(shown, key=lambda name: -likely[name])
     declared: dict[str, list[str]] = {}
     for name in order:
@@ -64,18 +65,6 @@ def families(fits: Sequence[Fit], weights: Sequence[float] | FloatArray, space: 
         for name, members in groups.items()
     ]
     return sorted(found, key=lambda family: -family.probability)
-
-
-def _parts(fit: Fit) -> dict[str, tuple[Candidate, FloatArray]]:
-    """Effects of a model by name, each with its part of the signature [n], as the sensitivities at the best values have it."""
-    if fit.sensitivities is None:
-        return {}
-    found, at = {}, 0
-    for c in fit.model:
-        x = np.array([fit.values[a] / c.prior.scale for a in c.addresses])
-        found[c.name] = (c, np.asarray(fit.sensitivities[:, at : at + len(x)] @ x))
-        at += len(x)
-    return found
 
 
 def _correlation(one: tuple[float, Candidate, FloatArray], other: tuple[float, Candidate, FloatArray], space: Space) -> float:

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from robomill.diagnosis.catalogue import Address
 from robomill.diagnosis.experiment.simulation import setting
 from robomill.diagnosis.inference.search import Search
+from robomill.diagnosis.localisation.where import WHOLE
 from robomill.diagnosis.outcome import closure
 from robomill.diagnosis.outcome.ceiling import predicted_gap
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 CLOSING = 4
 """Simulations with different noise that the closure is measured with."""
+DIAGNOSED, REPEAT, CONDITION = "diagnosed runs", "held-out repeat", "held-out condition"
+"""Kinds of runs that it is measured on, the hardest test last."""
 
 Groups = Sequence[Sequence[FloatArray]]
 """Repeats of each condition, [samples, channels]."""
@@ -31,50 +36,78 @@ def metrics(search: Search, titles: Mapping[str, str]) -> dict[str, list[int]]:
     return {g: groups[g] for g in wanted}
 
 
-def how_far(search: Search, groups: Groups, adopted: Mapping[Address, float], titles: Mapping[str, str]) -> tuple[closure.HowFar, ...]:
-    """Closure and ceiling of each figure: the closed loop simulated with the `adopted` values [unit].
+@dataclass(frozen=True)
+class _Figure:
+    """What counts as one figure."""
+
+    channel: str
+    metric: str
+    unit: str
+    members: npt.NDArray[np.intp]
+    """Indices of its channels."""
+    weight: FloatArray
+    """Factor of each channel of the laboratory, [channels]."""
+
+
+class Closing:
+    """Runs of every condition beside the nominal simulation, of which the closure of a model is asked.
 
     `groups`: measured repeats of every condition, the diagnosed ones first; `titles`: array -> what the difference there is called.
     """
-    laboratory, simulator, whitening = search.simulator.laboratory, search.simulator, search.evidence.whitening
-    conditions, n = laboratory.conditions, len(search.groups)
-    after = simulator.repeated(range(len(conditions)), setting(adopted), CLOSING, "closure")
-    before = simulator.repeated(range(len(conditions)), (), CLOSING, "closure")
-    seen = {c.name: i for i, c in enumerate(conditions[:n])}
-    kinds: dict[str, list[int]] = {"diagnosed runs": list(range(n))}
-    for i in range(n, len(conditions)):
-        kinds.setdefault("held-out repeat" if conditions[i].name in seen else "held-out condition", []).append(i)
-    active = np.flatnonzero(search.evidence.active)
-    spread, scale = np.zeros(len(laboratory.channels)), np.zeros(len(laboratory.channels))
-    spread[active] = whitening.deviation
-    scale[active] = 1.0 / np.sqrt(np.diag(whitening.factor @ whitening.factor.T))
-    figures = [("all channels, whitened", "1", active, scale)]
-    for name, members in metrics(search, titles).items():
-        figures.append((name, laboratory.ports[laboratory.channels[members[0]]].unit or "", np.array(members), np.ones(len(scale))))
-    predicted = _predicted(before, groups, n, search.evidence.active)
-    listed = []
-    for kind, members in kinds.items():
-        for name, unit, chosen, weight in figures:
-            parts = []
-            for i in members:
-                b, a = before[i], after[i]
-                index = np.intersect1d(chosen, laboratory.shown(i))
-                if b is None or a is None or not len(index):
-                    continue
-                repeats = groups[seen[conditions[i].name]] if kind == "held-out repeat" else ()
-                parts.append(
-                    closure.products(
-                        [(x * weight)[:, index] for x in groups[i]],
-                        _halves(b, weight, index),
-                        _halves(a, weight, index),
-                        ((spread * weight) ** 2)[index],
-                        [(x * weight)[:, index] for x in repeats],
-                        (predicted[i] * weight)[:, index] if i in predicted else None,
-                    )
+
+    def __init__(self, search: Search, groups: Groups, titles: Mapping[str, str]) -> None:
+        self.search, self.groups = search, groups
+        laboratory, whitening = search.simulator.laboratory, search.evidence.whitening
+        conditions, n = laboratory.conditions, len(search.groups)
+        self._before = search.simulator.repeated(range(len(conditions)), (), CLOSING, "closure")
+        self._seen = {c.name: i for i, c in enumerate(conditions[:n])}
+        self.kinds: dict[str, list[int]] = {DIAGNOSED: list(range(n))}
+        """Kind of runs -> indices of its conditions."""
+        for i in range(n, len(conditions)):
+            self.kinds.setdefault(REPEAT if conditions[i].name in self._seen else CONDITION, []).append(i)
+        active = np.flatnonzero(search.evidence.active)
+        self._spread, scale = np.zeros(len(laboratory.channels)), np.zeros(len(laboratory.channels))
+        self._spread[active] = whitening.deviation
+        scale[active] = 1.0 / np.sqrt(np.diag(whitening.factor @ whitening.factor.T))
+        self._figures = [_Figure(WHOLE, WHOLE, "1", active, scale)]
+        for name, members in metrics(search, titles).items():
+            unit = laboratory.ports[laboratory.channels[members[0]]].unit or ""
+            self._figures.append(_Figure(name, titles.get(name, name), unit, np.array(members, dtype=np.intp), np.ones(len(scale))))
+        self._predicted = _predicted(self._before, groups, n, search.evidence.active)
+
+    @property
+    def hardest(self) -> str:
+        """The hardest kind of test that there is."""
+        return next(kind for kind in (CONDITION, REPEAT, DIAGNOSED) if kind in self.kinds)
+
+    def of(self, adopted: Mapping[Address, float], kinds: Sequence[str]) -> tuple[closure.HowFar, ...]:
+        """Closure and ceiling of each figure on runs of these kinds: the closed loop simulated with the `adopted` values [unit]."""
+        wanted = [i for kind in kinds for i in self.kinds[kind]]
+        simulated = self.search.simulator.repeated(wanted, setting(adopted), CLOSING, "closure")
+        after = dict(zip(wanted, simulated, strict=True))
+        return tuple(h for kind in kinds for f in self._figures if (h := self._closure(kind, f, after)) is not None)
+
+    def _closure(self, kind: str, figure: _Figure, after: Mapping[int, list[FloatArray] | None]) -> closure.HowFar | None:
+        """One figure on one kind of runs; None where none of its conditions has its channels, or can run."""
+        laboratory, weight, parts = self.search.simulator.laboratory, figure.weight, []
+        for i in self.kinds[kind]:
+            b, a = self._before[i], after[i]
+            index = np.intersect1d(figure.members, laboratory.shown(i))
+            if b is None or a is None or not len(index):
+                continue
+            repeats = self.groups[self._seen[laboratory.conditions[i].name]] if kind == REPEAT else ()
+            parts.append(
+                closure.products(
+                    [(x * weight)[:, index] for x in self.groups[i]],
+                    _halves(b, weight, index),
+                    _halves(a, weight, index),
+                    ((self._spread * weight) ** 2)[index],
+                    [(x * weight)[:, index] for x in repeats],
+                    (self._predicted[i] * weight)[:, index] if i in self._predicted else None,
+                    guessed=self.search.evidence.whitening.guessed,
                 )
-            if parts:
-                listed.append(closure.figures(parts, f"{titles.get(name, name)} rms", name, unit, kind))
-    return tuple(listed)
+            )
+        return closure.figures(parts, f"{figure.metric} rms", figure.channel, figure.unit, kind) if parts else None
 
 
 def _predicted(simulated: Sequence[Sequence[FloatArray] | None], groups: Groups, n: int, active: Any) -> dict[int, FloatArray]:

@@ -1,10 +1,10 @@
-"""The figures of the report: drawn with named colours, saved as SVG and PNG; in the page they take its theme."""
+"""The figures of the report: drawn with named colours, saved as SVG and PNG; in the page they take its theme, wide and narrow."""
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from robomill.diagnosis.catalogue import LOGGING
-from robomill.diagnosis.localisation.where import Where
+from robomill.diagnosis.localisation.where import WHOLE, Where
 from robomill.diagnosis.outcome.answer import Visible
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
-from robomill.report import robot
-from robomill.report.style import AFTER, BEFORE, COLOURS, INK, MUTED, NOISE, PAPER, SHADE, STYLE, WIDTH
-from robomill.report.subject import HELD_OUT, KINDS, Subject
+from robomill.report import form, robot, waterfall
+from robomill.report.sheet import Sheet
+from robomill.report.style import AFTER, BEFORE, COLOURS, INK, MUTED, NARROW, NOISE, PAPER, SHADE, STYLE, WIDTH
+from robomill.report.subject import ALL, HELD_OUT, KINDS, Subject, together
 from robomill.report.units import percent, percent_interval, scale
 
 ROWS = 4
@@ -38,33 +39,42 @@ ALWAYS = 0.95
 
 
 def draw_all(s: Subject, folder: Path) -> dict[str, str]:
-    """Name -> SVG for the page, of all figures that the answer has; each is written to `folder` as .svg and .png too."""
+    """Name -> what the page shows, of all figures that the answer has; each is written to `folder` as .svg and .png too."""
+    functions: tuple[tuple[str, Callable[[Subject, Sheet], Figure | None]], ...] = (
+        ("log", log),
+        ("steps", waterfall.draw),
+        ("shares", shares),
+        ("robot", robot.draw),
+        ("signals", signals),
+        ("overlay", overlay),
+        ("closure", closure),
+        ("form", form.draw),
+        ("visible", visible),
+    )
     made = {}
     with matplotlib.style.context(["default", STYLE]):
-        for name, function in (
-            ("log", log),
-            ("shares", shares),
-            ("robot", robot.draw),
-            ("signals", signals),
-            ("overlay", overlay),
-            ("closure", closure),
-            ("visible", visible),
-        ):
-            figure = function(s)
-            if figure is not None:
-                made[name] = _save(figure, name, folder)
+        for name, function in functions:
+            wide, narrow = (function(s, Sheet(width)) for width in (WIDTH, NARROW))
+            if wide is not None and narrow is not None:
+                both = {"wide": _inline(_save(wide, name, folder), name), "narrow": _inline(_svg(narrow), f"{name}-narrow")}
+                made[name] = "\n".join(f'<div class="{kind}">{svg}</div>' for kind, svg in both.items())
     return made
 
 
-def _save(figure: Figure, name: str, folder: Path) -> str:
-    folder.mkdir(parents=True, exist_ok=True)
+def _svg(figure: Figure) -> str:
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    return "\n".join(line.rstrip() for line in buffer.getvalue().splitlines()) + "\n"
+
+
+def _save(figure: Figure, name: str, folder: Path) -> str:
+    """The figure in `folder`; the text of its SVG."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = _svg(figure)
     figure.set_layout_engine("none")  # it stays as it is
     figure.savefig(folder / f"{name}.png", dpi=150, metadata={"Software": None})
-    text = "\n".join(line.rstrip() for line in buffer.getvalue().splitlines()) + "\n"
     (folder / f"{name}.svg").write_text(text, encoding="utf-8")
-    return _inline(text, name)
+    return text
 
 
 def _inline(svg: str, name: str) -> str:
@@ -77,10 +87,6 @@ def _inline(svg: str, name: str) -> str:
     for key, colour in COLOURS.items():
         svg = svg.replace(colour, f"var(--{key})")
     return svg.replace("'DejaVu Sans'", "var(--sans)").strip()
-
-
-def _legend(figure: Figure, handles: Sequence[Any]) -> None:
-    figure.legend(handles=list(handles), loc="outside upper right", ncols=len(handles), borderaxespad=0.0, handlelength=1.8)
 
 
 def _shade(ax: Axes, regime: Sequence[Sequence[float]], t: FloatArray) -> str:
@@ -117,11 +123,11 @@ def _gap(ax: Axes, s: Subject, condition: str, channel: str, *, before: bool = T
 
 def component_name(w: Where) -> str:
     """`drive (joint 3)`; the log is not a component."""
-    place = f" ({w.location})" if w.location else ""
+    place = f" ({together(sorted(w.location.split(', ')))})" if w.location else ""
     return f"{'log' if w.component == LOGGING else w.component}{place}"
 
 
-def shares(s: Subject) -> Figure | None:
+def shares(s: Subject, sheet: Sheet) -> Figure | None:
     """Each component's part in the gap, with its interval; and what no component explains."""
     entries = s.answer.where
     if not entries:
@@ -132,7 +138,7 @@ def shares(s: Subject) -> Figure | None:
         if tolerated > BAR:
             rows.append(("tolerances of calibration", tolerated, None, False))
         rows.append(("not explained", s.left, None, False))
-    figure = Figure(figsize=(WIDTH, 0.62 + 0.36 * len(rows)), layout="constrained")
+    figure = sheet.figure(0.62 + 0.36 * len(rows))
     ax = figure.subplots()
     for i, (_, share, interval, known) in enumerate(rows):
         ax.barh(i, 100.0 * share, height=0.56, color=AFTER if known else NOISE, ec=AFTER if known else MUTED, lw=0.6)
@@ -142,12 +148,13 @@ def shares(s: Subject) -> Figure | None:
             end = max(share, interval[1])
         text = percent(share) + (f"  ({percent_interval(interval)})" if interval is not None else "")
         ax.text(100.0 * max(end, 0.0) + 1.5, i, text, va="center", fontsize=8.5)
-    ax.set_yticks(range(len(rows)), [r[0] for r in rows])
+    ax.set_yticks(range(len(rows)), [sheet.label(r[0]) for r in rows])
     ax.invert_yaxis()
     low = min(0.0, *(100.0 * (r[2][0] if r[2] else r[1]) for r in rows))
     high = max(100.0, *(100.0 * (r[2][1] if r[2] else r[1]) for r in rows))
-    ax.set_xlim(max(low, -100.0), min(high, 200.0) + 30.0)
-    ax.set_xticks(range(0, 101, 20), [f"{x} %" for x in range(0, 101, 20)])
+    ax.set_xlim(max(low, -100.0), min(high, 200.0) + (90.0 if sheet.narrow else 30.0))
+    ticks = range(0, 101, 50 if sheet.narrow else 20)
+    ax.set_xticks(ticks, [f"{x} %" for x in ticks])
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_visible(False)
     ax.axvline(0.0, color=MUTED, lw=0.6)
@@ -155,7 +162,7 @@ def shares(s: Subject) -> Figure | None:
     return figure
 
 
-def signals(s: Subject) -> Figure | None:
+def signals(s: Subject, sheet: Sheet) -> Figure | None:
     """The gap on the diagnosed run where it shows most, with the times of each cause shaded."""
     if not s.conditions or (s.verdict in ("bad_log", "none") and not s.answer.where):
         return None
@@ -173,33 +180,35 @@ def signals(s: Subject) -> Figure | None:
     if not rows:
         return None
     shown = list(rows.items())[:ROWS]
-    figure = Figure(figsize=(WIDTH, 0.75 + 1.25 * len(shown)), layout="constrained")
+    figure = sheet.figure(0.75 + 1.25 * len(shown), 4)
     axes = np.atleast_1d(figure.subplots(len(shown), 1, sharex=True))
     shaded = False
     for ax, (channel, (cause, regime)) in zip(axes, shown, strict=True):
         how = _shade(ax, regime, s.found.curves[condition]["t"])
         _gap(ax, s, condition, channel, after=bool(s.found.adopted))
-        ax.set_title(s.label(channel) + (f" — {how or 'strongest for '}{cause}" if cause else ""))
+        ax.set_title(sheet.title(s.label(channel) + (f" — {how or 'strongest for '}{cause}" if cause else "")))
         shaded |= how == SHADED
     axes[-1].set_xlabel(f"time in s ({condition})")
     handles: list[Any] = [Line2D([], [], color=BEFORE, label="measured − nominal simulation")]
     handles += [Line2D([], [], color=AFTER, label="measured − best model")] if s.found.adopted else []
-    handles += [Patch(color=NOISE, label="±2σ of a repeat")] + ([Patch(color=SHADE, label="when it acts")] if shaded else [])
-    _legend(figure, handles)
+    handles += _repeats(s, condition) + ([Patch(color=SHADE, label="when it acts")] if shaded else [])
+    sheet.legend(figure, handles)
     return figure
 
 
-def overlay(s: Subject) -> Figure | None:
+def overlay(s: Subject, sheet: Sheet) -> Figure | None:
     """Before and after in each condition, where the gap is largest."""
     if not s.found.adopted or s.verdict == "bad_log":
         return None
     first, *others = s.conditions
     new = [c for c in others if c.endswith(HELD_OUT) and c.removesuffix(HELD_OUT) not in s.conditions]
     columns = list(dict.fromkeys([first, *new, *others]))[:3]
-    figures = [h.channel for h in s.answer.how_far if h.on == KINDS[-1] and h.unit != "1"]
+    if sheet.narrow:  # the hardest test
+        columns = [*new, *others, first][:1]
+    figures = [h.channel for h in s.figures(s.hardest)]
     loud = s.loudest(s.conditions[0])
     rows = sorted((c for c in loud if base_name(c) in figures), key=lambda c: list(s.titles or figures).index(base_name(c)))[:3] or loud[:3]
-    figure = Figure(figsize=(WIDTH, 0.75 + 1.35 * len(rows)), layout="constrained")
+    figure = sheet.figure(0.75 + 1.35 * len(rows), 3)
     axes = figure.subplots(len(rows), len(columns), squeeze=False, sharex="col", sharey="row")
     for k, channel in enumerate(rows):
         # a row has one axis
@@ -209,15 +218,20 @@ def overlay(s: Subject) -> Figure | None:
             if j:
                 ax.set_ylabel("")
             else:
-                ax.set_title(s.label(channel))
+                ax.set_title(sheet.title(s.label(channel)))
     for j, condition in enumerate(columns):
         axes[-1][j].set_xlabel(f"time in s, {condition}")
     handles = [Line2D([], [], color=BEFORE, label="before"), Line2D([], [], color=AFTER, label="after")]
-    _legend(figure, [*handles, Patch(color=NOISE, label="±2σ of a repeat")])
+    sheet.legend(figure, [*handles, *_repeats(s, columns[0])])
     return figure
 
 
-def closure(s: Subject) -> Figure | None:
+def _repeats(s: Subject, condition: str) -> list[Any]:
+    """The entry of the legend for the band of the repeats, where there are any."""
+    return [Patch(color=NOISE, label="±2σ of a repeat")] if np.any(s.found.curves[condition]["spread"] > 0.0) else []
+
+
+def closure(s: Subject, sheet: Sheet) -> Figure | None:
     """How much of each figure's gap is closed on each kind of runs, with interval and ceiling."""
     listed = [h for h in s.answer.how_far if h.measurable]
     order = list(s.titles)
@@ -225,7 +239,7 @@ def closure(s: Subject) -> Figure | None:
     if not names:
         return None
     marks = {kind: (marker, dodge) for kind, marker, dodge in zip(KINDS, "os^", (-0.24, 0.0, 0.24), strict=True)}
-    figure = Figure(figsize=(WIDTH, 0.85 + 0.42 * len(names)), layout="constrained")
+    figure = sheet.figure(0.85 + 0.42 * len(names), 4)
     ax = figure.subplots()
     for h in listed:
         assert h.closure is not None
@@ -235,46 +249,54 @@ def closure(s: Subject) -> Figure | None:
         low, high = (float(np.clip(100.0 * x, -20.0, 104.0)) for x in h.interval)
         ax.plot([low, high], [y, y], color=AFTER, lw=1.2)
         x = float(np.clip(100.0 * h.closure, -20.0, 104.0))
-        first = h.on == KINDS[0]
+        first = h.on == next(iter(KINDS))
         ax.plot(x, y, marker, color=AFTER, mfc=AFTER if first else PAPER, ms=6 if first else 5, clip_on=False, zorder=3)
         if h.ceiling is not None:
             ax.plot(float(np.clip(100.0 * h.ceiling, -20.0, 104.0)), y, "|", color=INK, ms=9, mew=1.8, zorder=4)
-    labels = [s.titles.get(n, n) for n in names]
+    labels = [sheet.label(ALL if n == WHOLE else s.titles.get(n, n)) for n in names]
     ax.set_yticks(range(len(names)), labels)
     ax.set_ylim(len(names) - 0.45, -0.55)
     ax.set_xlim(-22.0, 106.0)
-    ax.set_xticks(range(-20, 101, 20), [f"{x} %".replace("-", "−") for x in range(-20, 101, 20)])
+    ticks = range(0, 101, 50) if sheet.narrow else range(-20, 101, 20)
+    ax.set_xticks(ticks, [f"{x} %".replace("-", "−") for x in ticks])
     ax.axvline(0.0, color=MUTED, lw=0.6)
     ax.grid(axis="x")
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_visible(False)
     ax.set_xlabel("closed share of the gap", loc="left")
     kinds = [k for k in KINDS if any(h.on == k for h in listed)]
-    handles = [Line2D([], [], color=AFTER, marker=marks[k][0], mfc=AFTER if k == KINDS[0] else PAPER, ms=6, lw=1.2, label=k) for k in kinds]
-    _legend(figure, [*handles, Line2D([], [], color=INK, marker="|", mew=1.8, ms=9, lw=0, label="ceiling: the best any model could do")])
+    handles = [
+        Line2D([], [], color=AFTER, marker=marks[k][0], mfc=PAPER if i else AFTER, ms=6, lw=1.2, label=KINDS[k])
+        for i, k in enumerate(kinds)
+    ]
+    sheet.legend(figure, [*handles, Line2D([], [], color=INK, marker="|", mew=1.8, ms=9, lw=0, label="the best that any model could do")])
     return figure
 
 
 def smallest(s: Subject) -> list[tuple[str, list[tuple[float, Visible]]]]:
-    """Effect -> (smallest visible value in units of the typical size, it), best place first; most visible effects first."""
+    """Effect -> (smallest visible value in units of the usual size, it), best place first; most visible effects first.
+
+    Of the numbers and variants that an effect has at a place, the one that shows best.
+    """
     typical = {(c.effect, c.location): c.prior.scale for c in s.catalogue.candidates}
-    found: dict[str, list[tuple[float, Visible]]] = {}
+    found: dict[str, dict[str, tuple[float, Visible]]] = {}
     for v in s.answer.smallest_visible or ():
         size = typical.get((v.effect, v.location))
         if size and np.isfinite(v.value):
-            found.setdefault(v.effect, []).append((abs(v.value) / size, v))
-    ordered = {effect: sorted(places, key=lambda p: p[0]) for effect, places in found.items()}
+            here, shows = found.setdefault(v.effect, {}), (abs(v.value) / size, v)
+            here[v.location] = min(here.get(v.location, shows), shows, key=lambda p: p[0])
+    ordered = {effect: sorted(places.values(), key=lambda p: p[0]) for effect, places in found.items()}
     return sorted(ordered.items(), key=lambda item: item[1][0][0])
 
 
-def visible(s: Subject) -> Figure | None:
-    """With the verdict none: from which size each effect would have been seen, against its typical size."""
+def visible(s: Subject, sheet: Sheet) -> Figure | None:
+    """From which size each effect would have been seen, against its usual size."""
     effects = smallest(s)
-    if s.verdict != "none" or not effects:
+    if s.verdict == "bad_log" or not effects:
         return None
-    half = -(-len(effects) // 2) if len(effects) > COLUMN else len(effects)
+    half = -(-len(effects) // 2) if len(effects) > COLUMN and not sheet.narrow else len(effects)
     blocks = [effects[:half], effects[half:]] if len(effects) > half else [effects]
-    figure = Figure(figsize=(WIDTH, 0.8 + 0.19 * half), layout="constrained")
+    figure = sheet.figure(0.8 + 0.19 * half, 2)
     sizes = [size for _, places in effects for size, _ in places]
     low, high = 10.0 ** np.floor(np.log10(max(min(sizes), 1e-4))), 10.0 ** np.ceil(np.log10(min(max(sizes), 1e3)))
     axes = figure.subplots(1, len(blocks), squeeze=False)[0]
@@ -289,20 +311,22 @@ def visible(s: Subject) -> Figure | None:
         ax.axvline(1.0, color=INK, lw=0.8)
         ax.tick_params(axis="y", length=0)
         ax.minorticks_off()
+        decades = np.arange(np.log10(low), np.log10(max(high, 10.0)) + 0.5, 2 if sheet.narrow else 1)
+        ax.set_xticks(10.0**decades)
         ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
         ax.grid(axis="x")
-        ax.set_xlabel("smallest visible / typical size", loc="left")
-    _legend(
+        ax.set_xlabel("smallest visible / usual size", loc="left")
+    sheet.legend(
         figure,
         [
             Line2D([], [], color=AFTER, marker="o", ms=3.2, lw=2.0, label="one dot per place"),
-            Patch(color=NOISE, label="would be missed at typical size"),
+            Patch(color=NOISE, label="would be missed at its usual size"),
         ],
     )
     return figure
 
 
-def log(s: Subject) -> Figure | None:
+def log(s: Subject, sheet: Sheet) -> Figure | None:
     """With a log that is refused: the channels that it is refused for, beside their simulation."""
     if s.verdict != "bad_log" or not s.conditions:
         return None
@@ -319,24 +343,24 @@ def log(s: Subject) -> Figure | None:
     if not rows:
         return None
     shown = list(rows.items())[:ROWS]
-    figure = Figure(figsize=(WIDTH, 0.75 + 1.45 * len(shown)), layout="constrained")
+    figure = sheet.figure(0.75 + 1.45 * len(shown), 3)
     axes = np.atleast_1d(figure.subplots(len(shown), 1, sharex=True))
     for ax, (channel, (text, late)) in zip(axes, shown, strict=True):
         i = s.index(channel)
         if late:  # two curves a few milliseconds apart look like one
             _gap(ax, s, condition, channel, after=False)
-            ax.set_title(f"{channel}, log − simulation: {text}")
+            ax.set_title(sheet.title(f"{channel}, log − simulation: {text}"))
             continue
         both = curves["measured"][:, i], curves["nominal"][:, i]
         factor, symbol = scale(s.unit(channel), max(float(np.abs(b).max()) for b in both) or 1.0)
         ax.plot(curves["t"], factor * both[1], color=AFTER, lw=1.0)
         ax.plot(curves["t"], factor * both[0], color=BEFORE, lw=1.2)
-        ax.set_title(f"{channel} {text}")
+        ax.set_title(sheet.title(f"{channel} {text}"))
         ax.set_ylabel(symbol or "(no unit)")
         ax.set_xlim(curves["t"][0], curves["t"][-1])
     axes[-1].set_xlabel(f"time in s ({condition})")
     handles: list[Any] = [Line2D([], [], color=BEFORE, label="log (mean of repeats)")]
     handles += [Line2D([], [], color=AFTER, label="simulation")] if not all(late for _, (_, late) in shown) else []
     handles += [Patch(color=NOISE, label="±2σ of a repeat")] if any(late for _, (_, late) in shown) else []
-    _legend(figure, handles)
+    sheet.legend(figure, handles)
     return figure

@@ -15,7 +15,8 @@ from matplotlib.patches import Circle, Polygon, Rectangle
 from robomill.joints import arm, geometry
 from robomill.models.model.declaration import FloatArray
 from robomill.models.robot.kinematics import SPINDLE_ACROSS, forward
-from robomill.report.style import BODY, INK, MARK, MUTED, PAPER, TINT, WIDTH
+from robomill.report.sheet import LINE, Sheet
+from robomill.report.style import BODY, INK, MARK, MUTED, PAPER, TINT
 from robomill.report.subject import Subject, effect_name
 from robomill.report.units import percent
 
@@ -107,8 +108,8 @@ def parts(component: str, location: str, effect: str) -> list[str]:
     return {"sensor": ["flange"], "milling": ["workpiece"]}.get(component, [])
 
 
-def draw(s: Subject) -> Figure | None:
-    """Side view in the plane of the arm, and top view; None where nothing is to be marked, there is no arm, or nobody knows its pose."""
+def draw(s: Subject, sheet: Sheet) -> Figure | None:
+    """Side view in the plane of the arm, and top view (not on a narrow sheet); None where nothing is to be marked, there is no arm, or nobody knows its pose."""
     component, q, said = arm(s.system), angles(s), marks(s)
     if component is None or q is None or not said:
         return None
@@ -124,6 +125,8 @@ def draw(s: Subject) -> Figure | None:
         "from the side, in the plane of the arm": np.stack([across, [0.0, 0.0, 1.0]], axis=1),
         "from above": np.eye(3)[:, :2],
     }
+    if sheet.narrow:
+        del views["from above"]
     boxes = []
     for k, view in enumerate(views.values()):
         flat = np.vstack([now.points, path]) @ view
@@ -132,20 +135,20 @@ def draw(s: Subject) -> Figure | None:
             low[1] = -0.06
         boxes.append((low, high))
     width = sum(high[0] - low[0] for low, high in boxes)
-    inches = min((WIDTH - 0.9) / width, 3.6 / max(high[1] - low[1] for low, high in boxes))
+    inches = min((sheet.width - 0.9) / width, 3.6 / max(high[1] - low[1] for low, high in boxes))
     height = inches * max(high[1] - low[1] for low, high in boxes)
-    room = 0.3 + 0.19 * len(said)
+    room = 0.3 + LINE * len(said)
     total = height + room + 0.1
-    figure = Figure(figsize=(WIDTH, total))
-    left = 0.5 * (WIDTH - inches * width - 0.5)
+    figure = Figure(figsize=(sheet.width, total))
+    left = 0.5 * (sheet.width - inches * width - 0.5)
     for k, ((title, view), (low, high)) in enumerate(zip(views.items(), boxes, strict=True)):
         size = inches * (high - low)
         bottom = 0.05 + (0.5 * (height - size[1]) if k else 0.0)
-        ax = figure.add_axes((left / WIDTH, bottom / total, size[0] / WIDTH, size[1] / total))
+        ax = figure.add_axes((left / sheet.width, bottom / total, size[0] / sheet.width, size[1] / total))
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         ax.axis("off")
         _arm(ax, now, path, view, said, 72.0 * inches, upright=k == 0)
-        figure.text(left / WIDTH, 1.0 - 0.17 / total, title[0].upper() + title[1:], fontsize=9, fontweight="bold")
+        figure.text(left / sheet.width, 1.0 - 0.17 / total, title[0].upper() + title[1:], fontsize=9, fontweight="bold")
         if k == 0:
             _labels(figure, ax, now, path, view, said, total)
         left += size[0] + 0.5
@@ -173,7 +176,7 @@ def _labels(figure: Figure, ax: Axes, now: Pose, path: FloatArray, view: FloatAr
     places = sorted((tuple(place_of(part, now, path) @ view), text) for part, text in said.items())
     for i, (place, text) in enumerate(places):  # from left to right and downwards: no line crosses a text
         across = figure.transFigure.inverted().transform(ax.transData.transform(place))[0]
-        x, y = min(across + 0.02, 0.4), 1.0 - (0.36 + 0.19 * i) / total
+        x, y = min(across + 0.02, 0.4), 1.0 - (0.36 + LINE * i) / total
         ax.annotate(
             text,
             xy=place,

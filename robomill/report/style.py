@@ -21,8 +21,8 @@ COLOURS = {
     "mark": MARK,
 }
 """Name in the style sheet -> colour in the files."""
-WIDTH = 9.6
-"""Inches: as wide as the page."""
+WIDTH, NARROW = 9.6, 4.4
+"""Inches: as wide as the page, and as that of a phone."""
 STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,

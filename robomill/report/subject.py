@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,23 +11,26 @@ import numpy as np
 
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.gate.checks import Finding
-from robomill.diagnosis.localisation.where import Replayed
+from robomill.diagnosis.localisation.where import WHOLE, Replayed
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Which
 from robomill.diagnosis.outcome.closure import HowFar
+from robomill.diagnosis.outcome.how_far import CONDITION, DIAGNOSED, REPEAT
 from robomill.diagnosis.outcome.verdict import IDENTIFIED
 from robomill.orchestration.runs.recorder import frame_of
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 from robomill.orchestration.system.definition import System
-from robomill.report.units import join, number, percent, quantity, relative, scale
+from robomill.report.units import join, number, percent, percent_interval, quantity, relative, scale
 
 HELD_OUT = " (held out)"
-KINDS = ("held-out condition", "held-out repeat", "diagnosed runs")
-"""Where the closure is measured, the hardest test first."""
+KINDS = {CONDITION: "new conditions", REPEAT: "held-out repeats", DIAGNOSED: "the diagnosed runs"}
+"""Where the closure is measured, the hardest test first, and what that is called in a sentence."""
+ALL = "all signals, each over its noise"
+"""What the figure of the whole gap is called."""
 _JOINTS = re.compile(r"(q|torque|correction_q)(_[a-z]+)?")
 """Ports whose elements are joints, not the axes of a frame."""
 CAUSES = 4
-"""Possible causes that the sentence of an ambiguous verdict names, at most; of the others it says how many there are."""
+"""Causes that a sentence names one by one, at most; more are put together by kinds, and of possible ones the rest is counted."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,8 @@ class Subject:
     system: System
     runs: Sequence[Run]
     catalogue: Catalogue
+    made: str = ""
+    """When, and with which version, in words."""
 
     @property
     def answer(self) -> Answer:
@@ -113,6 +118,12 @@ class Subject:
             return f"{title}, {'xyz'[int(index) - 1]}"
         return channel if title == base else f"{title}, element {index}"
 
+    def said(self, array: str) -> str:
+        """Within a sentence: `tool-tip path error`; where only the port is described, `the gap in motor torques`."""
+        title = self.titles.get(array, array)
+        text = title.removesuffix(f" ({array})")
+        return title if text == title and title != array else f"the gap in {text[:1].lower() + text[1:] if text != array else array}"
+
     @property
     def sure(self) -> list[Which]:
         """Entries of `which` that are believed."""
@@ -123,9 +134,37 @@ class Subject:
         """Entries of `where` that come from replay and swaps, because no effect of the catalogue explains the gap."""
         return [w for w in self.answer.where if isinstance(w, Replayed)]
 
-    def far(self, kind: str, channel: str) -> HowFar | None:
+    @property
+    def hardest(self) -> str | None:
+        """The hardest kind of test that the closure was measured in; None where it was not."""
+        return hardest(self.answer.how_far)
+
+    def far(self, kind: str | None, channel: str) -> HowFar | None:
         """Entry of `how_far` for an array on one kind of runs."""
         return next((h for h in self.answer.how_far if h.on == kind and h.channel == channel), None)
+
+    def figures(self, kind: str | None) -> list[HowFar]:
+        """Entries of `how_far` on one kind of runs in the order of the titles, without the whole gap."""
+        order = list(self.titles)
+        found = [h for h in self.answer.how_far if h.on == kind and h.channel != WHOLE]
+        return sorted(found, key=lambda h: order.index(h.channel) if h.channel in order else len(order))
+
+    def clearest(self, count: int) -> list[HowFar]:
+        """So many figures of the hardest test, at most, whose gap is measurable: the first that has a title, and the largest beside their noise."""
+        found = [h for h in self.figures(self.hardest) if h.closure is not None]
+        others = sorted(found[1:], key=lambda h: -h.before / h.floor if h.floor else 0.0)
+        chosen = [*found[:1], *others[: count - 1]]
+        return [h for h in found if h in chosen]
+
+
+def hardest(measured: Iterable[HowFar]) -> str | None:
+    """The hardest kind of test among these; None where there is none."""
+    return min((h.on for h in measured), key=list(KINDS).index, default=None)
+
+
+def spoken(name: str) -> str:
+    """Name of a candidate or model in the words of the page: `backlash @ joint 3 + runout @ cutter` -> `backlash, joint 3 with runout, cutter`."""
+    return name.replace("_", " ").replace(" @ ", ", ").replace(" + ", " with ")
 
 
 def effect_name(w: Which) -> str:
@@ -143,6 +182,52 @@ def listed(parts: Sequence[str], last: str = "and") -> str:
     """`a, b and c`; with semicolons where the parts have commas of their own."""
     between = "; " if any("," in p for p in parts) else ", "
     return f" {last} ".join(filter(None, [between.join(parts[:-1]), parts[-1]])) if parts else ""
+
+
+def together(names: Iterable[str]) -> str:
+    """`joint 1, 2, 5, tool` for places whose names differ in their last word."""
+    found: list[str] = []
+    head = ""
+    for name in dict.fromkeys(names):
+        start, _, end = name.rpartition(" ")
+        found.append(end if start and start == head else name)
+        head = start
+    return ", ".join(found)
+
+
+def causes(named: Sequence[Which]) -> str:
+    """The effects one by one with their sizes; more than CAUSES by kinds: `friction viscous (joint 1, 2, 4) and backlash (joint 3)`."""
+    if len(named) <= CAUSES:
+        return listed([sized(w) for w in named])
+    kinds: dict[str, list[str]] = {}
+    for w in named:
+        kinds.setdefault(w.effect.replace("_", " "), []).append(w.location)
+    return f"{len(named)} effects: {listed([f'{kind} ({together(sorted(places))})' for kind, places in kinds.items()])}"
+
+
+def size(h: HowFar, value: float) -> str:
+    """A value of a figure, in the unit that suits the figure."""
+    factor, symbol = scale(h.unit, max(h.before, h.floor))
+    return join(number(factor * value), symbol)
+
+
+def left(h: HowFar) -> str:
+    """What is left of a figure with the adopted effects, or that it is within the noise of so much."""
+    return f"within the noise of {size(h, h.floor)}" if h.within_noise else size(h, h.after)
+
+
+def there_was(h: HowFar) -> str:
+    """The gap of a figure with the nominal system, or that it is within the noise of so much."""
+    return size(h, h.before) if h.measurable else f"within the noise of {size(h, h.floor)}"
+
+
+def closed(h: HowFar) -> tuple[str, str]:
+    """Closure and its interval; where what is left is within the noise, what is closed at least."""
+    if h.closure is None or h.interval is None:
+        return "not measurable", ""
+    if h.within_noise:
+        return "to within the noise", f"at least {percent(max(h.interval[0], 0.0))}"
+    return percent(h.closure), percent_interval(h.interval)
 
 
 GUESS = "Nothing was repeated, so the noise is a guess"
@@ -165,21 +250,30 @@ def _answer(s: Subject) -> str:
     if known := s.answer.unknown:
         place = listed([listed([w.component, *(w.alternatives or ())], "or") for w in s.blamed]) or known.component
         where = f"; it shows most in {s.label(next(iter(known.channels)))}" if known.channels else ""
-        why = f"leaves {percent(s.left)} of the gap"
+        why = f"leaves {percent(s.left)} of the gap in the diagnosed runs"
         if known.changes:
             why = "does not change with time as the gap does"
         elif (new := s.answer.transfer) is not None and new.worth < 0.0:
             why = "does not hold in new conditions"
-        return f"Something real that is not in the catalogue, in {place}: the best model {why}{where}."
+        return f"Something real that is not in the catalogue, in {place}: the best model {why}{where}{_formed(s)}."
     if s.verdict == "ambiguous":
         sure, open_ = s.sure, [w for w in s.answer.which if w.probability < IDENTIFIED]
-        first = f"The gap is caused by {listed([sized(w) for w in sure])}, together with one of" if sure else "The gap has one of"
+        first = f"The gap is caused by {causes(sure)}, together with one of" if sure else "The gap has one of"
         names = [f"{sized(w)} at {percent(w.probability)}" for w in open_[:CAUSES]]
         rest = f" or one of {len(open_) - CAUSES} others" if len(open_) > CAUSES else ""
         return f"{first} several causes that these runs cannot tell apart: {listed(names, 'or')}{rest}."
-    causes = listed([sized(w) for w in s.sure])
-    explain = "explains" if len(s.sure) == 1 else "together explain"
-    return f"The gap is caused by {causes}, which {explain} {percent(1.0 - s.left)} of what is beyond noise and calibration{_shrinks(s)}."
+    return f"The gap is caused by {causes(s.sure)}{_shrinks(s)}."
+
+
+def _formed(s: Subject) -> str:
+    """How much of the whole gap goes with the form of the unknown in the loop."""
+    known = s.answer.form.how_far if s.answer.form else ()
+    kind = hardest(known)
+    whole = next((h for h in known if h.on == kind and h.channel == WHOLE and h.closure is not None), None)
+    if whole is None:
+        return ""
+    how = "the gap to within the noise" if whole.within_noise else f"{closed(whole)[0]} of the gap"
+    return f"; a form that was found for it closes {how} in {KINDS[whole.on]}"
 
 
 def reason(finding: Finding) -> str:
@@ -188,14 +282,8 @@ def reason(finding: Finding) -> str:
 
 
 def _shrinks(s: Subject) -> str:
-    """What that means for the first figure that has a title."""
-    for kind in KINDS:
-        for base in s.titles:
-            h = s.far(kind, base)
-            if h is not None and h.closure is not None:
-                factor, symbol = scale(h.unit, h.before)
-                before = join(number(h.before * factor), symbol)
-                after = join(number(h.after * factor), symbol) if h.after else "less than can be measured"
-                where = {"held-out condition": "new conditions", "held-out repeat": "held-out repeats"}.get(kind, "the diagnosed runs")
-                return f"; once it is in the model, {s.titles[base]} on {where} falls from {before} to {after} (rms)"
-    return ""
+    """What that means for the first figure and the one whose gap is clearest."""
+    changes = [f"{s.said(h.channel)} from {there_was(h)} to {left(h)}" for h in s.clearest(2)]
+    if not changes or s.hardest is None:
+        return ""
+    return f"; with {'it' if len(s.sure) == 1 else 'them'} in the model, in {KINDS[s.hardest]}: {listed(changes)} (rms)"

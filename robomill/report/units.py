@@ -74,7 +74,7 @@ def with_interval(value: float, interval: Sequence[float] | None, unit: str) -> 
     """Value and interval in the same unit with the same digits: (`80.2 µrad`, `79.1 to 81.3`)."""
     if interval is None:
         return quantity(value, unit), ""
-    low, high = interval
+    low, high = sorted(interval)
     factor, symbol = scale(unit, value)
     half = 0.5 * factor * (high - low)
     return join(number(factor * value, half), symbol), f"{number(factor * low, half)} to {number(factor * high, half)}"
@@ -93,16 +93,18 @@ def percent(share: float) -> str:
 
 
 def percent_interval(interval: Sequence[float] | None) -> str:
-    """`0.962, 0.984` -> `96 % to 98 %`; with a decimal where both ends are the same without, and one of them if they still are.
+    """`0.962, 0.984` -> `96 % to 98 %`; with a decimal where both ends are the same without; its width if they still are.
 
     Empty where there is none.
     """
     if interval is None:
         return ""
-    low, high = (percent(x) for x in interval)
+    low, high = (percent(x) for x in sorted(interval))
+    if low == high and min(map(abs, interval)) >= MANIFOLD:
+        return low
     if low == high:
-        low, high = (join(f"{100.0 * x:.1f}".replace("-", "−"), "%") for x in interval)
-    return low if low == high else f"{low} to {high}"
+        low, high = (join(f"{100.0 * x:.1f}".replace("-", "−"), "%") for x in sorted(interval))
+    return join("within 0.1", "%") if low == high else f"{low} to {high}"
 
 
 def join(text: str, symbol: str) -> str:

@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.recordings import page, table
 from benchmarks.recordings.cases import PREPARED, Case, cases, prepare
+from benchmarks.recordings.earlier import earlier
 from benchmarks.recordings.measure import Closure, Outcome, Value, measured
 from benchmarks.recordings.yardstick import View, closures, fit, left_one_out
 from robomill.diagnosis.catalogue import Candidate
@@ -112,6 +113,26 @@ def test_page_and_table_say_what_was_found_and_what_was_not() -> None:
     assert "Expected and not named: friction @ joint 2." in text
     assert "| robot.torque[1] | 10 | 1 | N.m | 99.0 % | 98.0 % |" in text
     assert "| ur10 | identified | 1 of 2 | 1 | 0 | 1 of 1 | 99.0 %, 99.0 % | 98.0 %, 98.0 % | 0.0 | 0 |" in table.summary([outcome()])
+
+
+def test_the_first_edition_stands_beside_the_answer() -> None:
+    first = earlier("kuka_kr300")
+    assert first is not None
+    case, catalogue = ALL["kuka_kr300"], {c.name for c in ALL["kuka_kr300"].catalogue().candidates}
+    assert set(first.effects) <= catalogue
+    assert all(low <= value <= high for value, low, high in first.effects.values())
+    value = Value("encoder_lag @ log", "encoder_lag", "s", 1.0, 3.1e-3, (3e-3, 3.2e-3), 3.05e-3, (3e-3, 3.1e-3), "expected")
+    far = [Closure("robot.torque_motor[1]", "N.m", 1.6, 0.8, 0.75, 0.9), Closure("robot.other", "N.m", 1.0, 0.5, 0.75, 0.9)]
+    text = page.text(case, Outcome("kuka_kr300", "identified", True, {}, [value], far))
+    assert "| 1.00 | 0.0031 (0.003 to 0.0032) | 0.00305 (0.003 to 0.0031) | 0.003038 (0.002987 to 0.003088) | s |" in text
+    assert (
+        "1 of 21 expected effects are named; the channels of the held-out runs close by 75.0 % in the mean (least squares 90.0 %)." in text
+    )
+    assert "named 21 of them, and closed 99.0 % in the mean. It named friction_stribeck @ joint 4," in text
+    assert "| robot.torque_motor[1] | 1.6 | 0.8 | N.m | 75.0 % | 90.0 % | 99.0 % |" in text
+    assert "| robot.other | 1 | 0.5 | N.m | 75.0 % | 90.0 % | - |" in text
+    assert earlier("ur10") is None
+    assert "irst edition" not in page.text(ALL["ur10"], outcome())
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robomill.diagnosis.outcome.closure import figures, products
-from tests.tolerances import physics
+from tests.tolerances import ROUNDOFF, physics
 
 NOISE, ROWS = 0.1, 4000
 
@@ -56,3 +56,25 @@ def test_noise_alone_is_not_measurable() -> None:
     assert not found.measurable
     assert found.closure is None
     assert found.why_no_ceiling == "the gap before is not measurable: its interval includes 0"
+
+
+def test_a_guess_of_the_noise_is_not_taken_off() -> None:
+    """Too large a guess would close more than there is: what remains of a single run is given with its noise."""
+    signal, made = repeats(3, 0.0, count=1)
+    zero = np.zeros_like(signal)
+    squares = np.sum((made[0] - signal) ** 2) / np.sum(made[0] ** 2)
+    for factor in (1.0, 9.0):
+        guess = np.full(2, factor * NOISE**2)
+        parts = products(made, (zero, zero), (signal, signal), guess, predicted=made[0], guessed=True)
+        found = figures([parts])
+        assert found.closure == pytest.approx(1.0 - squares, rel=ROUNDOFF)
+        assert found.after == pytest.approx(np.sqrt(np.sum((made[0] - signal) ** 2) / ROWS), rel=ROUNDOFF)
+        assert found.interval[1] < 1.0
+        assert figures([products(made, (zero, zero), (signal, signal), guess, predicted=made[0])]).closure > found.closure
+
+
+@pytest.mark.parametrize(("left", "within"), [(0.0, True), (0.3, False)])
+def test_what_remains_is_measurable_or_not(left: float, within: bool) -> None:
+    signal, made = repeats(4, 0.0)
+    zero, model = np.zeros_like(signal), (1.0 - left) * signal
+    assert figures([products(made, (zero, zero), (model, model), np.full(2, NOISE**2))]).within_noise == within

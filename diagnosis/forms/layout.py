@@ -1,0 +1,111 @@
+"""The answer about an unknown law: key `form` of diagnosis.json.
+
+::
+
+    "form": {
+      "component": "robot",                      # where the form is put in
+      "side": "output",                          # "output": added to what comes out of it; "input": to what goes into it
+      "step_late": 0.0,                          # [s] delay that putting it in brings: one step, where it closes a loop
+      "ports": [                                 # largest part of the gap first
+        {"port": "robot.torque_motor[1]", "unit": "N.m",
+         "formula": "11.9 sgn(qd[1]) + 20.4 qd[1]",
+         "terms": [{"term": "sgn(qd[1])", "coefficient": 11.9, "interval": [11.1, 12.6], "unit": "N.m",
+                    "adds": 0.71}],              # part of the squares of the gap of this port that the term closes, in this order
+         "closure": 0.97,                        # of this port, replayed, in blocks that were left out of choice and fit
+         "curve": {"variable": "qd[1]", "unit": "rad/s", "x": [...], "left": [...], "form": [...]}}],
+                                                 # means in bins of the variable of the first term: what the nominal leaves, the form
+      "like": ["like a delay of 3.05 ms (2.98 to 3.12) in robot.q_link[1], robot.q_link[2], robot.q_link[3]"],
+      "how_far": [...],                          # as the key `how_far`: the closed loop with the form, on diagnosed and held-out runs
+      "ranges": [{"variable": "qd[1]", "unit": "rad/s", "seen": [-2.1, 2.0], "held_out": [-2.3, 2.2]}],
+      "worse": [{"channel": "...", "on": "held-out condition", "before": 0.1, "after": 0.2, "unit": "..."}],
+      "note": "..."                              # why it was not put into the loop, or what to keep in mind; "" if nothing
+    }
+
+`held_out` in `ranges` is null without held-out runs. Intervals are 90 %, by a bootstrap over blocks of time. Form and unit of a variable
+are those of the component's ports: `qd[1]` is its input or output of that name, `d(q[1])/dt` its rate, `t` the time since the start.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from robomill.diagnosis.outcome.closure import HowFar
+
+Side = Literal["output", "input"]
+
+
+@dataclass(frozen=True)
+class TermFound:
+    """One term of a form."""
+
+    term: str
+    coefficient: float
+    interval: list[float]
+    """90 %."""
+    unit: str
+    adds: float
+    """Part of the squares of the gap of its port that it closes, when those before it are there, 0..1."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Means in bins of one variable, [bins] each: what the nominal model leaves [unit of the port], and the form."""
+
+    variable: str
+    unit: str
+    x: list[float]
+    left: list[float]
+    form: list[float]
+
+
+@dataclass(frozen=True)
+class PortForm:
+    """What is added to one port."""
+
+    port: str
+    unit: str
+    formula: str
+    terms: tuple[TermFound, ...]
+    closure: float
+    """1 - squares left / squares of the gap, in blocks that choice and fit have not seen."""
+    curve: Curve | None
+
+
+@dataclass(frozen=True)
+class Range:
+    """Where a variable of the form was, least and largest [unit]."""
+
+    variable: str
+    unit: str
+    seen: list[float]
+    """In the diagnosed runs: beyond, nobody knows whether the form holds."""
+    held_out: list[float] | None
+
+
+@dataclass(frozen=True)
+class Worse:
+    """A channel in which the closed loop with the form is farther off than without it; rms [unit]."""
+
+    channel: str
+    on: str
+    before: float
+    after: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Form:
+    """See the module."""
+
+    component: str
+    side: Side
+    step_late: float
+    ports: tuple[PortForm, ...]
+    like: tuple[str, ...] = ()
+    how_far: tuple[HowFar, ...] = ()
+    ranges: tuple[Range, ...] = ()
+    worse: tuple[Worse, ...] = ()
+    note: str = ""
+    specification: dict[str, Any] = field(default_factory=dict)
+    """The form as plain data, which `models.components.correction` makes a model of (an FMU, too)."""

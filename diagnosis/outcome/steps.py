@@ -1,0 +1,83 @@
+"""Effect by effect: the closed loop with one accepted effect more each time, and how far the gap shrinks with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from robomill.diagnosis.catalogue import Address, Candidate, physical
+from robomill.diagnosis.inference.estimation import Fit, Space
+from robomill.diagnosis.outcome.how_far import Closing
+from robomill.orchestration.slaves.protocol import FloatArray
+
+
+@dataclass(frozen=True)
+class Left:
+    """What is left of the gap of one figure."""
+
+    after: float
+    """Root mean square [unit of the figure], as in `HowFar`."""
+    closure: float | None
+    """Part of the squares that is closed by then; None where the gap is not measurable beside the noise."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """An effect that joins those before it."""
+
+    effect: str
+    """Its name and place."""
+    left: Mapping[str, Left]
+    """Figure (`channel` of `HowFar`) -> what is left with this effect and all before it."""
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Accepted effects one after the other."""
+
+    on: str
+    """Kind of runs (`HowFar`), the hardest test that there is. What there was before, and the noise, is in `how_far`."""
+    added: tuple[Step, ...]
+
+
+def steps(closing: Closing, fit: Fit) -> Steps:
+    """The effects of a model one after the other, each set simulated: (number of effects - 1) simulations more per condition and repeat."""
+    values: dict[Address, float] = {}
+    kind, added = closing.hardest, []
+    for c in ranked(fit, closing.search.evidence.space.without(list(fit.values))):
+        values |= {a: fit.values[a] for a in c.addresses}
+        found = closing.of(physical(values), (kind,))
+        added.append(Step(c.name, {h.channel: Left(h.after, h.closure) for h in found}))
+    return Steps(kind, tuple(added))
+
+
+def ranked(fit: Fit, space: Space) -> list[Candidate]:
+    """The effects of a model, each the one that leaves least of the residual y after those before it.
+
+    What an effect explains is its part of the signature, sensitivity times size: <y - s, y - s> of the sum s is what is left.
+    """
+    parts = signatures(fit)
+    left, rest, order = space.y, list(parts), []
+    while rest:
+        best = min(rest, key=lambda c: float(space.dot(left - parts[c], left - parts[c])))
+        rest.remove(best)
+        left = left - parts[best]
+        order.append(best)
+    return order
+
+
+def signatures(fit: Fit) -> dict[Candidate, FloatArray]:
+    """What each effect of a model adds to the whitened residual, [n]: sensitivities at the fitted values, times these.
+
+    Empty where the sensitivities are not known.
+    """
+    if fit.sensitivities is None:
+        return {}
+    found, at = {}, 0
+    for c in fit.model:
+        x = np.array([fit.values[a] / c.prior.scale for a in c.addresses])
+        found[c] = np.asarray(fit.sensitivities[:, at : at + len(x)] @ x)
+        at += len(x)
+    return found

@@ -1,1 +1,0 @@
-"""Tests of the study of the recorded KR 300."""
