@@ -97,12 +97,14 @@ class Connection:
 
 @dataclass(frozen=True)
 class Recording:
-    """What is written: `columns` are patterns on `component.port` (`*` = anything; a component or array stands for all its elements)."""
+    """What is written to the run folder."""
 
     columns: tuple[str, ...] = ("*",)
+    """Patterns on `component.port`: `*` stands for anything, a component or an array for all its elements."""
     every: int = 1
     """Each how many steps a row is written."""
     csv: bool = False
+    """Whether signals.csv is written, too."""
     chunk: int = 250
     """Rows that are kept in memory before they go to disk."""
     checkpoint_every: int = 0
