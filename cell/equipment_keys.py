@@ -1,4 +1,4 @@
-"""Keys of the tables that name robot, tool, material and sensor, in system, scenario and experiment files (`cell.equipment` looks them up)."""
+"""Keys of the tables that name robot, tool, material and sensor; `cell.equipment` looks them up."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ class EquipmentKeys(Keys):
 class RobotKeys(EquipmentKeys):
     """The robot of all components, by the name of one that comes with robomill or by a file of your own; give one of the two."""
 
-    compliance = optional(keys.text(), "springs of its joints: a name of models/data/compliance or a .toml file (default: those of its name)")
+    compliance = optional(
+        keys.text(), "springs of its joints: a name of models/data/compliance or a .toml file (default: those of its name)"
+    )
     dynamics = optional(keys.text(), "its rigid bodies: a name of models/data/dynamics or a .toml file (default: those of its name)")
 
 

@@ -69,8 +69,8 @@ from robomill.models.planning.gcode import DIALECTS, Setup, Vector
 from robomill.models.planning.point_path import INTERPOLATIONS, Interpolation
 from robomill.models.planning.trajectory import Placement
 from robomill.models.process.cutting import MAX_TEETH, EndMill
-from robomill.orchestration.system.definition import EQUIPMENT
 from robomill.orchestration.system import keys
+from robomill.orchestration.system.definition import EQUIPMENT
 from robomill.orchestration.system.entries import Entry
 from robomill.orchestration.system.keys import Keys, default, optional, required
 
@@ -187,7 +187,9 @@ class VariantKeys(Keys):
 
     title = optional(keys.text(), "what the variant is called in tables and pictures (default: its name)")
     parameters = default({}, keys.parameters(), "parameters of this variant alone, with units")
-    sources = default({}, keys.named(keys.text(), "component"), "what stands in place of the source that the system names: one component exchanged")
+    sources = default(
+        {}, keys.named(keys.text(), "component"), "what stands in place of the source that the system names: one component exchanged"
+    )
 
 
 class WorkOffsetKeys(Keys):

@@ -445,7 +445,9 @@ class EffectKeys(Keys):
     """One effect that a real machine may have and the nominal simulation has not."""
 
     name = required(keys.text(), "name of the effect, used once")
-    component = required(keys.text(), f"component of the system that owns the parameters; `{LOGGING}` for what is wrong with the log itself")
+    component = required(
+        keys.text(), f"component of the system that owns the parameters; `{LOGGING}` for what is wrong with the log itself"
+    )
     description = required(keys.text(), "what the effect is, for the report")
     source = required(keys.text(), "where its size and form come from")
     unit = required(keys.text(), "unit of the sizes, that of the parameters")
@@ -498,7 +500,11 @@ class CatalogueKeys(Keys):
     quiet = default([], keys.each(QuietKeys), "parameters of every simulation of the diagnosis")
     seed = default([], keys.each(SeedKeys), "parameters that seed noise")
     refinement = optional(keys.table(RefinementKeys), "a simulation with a smaller step")
-    titles = default({}, keys.named(keys.text(), '"component.array"'), "what the difference in an array is called; these arrays are the figures of the answer")
+    titles = default(
+        {},
+        keys.named(keys.text(), '"component.array"'),
+        "what the difference in an array is called; these arrays are the figures of the answer",
+    )
 
 
 def _read(top: Entry, file: Path) -> Catalogue:

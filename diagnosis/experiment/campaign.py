@@ -23,8 +23,8 @@ from pathlib import Path
 from robomill.diagnosis.experiment.measured import Condition, DataError, driven, sort_by_condition
 from robomill.orchestration.assembly import MEASURED
 from robomill.orchestration.runs.run import Run
-from robomill.orchestration.system.definition import System
 from robomill.orchestration.system import keys
+from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.entries import Entry
 from robomill.orchestration.system.keys import Keys, required
 

@@ -253,11 +253,13 @@ class SystemKeys(Keys):
     loop = default("auto", keys.choice(LOOPS), "how the master runs: `auto` compiles the loop where it can; the numbers are the same")
     require_connected = default(False, keys.flag(), "an open input is an error")
     check_ranges = default(True, keys.flag(), "an output outside its declared minimum and maximum ends the run")
-    labels = default({}, keys.anything("table of `name = value`"), "what is known of the run (program, condition, repeat); copied to run.toml")
+    labels = default(
+        {}, keys.anything("table of `name = value`"), "what is known of the run (program, condition, repeat); copied to run.toml"
+    )
     components = required(keys.tables(ComponentKeys), "the components by name: letters, digits and underscores")
     connections = default([], keys.each(ConnectionKeys), "what is connected to what")
     recording = default({}, keys.made(Recording), "what is written")
-    iteration = default({}, keys.made(Iteration), "how loops are iterated, with `algorithm = \"iterated\"`")
+    iteration = default({}, keys.made(Iteration), 'how loops are iterated, with `algorithm = "iterated"`')
     robot = optional(keys.anything("table"), "the robot of all components that need one: see [equipment](equipment.md)")
     tool = optional(keys.anything("table"), "the tool, likewise")
     material = optional(keys.anything("table"), "the material, likewise")
@@ -283,7 +285,9 @@ def load(file: Path, convert: Convert = same_unit_only) -> System:
     top = Entry.load(file, SystemFileError, convert, file.name)
     k = SystemKeys
     k.of(top)
-    plain = {key.name: key.of(top) for key in (k.name, k.description, k.stop_when, k.algorithm, k.loop, k.require_connected, k.check_ranges)}
+    plain = {
+        key.name: key.of(top) for key in (k.name, k.description, k.stop_when, k.algorithm, k.loop, k.require_connected, k.check_ranges)
+    }
     made: dict[str, Any] = {
         "step": k.step.of(top),
         "stop": k.stop.of(top),

@@ -101,7 +101,9 @@ class LogKeys(Keys):
     """The form of the log; all keys but `format` and `stamps` are for CSV."""
 
     format = optional(keys.choice(tuple(READERS)), "form of the log (default: by its suffix)")
-    delimiter = default(CsvForm().delimiter, keys.text(blank=True), "one character between columns; a blank stands for any number of blanks")
+    delimiter = default(
+        CsvForm().delimiter, keys.text(blank=True), "one character between columns; a blank stands for any number of blanks"
+    )
     decimal = default(CsvForm().decimal, keys.text(blank=True), "one character in place of the decimal point")
     skip_rows = default(CsvForm().skip_rows, keys.count(0), "rows before the names of the columns")
     unit_row = default(CsvForm().unit_row, keys.flag(), "below the names stands a row of units")
@@ -134,7 +136,9 @@ class CutKeys(Keys):
     marker = optional(keys.text(), "column of the log that says where repeats begin")
     when = default(EDGES[0], keys.choice(EDGES), "what the marker does where a repeat begins")
     level = optional(keys.number(), "value that the marker rises or falls through, in the numbers of the log (default: the middle)")
-    during = optional(keys.anything("text, number, true or false"), "repeats are where the marker has this value; instead of `when`", name="while")
+    during = optional(
+        keys.anything("text, number, true or false"), "repeats are where the marker has this value; instead of `when`", name="while"
+    )
     length = optional(keys.quantity("s"), "repeats end after this time, and shorter ones are left out; above 0")
 
 
@@ -162,7 +166,8 @@ class SignalKeys(Keys):
     offset = default(0.0, keys.anything("number, or one per column"), "value that is added, in the unit of the log")
     sign = default(1, keys.anything("1 or -1, or one per column"), "sense of the channel")
     rotation = optional(
-        keys.anything("matrix of 3 rows, or `{abc = [A, B, C]}`", "rad"), "from the frame of the log to that of the port: R = Rz(A) Ry(B) Rx(C)"
+        keys.anything("matrix of 3 rows, or `{abc = [A, B, C]}`", "rad"),
+        "from the frame of the log to that of the port: R = Rz(A) Ry(B) Rx(C)",
     )
     orientation = optional(keys.anything("text", allowed=("abc",)), "the columns are KUKA Euler angles, and the port is a quaternion")
     shift = default(0, keys.quantity("s"), "time that is added to the clock for this signal")
@@ -183,7 +188,9 @@ class MappingKeys(Keys):
         {}, keys.named(keys.anything("text"), "component"), "sources of components, whose ports and parameters are then checked"
     )
     labels = default(
-        {}, keys.named(keys.anything("text, number, true or false"), "label"), "what the diagnosis asks for: condition, repeat, held_out, tier, kind"
+        {},
+        keys.named(keys.anything("text, number, true or false"), "label"),
+        "what the diagnosis asks for: condition, repeat, held_out, tier, kind",
     )
     parameters = default({}, keys.anything("table of `component.parameter = value`"), "what was set in the experiment, with units")
     signal = default([], keys.each(SignalKeys), "the ports; at least one")
