@@ -24,11 +24,15 @@ class Benchmark:
     """All of benchmark.json."""
 
     schema: str
+    """Name and version of the form."""
     version: int
     """Version of the generator."""
     cases: int
+    """Number of cases."""
     seed: int
+    """Seed that all cases follow from."""
     tier: str
+    """Set of channels that are logged."""
     set: str
     """One of `sets.SETS`."""
     generator: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Iterable, Sequence
 
@@ -71,7 +72,7 @@ def prose(docstring: str | None) -> str:
             out.extend([line[indent:] for line in block] + ["```", ""])
         block.clear()
 
-    for line in (docstring or "").strip().splitlines():
+    for line in inspect.cleandoc(docstring or "").splitlines():
         if line.startswith("    ") or (block and not line.strip()):
             block.append(line)
             continue

@@ -99,7 +99,7 @@ def add_arguments(kinds: Any) -> None:
         "cubes",
         help="springs of joints, linked arm and arm from laser triangulation on cubes",
         description="Identify the springs between cubes on the robot from laser triangulation readings, loaded and unloaded.",
-        epilog="Example: robomill identify cubes data/kr300_cubes/cubes.toml --compare kr300_r2500_ultra",
+        epilog="Example: robomill identify cubes scenarios/cubes/kr300.toml --compare kr300_r2500_ultra",
     )
     kind.add_argument("measured", type=Path, metavar="SET.toml", help="cubes, loads and table of readings (docs/identify.md)")
     kind.add_argument("--compare", metavar="NAME", help="springs to compare with: name of models/data/compliance or a .toml file")

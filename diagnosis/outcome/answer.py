@@ -233,7 +233,11 @@ def _described(array: str, members: Sequence[PortData]) -> str:
 
 
 def to_json(answer: Answer) -> dict[str, Any]:
-    """The data of diagnosis.json."""
+    """The data of diagnosis.json: the fields of the answer, with four differences.
+
+    `schema` is the first key. `findings` stand in `gate`, beside `usable`: whether the log is good enough. Of `shares` only share and
+    interval are kept, of `unknown.changes` the effect that it is `like`, `how` and the `gain`. `transfer` has `promise` and `worth`, too.
+    """
     data = asdict(answer, dict_factory=_there)
     found = {"usable": answer.verdict != "bad_log", "findings": data.pop("findings")}
     data = {"schema": SCHEMA, "verdict": answer.verdict, "gate": found, **data}

@@ -96,8 +96,8 @@ class Keys:
 
     @classmethod
     def all(cls) -> dict[str, Key[Any]]:
-        """The keys by name, in the order of declaration, those of base classes first."""
-        return {key.name: key for base in reversed(cls.__mro__) for key in vars(base).values() if isinstance(key, Key)}
+        """The keys by name, in the order of declaration, those of base classes last."""
+        return {key.name: key for base in cls.__mro__ for key in vars(base).values() if isinstance(key, Key)}
 
     @classmethod
     def of(cls, entry: Entry) -> Entry:
