@@ -99,7 +99,9 @@ def evaluate(name: str, title: str, run: Run, workpiece: Workpiece, real_time_fa
     surface, figures = None, Figures()
     try:
         if not cuts:
-            raise NothingCutError("nothing is cut: the tool never met the block")
+            raise NothingCutError(
+                "nothing is cut: the tool never met the block; correct the place of the block, the zero of the program or the tool"
+            )
         surface = part.scan(run, workpiece) if part.is_tridexel(run) else measure(nominal, actual, workpiece.size)
     except NothingCutError as why:
         figures = Figures(note=str(why))

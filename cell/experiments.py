@@ -131,7 +131,7 @@ def _minutes(entry: Entry) -> float:
     """The key says the unit; a text may say another."""
     found = entry.si("min" if isinstance(entry.value, str) else "1")
     if found < 0.0:
-        raise entry.fail(f"{entry.value!r} is negative")
+        raise entry.fail(f"{entry.value!r} is negative; expected 0 or more")
     return found
 
 
@@ -192,7 +192,9 @@ def load_experiment(path: str | Path) -> Experiment:
     for i, folder in enumerate(folders):
         if folder in folders[:i]:
             other = names[folders.index(folder)]
-            raise top["condition"][i]["name"].fail(f"{names[i]!r} and {other!r} are the same or have the same folder of results, {folder}")
+            raise top["condition"][i]["name"].fail(
+                f"{names[i]!r} and {other!r} are the same or have the same folder of results, {folder}; give one of them another name"
+            )
     return Experiment(
         file,
         ExperimentHeadKeys.name.of(head),
@@ -224,10 +226,13 @@ def read_condition(entry: Entry) -> ExperimentCondition:
     for i in range(len(rows.value)):
         load[i, : len(LOAD_ROW)] = [rows[i][k].si(unit) for k, unit in enumerate(LOAD_ROW)]
         if i and load[i, 0] <= load[i - 1, 0]:
-            raise rows[i].fail(f"the time {load[i, 0]:g} s is not after that of the row before, {load[i - 1, 0]:g} s")
+            raise rows[i].fail(
+                f"the time {load[i, 0]:g} s is not after that of the row before, {load[i - 1, 0]:g} s"
+                "; expected times that grow from row to row"
+            )
     weight = k.weight.of(entry)
     if weight < 0.0:
-        raise entry["weight"].fail(f"{entry['weight'].value!r} is negative")
+        raise entry["weight"].fail(f"{entry['weight'].value!r} is negative; expected 0 or more")
     load[:, 3] -= weight * GRAVITY
     return ExperimentCondition(
         k.name.of(entry),

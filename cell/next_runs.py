@@ -189,7 +189,7 @@ def _range(name: str, entry: Entry) -> Range:
         raise entry.fail(f"low = {low:g} {unit} is not below high = {high:g} {unit}; exchange them")
     start = entry["start"].si(unit) if "start" in entry else 0.5 * (low + high)
     if not low <= start <= high:
-        raise entry["start"].fail(f"{start:g} {unit} is out of the range, {low:g} .. {high:g} {unit}")
+        raise entry["start"].fail(f"{start:g} {unit} is out of the range, {low:g} .. {high:g} {unit}; choose a start within it")
     if not name.isidentifier():
         raise entry.fail(f"{name!r} is no name for a quantity; expected letters, digits and _, such as 'load'")
     return Range(name, unit, low, high, start)

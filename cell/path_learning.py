@@ -290,7 +290,7 @@ def _settings(common: Entry, own: Entry) -> Settings:
         table = own if name in own else common
         values[name] = key.of(table)
         if name in ("force", "feed", "stiffness") and values[name] <= 0.0:
-            raise key.entry(table).fail(f"{values[name]:g} is not positive")
+            raise key.entry(table).fail(f"{values[name]:g} is not positive; expected a value above 0")
     return Settings(**values)
 
 
@@ -306,7 +306,7 @@ def _guiding(entry: Entry) -> dict[str, Any]:
         found["operator"] = _columns(entry["operator"], LEAD_COLUMNS)
         found["operator"][:, 4:7] = np.deg2rad(found["operator"][:, 4:7])
     elif found["spacing"] <= 0.0:
-        raise entry["spacing"].fail("is not positive")
+        raise entry["spacing"].fail("is not positive; expected a value above 0")
     return found
 
 

@@ -176,7 +176,9 @@ def prepare(scenario: Scenario, folder: Path, progress: Progress | None = None) 
     pressed = np.column_stack([np.interp(times, tau, c) for c in force.T]) @ placement.R_BP
     pressed[np.linalg.norm(pressed, axis=1) < _NO_FORCE] = 0.0
     if not np.any(pressed):
-        raise PlacementError(f"{scenario.program.name}: no cutting force anywhere along the program; nothing bends the robot")
+        raise PlacementError(
+            f"{scenario.program.name}: no cutting force anywhere along the program; nothing bends the robot; give a program that cuts"
+        )
     rotation = Rotation.from_matrix(placement.R_BT.T) * job.plan.rotation(times)
     springs = _springs(job.system)
     return task(robot_of(job.system), tool_of(job.system), springs, path.position[chosen], rotation, pressed), job.system

@@ -267,7 +267,7 @@ def _profile(cut: Entry, burs: Sequence[Bur]) -> FloatArray:
             "a step of the depth needs two rows a little apart"
         )
     if (table[:, 1] < 0.0).any():
-        raise cut["rows"].fail("a depth of cut is negative; air is 0")
+        raise cut["rows"].fail("a depth of cut is negative; air is 0; expected 0 or more")
     fine = [np.arange(start, end + FINE, FINE) for start, end in (bur.ends for bur in burs)]
     way = np.unique(np.concatenate([table[:, 0], *fine]))
     way = way[(way >= table[0, 0]) & (way <= table[-1, 0])]

@@ -425,7 +425,7 @@ def _reading(head: Entry, offsets: Mapping[float, Vector]) -> Setup:
     feed, speed = k.feed.of(head), k.spindle_speed.of(head)
     for name, value in (("feed", feed), ("spindle_speed", speed)):
         if value is not None and value <= 0.0:
-            raise head[name].fail(f"{head[name].value!r} is not positive")
+            raise head[name].fail(f"{head[name].value!r} is not positive; expected a value above 0")
     return replace(
         setup, dialect=k.dialect.of(head), block_delete=k.block_delete.of(head), wear=k.wear.of(head), feed=feed, spindle_speed=speed
     )
@@ -451,7 +451,10 @@ def variant(name: str, entry: Entry) -> Variant:
     k = VariantKeys
     k.of(entry)
     if Entry(entry.content, name, entry.key).folder_name() in _FOLDERS:
-        raise entry.fail(f"a variant cannot be called {name!r}: the results have a folder of that name; taken: {', '.join(_FOLDERS)}")
+        raise entry.fail(
+            f"a variant cannot be called {name!r}: the results have a folder of that name; taken: {', '.join(_FOLDERS)}"
+            "; choose another name"
+        )
     return Variant(name, k.title.of(entry) or name, k.parameters.of(entry), k.sources.of(entry))
 
 

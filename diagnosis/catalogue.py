@@ -515,7 +515,7 @@ def _read(top: Entry, file: Path) -> Catalogue:
     for entry in k.effect.entry(top).each():
         candidates += _effect(entry)
         if candidates[-1].effect in descriptions:
-            raise entry["name"].fail("is there twice")
+            raise entry["name"].fail("is there twice; give every one a name of its own")
         descriptions[candidates[-1].effect] = (EffectKeys.description.of(entry), EffectKeys.source.of(entry))
     quiet: dict[str, Mapping[str, Any]] = {}
     for entry in k.quiet.of(top):
@@ -539,7 +539,7 @@ def _effect(entry: Entry) -> list[Candidate]:
     name, component, unit = k.name.of(entry), k.component.of(entry), k.unit.of(entry)
     low, high = k.minimum.of(entry), k.maximum.of(entry)
     if low >= high:
-        raise entry["minimum"].fail(f"{low} is not below maximum = {high} (both are magnitudes)")
+        raise entry["minimum"].fail(f"{low} is not below maximum = {high} (both are magnitudes); give a smaller minimum")
     both = k.sign.of(entry) == "both"
     of = k.prior.of(entry)
     prior = Prior(PriorKeys.kind.of(of), PriorKeys.scale.of(of), PriorKeys.spread.of(of))
@@ -552,7 +552,7 @@ def _effect(entry: Entry) -> list[Candidate]:
         called, phase = LocationKeys.name.of(spot), LocationKeys.phase.of(spot)
         per_run = LocationKeys.per.of(spot) == "run"
         if called in made:
-            raise spot["name"].fail(f"location {called!r} is there twice")
+            raise spot["name"].fail(f"location {called!r} is there twice; give every one a name of its own")
         parameters, size = _names(spot["parameters"], component), prior
         if phase is not None:
             if len(parameters) != 1 or component == LOGGING:
@@ -571,7 +571,7 @@ def _shape(entry: Entry, candidate: Candidate) -> Shape:
     """A shape parameter; `[*]` in it is the element that the effect has at the candidate's location."""
     k = ShapeKeys
     if candidate.component == LOGGING:
-        raise entry.fail("is for parameters of a component; the log has none")
+        raise entry.fail("is for parameters of a component; the log has none; leave it out")
     k.per.of(entry)
     values = tuple(v.number() for v in k.values.of(entry).each())
     if not values[1:] or any(a >= b for a, b in itertools.pairwise(values)):

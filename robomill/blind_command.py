@@ -36,7 +36,11 @@ def add_arguments(parser: Any) -> None:
         epilog="Example: robomill blind make results/blind --cases 24",
     )
     make.add_argument("folder", type=Path, metavar="DIR", help="folder for the benchmark")
-    make.add_argument("--set", default="mixed", help="kind of cases: withheld, null, single, machine, few, campaign, bad_log, outside or mixed (default: mixed)")
+    make.add_argument(
+        "--set",
+        default="mixed",
+        help="kind of cases: withheld, null, single, machine, few, campaign, bad_log, outside or mixed (default: mixed)",
+    )
     make.add_argument("--cases", type=int, default=240, help="number of cases (default: 240)")
     make.add_argument("--seed", type=int, default=1, help="of all random numbers; the same seed gives the same bits (default: 1)")
     make.add_argument(

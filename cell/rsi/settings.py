@@ -208,7 +208,9 @@ def load_link(path: str | Path) -> Link:
         if name not in (names := [c.name for c in system.components]):
             raise head["partner"].fail(unknown("component", name, names))
     if not 0 < len(partner) < len(system.components):
-        raise head["partner"].fail("some components are the partner's and some the robot's: neither all nor none")
+        raise head["partner"].fail(
+            "some components are the partner's and some the robot's: neither all nor none; name those that answer in partner"
+        )
     decimals = k.decimals.of(head)
     if decimals > MOST_DECIMALS:
         raise head["decimals"].expected(f"0 to {MOST_DECIMALS}")
@@ -220,7 +222,7 @@ def load_link(path: str | Path) -> Link:
     for side, found in signals.items():
         names = [n for s in found for n in s.names]
         if twice := sorted({n for n in names if names.count(n) > 1}):
-            raise top[side].fail(f"{', '.join(twice)} stands for two ports; an element is one value")
+            raise top[side].fail(f"{', '.join(twice)} stands for two ports; an element is one value; leave one of them out")
     robot = LinkKeys.robot.of(top)
     return Link(
         k.name.of(head), system, scenario, variant, partner, config, decimals, signals["send"], signals["receive"],
@@ -233,7 +235,7 @@ def _system(head: Entry) -> tuple[System, Scenario | None, Variant | None]:
         raise head.fail("one of scenario (with variant) and system is needed, and not both")
     if "system" in head:
         if "variant" in head:
-            raise head["variant"].fail("goes with a scenario")
+            raise head["variant"].fail("goes with a scenario; give scenario in place of system, or leave variant out")
         return load_system(head["system"].file()), None, None
     scenario = load_scenario(head["scenario"].file())
     if scenario.kind != "milling":
@@ -261,10 +263,13 @@ def _signal(entry: Entry, side: str, system: System, partner: Sequence[str], pla
     ports = tuple(plain(p) for p in found[port])
     names = _names(entry, places)
     if len(names) != len(ports):
-        raise entry.fail(f"{len(names)} elements of the telegram ({', '.join(names)}), but {component}.{port} has {len(ports)}")
+        raise entry.fail(
+            f"{len(names)} elements of the telegram ({', '.join(names)}), but {component}.{port} has {len(ports)}"
+            "; give as many elements as the port has"
+        )
     unit, wanted = entry["unit"].text(), ports[0].unit or "1"
     if not compatible(unit, wanted) or convert(0.0, unit, wanted) != 0.0:
-        raise entry["unit"].fail(f"{unit!r} does not measure what {component}.{port} is in: {wanted}")
+        raise entry["unit"].fail(f"{unit!r} does not measure what {component}.{port} is in: {wanted}; give a unit of the same dimension")
     limits: Mapping[str, float] = {
         key: _positive(entry[key], u) for key, u in (("limit", unit), ("rate", f"{unit}/s"), ("most", unit)) if key in entry
     }

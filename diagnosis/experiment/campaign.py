@@ -51,7 +51,7 @@ class Campaign:
 
     def __post_init__(self) -> None:
         if not self.runs:
-            raise DataError("no run to diagnose: all of them are held out")
+            raise DataError("no run to diagnose: all of them are held out; give at least one run that is not held out")
 
     @staticmethod
     def of(system: System, runs: Sequence[Run], held_out: Sequence[Run] = ()) -> Campaign:

@@ -256,7 +256,9 @@ def portable(modules: list[tuple[str, str, str]]) -> str:
     passes.run(whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=0)))
     missing = sorted({f.name for f in whole.functions if f.is_declaration and f.name.startswith(FORBIDDEN)})
     if missing:
-        raise NativeBuildError(f"the code calls {', '.join(missing)}, which only exist inside Python")
+        raise NativeBuildError(
+            f"the code calls {', '.join(missing)}, which only exist inside Python; write it in terms of models/maths/elementary.py"
+        )
     for name in public:  # seen by the C sources beside it, not by other FMUs in the same process
         whole.get_function(name).visibility = "hidden"
     counts = {"function": 0, "global": 0}

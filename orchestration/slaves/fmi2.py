@@ -146,7 +146,10 @@ class Fmi2(Fmi):
         try:
             status: int = self._function(function)(self.instance, *arguments)
         except AttributeError:
-            raise SlaveError(f"component {self.name!r}: {self.description.file.name} has no function fmi2{function}") from None
+            raise SlaveError(
+                f"component {self.name!r}: {self.description.file.name} has no function fmi2{function}"
+                "; export the FMU anew with all functions of the standard"
+            ) from None
         return status
 
     def address(self, function: str) -> int:
@@ -185,7 +188,10 @@ class Fmi2(Fmi):
             try:
                 function = self._function(f"{way}{kind}")
             except AttributeError:
-                raise SlaveError(f"{self.description.file}: its binary has no function fmi2{way}{kind}") from None
+                raise SlaveError(
+                    f"{self.description.file}: its binary has no function fmi2{way}{kind}"
+                    "; export the FMU anew with all functions of the standard"
+                ) from None
             made.append(Group(f"fmi2{way}{kind}", function, places, variables, _DTYPES[kind], counted=False))
         return made
 

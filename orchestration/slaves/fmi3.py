@@ -125,7 +125,10 @@ class Fmi3(Fmi):
         try:
             status: int = self._function(function)(self.instance, *arguments)
         except AttributeError:
-            raise SlaveError(f"component {self.name!r}: {self.description.file.name} has no function fmi3{function}") from None
+            raise SlaveError(
+                f"component {self.name!r}: {self.description.file.name} has no function fmi3{function}"
+                "; export the FMU anew with all functions of the standard"
+            ) from None
         return status
 
     def address(self, function: str) -> int:
@@ -157,7 +160,10 @@ class Fmi3(Fmi):
             try:
                 function = self._function(f"{way}{kind}")
             except AttributeError:
-                raise SlaveError(f"{self.description.file}: its binary has no function fmi3{way}{kind}") from None
+                raise SlaveError(
+                    f"{self.description.file}: its binary has no function fmi3{way}{kind}"
+                    "; export the FMU anew with all functions of the standard"
+                ) from None
             made.append(Group(f"fmi3{way}{kind}", function, places, variables, DTYPES[kind], counted=True))
         return made
 

@@ -117,7 +117,9 @@ class Recording:
         if self.chunk > MAX_CHUNK:
             raise SystemFileError(f"the recording's chunk is at most {MAX_CHUNK} rows, which are kept in memory; found {self.chunk}")
         if self.checkpoint_every < 0:
-            raise SystemFileError(f"the recording's checkpoint_every counts steps, 0 = never; found {self.checkpoint_every}")
+            raise SystemFileError(
+                f"the recording's checkpoint_every counts steps, 0 = never; found {self.checkpoint_every}; give 0 or more"
+            )
 
 
 @dataclass(frozen=True)
@@ -161,13 +163,15 @@ class System:
             if getattr(self, key) not in names:
                 raise SystemFileError(unknown(key, getattr(self, key), names))
         if self.stop is not None and math.isnan(self.stop):
-            raise SystemFileError("stop is not a number (NaN)")
+            raise SystemFileError("stop is not a number (NaN); give a time such as '10 s'")
         for c in self.components:
             if not 0.0 < c.time_limit < math.inf:
-                raise SystemFileError(f"component {c.name!r}: time_limit is a positive time; found {c.time_limit!r} s")
+                raise SystemFileError(
+                    f"component {c.name!r}: time_limit is a positive time; found {c.time_limit!r} s; give a time such as '60 s'"
+                )
             self._check_rate(c)
         if not self.components:
-            raise SystemFileError("the system has no components")
+            raise SystemFileError("the system has no components; add at least one table [components.NAME]")
 
     def _check_rate(self, c: Component) -> None:
         if c.rate < 1 or c.every < 1 or c.rate > 1 < c.every:
@@ -175,7 +179,10 @@ class System:
                 f"component {c.name!r}: rate and every are whole numbers from 1, and only one of them is more; found {c.rate} and {c.every}"
             )
         if ticks(self.step, "step") % c.rate:
-            raise SystemFileError(f"component {c.name!r}: rate = {c.rate} divides the step of {self.step!r} s into no whole nanoseconds")
+            raise SystemFileError(
+                f"component {c.name!r}: rate = {c.rate} divides the step of {self.step!r} s into no whole nanoseconds"
+                "; choose another rate or step"
+            )
 
     @property
     def folder(self) -> Path:
@@ -269,7 +276,7 @@ class SystemKeys(Keys):
 def ticks(seconds: float, what: str) -> int:
     """Seconds as a whole number of nanoseconds; SystemFileError if it is not one, or not positive."""
     if not abs(seconds) < MAX_SECONDS:  # NaN, infinite, or so many that a float does not count nanoseconds
-        raise SystemFileError(f"{what} = {seconds!r} s is not a number of seconds below {MAX_SECONDS:g}")
+        raise SystemFileError(f"{what} = {seconds!r} s is not a number of seconds below {MAX_SECONDS:g}; give a time such as '4 ms'")
     count = round(seconds * TICK)
     if count <= 0 or abs(seconds * TICK - count) > 1e-6 * max(1.0, count * 1e-6):
         near = f"; the nearest is {f'{count / TICK:.9f}'.rstrip('0')} s" if count > 0 else ""
@@ -304,7 +311,7 @@ def load(file: Path, convert: Convert = same_unit_only) -> System:
 
 def _component(name: str, entry: Entry) -> Component:
     if not _NAME.fullmatch(name):
-        raise entry.fail("the name of a component: letters, digits and underscores only, no digit first")
+        raise entry.fail("the name of a component: letters, digits and underscores only, no digit first; choose another name")
     k = ComponentKeys
     k.of(entry)
     isolate = k.isolate.of(entry)

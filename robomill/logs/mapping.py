@@ -199,7 +199,7 @@ class MappingKeys(Keys):
 def load_mapping(file: Path) -> LogMapping:
     """Read a mapping file. LogError names file, line and key, what was found and what is expected."""
     if not file.is_file():
-        raise LogError(f"no mapping file {file}")
+        raise LogError(f"no mapping file {file}; see docs/import.md for one to begin with")
     top, k = MappingKeys.of(Entry.load(file, LogError, convert)), MappingKeys
     if "clock" not in top:
         raise top.fail("a table [clock] is missing; give the column with the time and its unit, or a rate in Hz")
@@ -370,12 +370,12 @@ def _signal(entry: Entry, models: Mapping[str, Model]) -> Signal:
         elements, target = _declared(entry["port"], models[component], name)
         shown = rate_of(unit, derivative) if unit is not None else None
         if shown is not None and not (compatible(shown, target) or are_turns(shown, target) or orientation):
-            raise entry["unit"].fail(f"wrong unit: {port} is in {target}, {unit!r} measures something else")
+            raise entry["unit"].fail(f"wrong unit: {port} is in {target}, {unit!r} measures something else; correct the unit or the port")
     sign, scale = _numbers(k.sign.of(entry)), _numbers(k.scale.of(entry))
     if not np.all(np.abs(sign) == 1.0):
         raise entry["sign"].expected("1 or -1")
     if scale.ndim and sign.ndim and scale.shape != sign.shape:
-        raise entry["sign"].fail(f"{sign.size} signs for {scale.size} scales")
+        raise entry["sign"].fail(f"{sign.size} signs for {scale.size} scales; give as many signs as scales")
     limits = None
     if "range" in entry:
         limits = entry["range"]

@@ -18,7 +18,7 @@ def read_mdf(file: Path) -> Log:
     try:
         mdf = MDF(file)
     except Exception as error:  # asammdf raises many kinds for a damaged file
-        raise LogError(f"{file}: not an MDF file: {error}") from None
+        raise LogError(f"{file}: not an MDF file: {error}; export the log anew as MDF 4") from None
     places: dict[str, tuple[int, int]] = {}
     masters: dict[str, str] = {}
     clocks: dict[int, str] = {}
