@@ -82,7 +82,9 @@ class Task:
         if found:
             x, y, z = 1e3 * self.position[found // 4]
             why = {1: "out of reach", 2: "beyond the limits of an axis", 3: "too near to the wrist singularity"}[found % 4]
-            raise PlacementError(f"the point {x:.1f}, {y:.1f}, {z:.1f} mm of the program is {why}")
+            raise PlacementError(
+                f"the point {x:.1f}, {y:.1f}, {z:.1f} mm of the program is {why}; place the part where the robot reaches it"
+            )
         return bent @ placement.R_BP, q
 
     def criterion(self, placement: Placement) -> float:

@@ -392,7 +392,7 @@ def _place(entry: Entry, size: Vector) -> Vector:
         try:
             return place_in_block(entry.value, size)
         except ValueError as error:
-            raise entry.fail(f"{entry.value!r}: {error}; or three lengths from the centre of the top") from None
+            raise entry.fail(f"{entry.value!r}: {error}; or three lengths from the centre of the top; give one of these") from None
     return entry.vector("m")
 
 

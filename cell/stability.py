@@ -118,7 +118,9 @@ def prepare(scenario: Scenario, modes: str | Path | None = None, rigid: bool = F
         c for c in planned_cuts(planned, scenario.workpiece.size, {n: 0.5 * m.diameter for n, m in mills.items()}) if c.spindle_speed > 0.0
     )
     if not cuts:
-        raise ScenarioError(f"{scenario.file}: {scenario.program.name} cuts nothing with the spindle on; `robomill plan` says why")
+        raise ScenarioError(
+            f"{scenario.file}: {scenario.program.name} cuts nothing with the spindle on; `robomill plan` says why; give a program that cuts"
+        )
     angles = axis_angles(planned, np.array([c.time for c in cuts]), robot, tool_of(system), robot.q_home)
     coefficients, spindle, notes = _process(system, modes)
     machine = None if rigid else machine_of(system)

@@ -24,7 +24,10 @@ _READY: set[tuple[Any, np.dtype[np.void]]] = set()
 
 
 class ComponentError(RuntimeError):
-    """What a component refuses or cannot do; the text names component, variable or time, value and what is expected."""
+    """What a component refuses or cannot do; the text names component, variable or time, value and what is expected.
+
+    Remedy: correct the value that it names, or what is connected to the input; after a failed step reset the component.
+    """
 
 
 class TableState(NamedTuple):

@@ -242,7 +242,9 @@ def _open(system: System, c: Component, resolver: Resolver | None) -> Slave:
 
         return FmuSlave(system.folder / c.source, c.name, goes_back)
     if resolver is None:
-        raise SlaveError(f"source {c.source!r} is neither an .fmu file nor {REPLAY}FOLDER, and no in-process components were given")
+        raise SlaveError(
+            f"source {c.source!r} is neither an .fmu file nor {REPLAY}FOLDER, and no in-process components were given; correct the source"
+        )
     try:
         return resolver(c.source, c.name)
     except LookupError as error:

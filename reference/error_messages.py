@@ -77,6 +77,15 @@ class _Finder:
     def __init__(self, file: str, tree: ast.Module) -> None:
         self.file, self.tree = file, tree
         self.own = _error_of_entries(tree)
+        self.constants = {
+            node.targets[0].id: node.value.value
+            for node in tree.body
+            if isinstance(node, ast.Assign)
+            and isinstance(node.targets[0], ast.Name)
+            and isinstance(node.value, ast.Constant)
+            and isinstance(node.value.value, str)
+        }
+        """Texts that the module gives a name."""
 
     def found(self) -> Iterator[Message]:
         for node in ast.walk(self.tree):
@@ -93,6 +102,8 @@ class _Finder:
             if not call.args:
                 continue
             text = _template(call.args[0])
+            for constant, value in self.constants.items():
+                text = text.replace(f"{{{constant}}}", value)
             if name == "expected":
                 text = f"expected {text}; found {{value}}"
             yield Message(error, text, self.file, node.lineno, not re.search(r"\w{3}", re.sub(r"\{[^{}]*\}", "", text)))
@@ -147,3 +158,33 @@ def _short(node: ast.expr) -> str:
         case ast.Subscript(value=value):
             return _short(value)
     return "value"
+
+
+_ALLOWED = re.compile(
+    r"\b(expected|available|known keys|must|needs?|it holds|at least|at most|minimum|maximum|one of|there are|(it|they|which) (has|have)|such as|"
+    r"only|instead|variants:|conditions:|items:|files in that folder:|from 0 to|ends in its unit)"
+)
+"""Words that say what is allowed or what there is."""
+_VERBS = (
+    "add allow ask break build call check choose close compensate connect convert copy correct cut delete describe divide exchange export "
+    "fill free get give identify import increase install keep leave let load look lower make mark move name open output pack pass place program "
+    "put raise record reduce remove rename repair replace reset run save say score search see set split start state take try turn "
+    "unpack use wait widen write"
+).split()
+_ORDER = re.compile(rf"(?:^|[;:,.(] (?:or |and |then )?|\bor |\[|`)(?:{'|'.join(_VERBS)})(?![\w.])")
+"""An imperative at the beginning of a clause."""
+_QUESTION = re.compile(r"; is the .*\?$")
+
+
+def remedy(text: str) -> str:
+    """The part of a message that says what to do: what is expected or available, an order, or a question; empty where none does.
+
+    A message has one if a clause of it names what is allowed (`_ALLOWED`), or begins with an imperative (`_VERBS`).
+    """
+    if question := _QUESTION.search(text):
+        return question[0].lstrip("; ")
+    clauses = re.split(r"(?<=[;:]) ", text)
+    for i, clause in enumerate(clauses):
+        if _ALLOWED.search(clause) or _ORDER.search(("; " if i else "") + clause):
+            return " ".join(clauses[i:]).rstrip(";")
+    return ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
+import re
 import types
 from collections.abc import Iterator
 from typing import Any
@@ -13,6 +14,8 @@ import robomill
 from reference.attributes import attribute_docs
 from reference.markdown import code, page, prose, sentence, table
 
+WIDTH = 90
+"""Characters from which on a signature has a line for each argument."""
 FIRST = ("load", "run", "sweep", "diagnose")
 """What a reader looks for first."""
 
@@ -25,10 +28,19 @@ def names() -> list[str]:
 
 def python_page() -> str:
     """All public names with signature, docstring, fields, properties and methods."""
-    listed = table(("name", "what it is"), ((f"[`{n}`](#{n.lower()})", _first_line(getattr(robomill, n))) for n in names()))
+    listed = table(("name", "what it is"), ((f"[`{n}`](#{_anchor(n)})", _first_line(getattr(robomill, n))) for n in names()))
     lead = prose(robomill.__doc__)
     units = "Arrays are float64. Values are in SI units unless the name or the text says otherwise."
     return page("Python API", lead, units, listed, *(_entry(n, getattr(robomill, n)) for n in names()))
+
+
+def _heading(name: str, value: Any) -> str:
+    """A class and a function may differ in the capital alone, which anchors do not have."""
+    return f"## class {name}" if inspect.isclass(value) else f"## {name}"
+
+
+def _anchor(name: str) -> str:
+    return _heading(name, getattr(robomill, name)).removeprefix("## ").lower().replace(" ", "-")
 
 
 def _first_line(value: Any) -> str:
@@ -41,7 +53,7 @@ def _doc(value: Any) -> str:
 
 
 def _entry(name: str, value: Any) -> str:
-    parts = [f"## {name}"]
+    parts = [_heading(name, value)]
     if inspect.isclass(value):
         parts += [prose(_doc(value)), *_fields(value), *_members(value)]
     elif callable(value):
@@ -100,7 +112,7 @@ def signature(function: Any) -> str:
         shown.append(p.replace(annotation=p.empty if p.annotation is p.empty else _Bare(_type(p.annotation)), default=kept))
     returned = found.return_annotation if found.return_annotation is inspect.Signature.empty else _Bare(_type(found.return_annotation))
     text = str(found.replace(parameters=shown, return_annotation=returned))
-    if len(text) < 90:
+    if len(text) < WIDTH:
         return text
     head = [f"    {p}," for p in shown]
     stars = next((i for i, p in enumerate(shown) if p.kind is p.KEYWORD_ONLY), None)
@@ -111,7 +123,8 @@ def signature(function: Any) -> str:
 
 
 def _type(annotation: Any) -> str:
-    return annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
+    text = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
+    return re.sub(r"\b_([A-Z])", r"\1", text)  # the class behind `robomill.System` is imported as `_System`
 
 
 def _default(value: Any) -> str:

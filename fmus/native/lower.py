@@ -41,7 +41,10 @@ _GARBAGE = 200_000
 
 
 class NativeBuildError(RuntimeError):
-    """A model that cannot become a native FMU, or a tool that failed; the text says which and why."""
+    """A model that cannot become a native FMU, or a tool that failed; the text says which and why.
+
+    Remedy: write the model as docs/native.md says, or build it with `--backend python`.
+    """
 
 
 @dataclass(frozen=True)
@@ -271,7 +274,10 @@ def portable(modules: list[tuple[str, str, str]]) -> str:
     text = _square_roots(_without_target(str(whole)))
     inexact = INEXACT.search(text)
     if inexact:
-        raise NativeBuildError(f"the code holds arithmetic marked {inexact.group().strip()!r}, which processors round differently")
+        raise NativeBuildError(
+            f"the code holds arithmetic marked {inexact.group().strip()!r}, which processors round differently"
+            "; write it as plain sums and products"
+        )
     return text
 
 

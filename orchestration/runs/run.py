@@ -207,7 +207,9 @@ def cast(column: FloatArray, kind: pa.DataType) -> Any:
 def _values(table: pa.Table, name: str, folder: Path) -> FloatArray:
     column = table.column(name)
     if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type) or pa.types.is_boolean(column.type)):
-        raise ResultsError(f"{folder}: column {name!r} holds no numbers but {column.type}")
+        raise ResultsError(
+            f"{folder}: column {name!r} holds no numbers but {column.type}; leave the column out, or import it anew as numbers"
+        )
     values = column.to_numpy(zero_copy_only=False)
     return np.ascontiguousarray(values, dtype=np.float64)
 

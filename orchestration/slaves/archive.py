@@ -35,7 +35,7 @@ def unpack(file: Path, target: Path, max_total: int = MAX_TOTAL, max_files: int 
     if not file.exists():
         raise SlaveError(f"{file}: no such file{_siblings(file, kind)}")
     if not zipfile.is_zipfile(file):
-        raise SlaveError(f"{file}: not a zip archive, so not an {kind} ({_kind(file)})")
+        raise SlaveError(f"{file}: not a zip archive, so not an {kind} ({_kind(file)}); get the file anew from whoever made it")
     try:
         with zipfile.ZipFile(file) as archive:
             entries = archive.infolist()

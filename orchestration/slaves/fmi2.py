@@ -80,7 +80,10 @@ class Fmi2(Fmi):
             self._free = self._function("FreeInstance", None, _pointer)
             self._do_step = self._function("DoStep")
         except AttributeError as error:
-            raise SlaveError(f"{self.description.file}: its binary cannot be loaded: {error}") from None
+            raise SlaveError(
+                f"{self.description.file}: its binary cannot be loaded: {error}"
+                "; use an FMU for this platform, with all libraries that it needs"
+            ) from None
         number = next(_numbers)
         _instances[number] = self.messages
         self._callbacks = fmi2.fmi2CallbackFunctions(_LOGGER, _ALLOCATE, _FREE, componentEnvironment=number)

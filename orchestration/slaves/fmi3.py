@@ -73,7 +73,10 @@ class Fmi3(Fmi):
             self._free = self._function("FreeInstance", None, _pointer)
             self._do_step = self._function("DoStep")
         except AttributeError as error:
-            raise SlaveError(f"{self.description.file}: its binary cannot be loaded: {error}") from None
+            raise SlaveError(
+                f"{self.description.file}: its binary cannot be loaded: {error}"
+                "; use an FMU for this platform, with all libraries that it needs"
+            ) from None
         self._log = _LOG(lambda _, status, __, text: self.messages.append((status, (text or b"").decode("utf-8", "replace").rstrip())))
         # event handling needed, terminate simulation, early return; last successful time
         self.flags = np.zeros(3, dtype=np.uint8)

@@ -75,7 +75,7 @@ class _Reader:
             )
         inner = child(root, "System")
         if inner is None:
-            raise self.fail(f"{SSD} holds no System")
+            raise self.fail(f"{SSD} holds no System; add the element System")
         structure = Structure(self.files, inner)
         if not structure.sources:
             raise self.fail("the system has no components; add at least one")

@@ -280,7 +280,9 @@ def ticks(seconds: float, what: str) -> int:
     count = round(seconds * TICK)
     if count <= 0 or abs(seconds * TICK - count) > 1e-6 * max(1.0, count * 1e-6):
         near = f"; the nearest is {f'{count / TICK:.9f}'.rstrip('0')} s" if count > 0 else ""
-        raise SystemFileError(f"{what} = {seconds!r} s is not a positive whole number of nanoseconds, in which time is counted{near}")
+        raise SystemFileError(
+            f"{what} = {seconds!r} s is not a positive whole number of nanoseconds, in which time is counted{near}; choose such a number"
+        )
     return count
 
 

@@ -126,7 +126,7 @@ def _marked(cut: Cut, marker: Marker, states: npt.NDArray[np.generic], t: FloatA
     if marker.value is not None:
         on = states == marker.value if isinstance(marker.value, str) != numbers else np.zeros(len(states), dtype=bool)
         if not on.any():
-            raise LogError(f"{what} never is {marker.value!r}; {_values(states)}")
+            raise LogError(f"{what} never is {marker.value!r}; {_values(states)}; choose a value that it has")
         edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(np.int8)))
         times = np.append(t, end)[edges]
         return [(float(b), float(e)) for b, e in times.reshape(-1, 2)]
@@ -137,7 +137,9 @@ def _marked(cut: Cut, marker: Marker, states: npt.NDArray[np.generic], t: FloatA
     begins = t[1:][edge]
     if not len(begins):
         through = "" if marker.level is None else f" through {marker.level:g}"
-        raise LogError(f"{what} never {marker.when}{through} in the time that is imported; {_values(states)}")
+        raise LogError(
+            f"{what} never {marker.when}{through} in the time that is imported; {_values(states)}; choose another level or marker"
+        )
     if marker.when == "changes":
         begins = np.append(t[:1], begins)
     return [(float(b), float(e)) for b, e in zip(begins, np.append(begins[1:], end), strict=True)]
