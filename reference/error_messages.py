@@ -161,17 +161,17 @@ def _short(node: ast.expr) -> str:
 
 
 _ALLOWED = re.compile(
-    r"\b(expected|available|known keys|must|needs?|it holds|at least|at most|minimum|maximum|one of|there are|(it|they|which) (has|have)|such as|"
-    r"only|instead|variants:|conditions:|items:|files in that folder:|from 0 to|ends in its unit)"
+    r"\b(expected|available|known keys|must|needs?|it holds|at least|at most|minimum|maximum|one of|there are|(it|they|which) (has|have)|"
+    r"such as|only|instead|variants:|conditions:|items:|files in that folder:|from 0 to|ends in its unit)"
 )
 """Words that say what is allowed or what there is."""
 _VERBS = (
-    "add allow ask break build call check choose close compensate connect convert copy correct cut delete describe divide exchange export "
-    "fill free get give identify import increase install keep leave let load look lower make mark move name open output pack pass place program "
-    "put raise record reduce remove rename repair replace reset run save say score search see set split start state take try turn "
-    "unpack use wait widen write"
-).split()
-_ORDER = re.compile(rf"(?:^|[;:,.(] (?:or |and |then )?|\bor |\[|`)(?:{'|'.join(_VERBS)})(?![\w.])")
+    "add|allow|ask|break|build|call|check|choose|close|compensate|connect|convert|copy|correct|cut|delete|describe|divide|exchange|export|"
+    "fill|free|get|give|identify|import|increase|install|keep|leave|let|load|look|lower|make|mark|move|name|open|output|pack|pass|place|"
+    "program|put|raise|record|reduce|remove|rename|repair|replace|reset|run|save|say|score|search|see|set|split|start|state|take|try|"
+    "turn|unpack|use|wait|widen|write"
+)
+_ORDER = re.compile(rf"(?:^|[;:,.(] (?:or |and |then )?|\bor |\[|`)(?:{_VERBS})(?![\w.])")
 """An imperative at the beginning of a clause."""
 _QUESTION = re.compile(r"; is the .*\?$")
 

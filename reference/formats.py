@@ -34,7 +34,6 @@ from robomill.logs import mapping
 from robomill.logs.reading import READERS, SUFFIXES
 from robomill.models.components.sensor_chain import ForceSensor
 from robomill.models.components.spindle_holder import SpindleHolder
-from robomill.models.model.parameters import load
 from robomill.models.planning.gcode import codes
 from robomill.models.process.cutting import CuttingCoefficients, EndMill
 from robomill.models.process.stability.modes import ModeFile
@@ -83,7 +82,7 @@ FORMATS = (
         "scenario", "Scenario files of milling cells", scenario.ScenarioKeys, scenario.load_scenario,
         "`robomill run`, `plan`, `compensate`, `place` and `stability` take a scenario file",
     ),
-    Format("experiment", "Experiment files", experiments.ExperimentKeys, experiments.load_experiment, "`robomill run` takes an experiment file"),
+    Format("experiment", "Experiment files", experiments.ExperimentKeys, experiments.load_experiment, "`robomill run` takes it"),
     Format(
         "removal_rate", "Scenario files of removal rate control", removal_rate.RateKeys, removal_rate.load_removal_rate,
         "`robomill run` takes such a scenario file",
@@ -93,7 +92,10 @@ FORMATS = (
         "`robomill run` takes such a scenario file",
     ),
     Format("points", "Paths of points", points.PathKeys, points.read_points, "a scenario and `robomill plan` take it as the program"),
-    Format("catalogue", "Catalogues of effects", catalogue.CatalogueKeys, catalogue.Catalogue.load, "`robomill diagnose --catalogue` takes it"),
+    Format(
+        "catalogue", "Catalogues of effects", catalogue.CatalogueKeys, catalogue.Catalogue.load,
+        "`robomill diagnose --catalogue` takes it",
+    ),
     Format(
         "campaign", "Campaign files", campaign.CampaignKeys, lambda file: campaign.load_campaign(file, load_system),
         "`robomill diagnose --campaign` takes it",
@@ -147,7 +149,10 @@ def _data() -> str:
 
 def _measured() -> str:
     """Sets of poses, loads and answers for `robomill identify`."""
-    lead = "`robomill identify` takes TOML files over tables of measured poses, or run folders. Of a run folder the columns are those of the ports."
+    lead = (
+        "`robomill identify` takes TOML files over tables of measured poses, or run folders. "
+        "Of a run folder the columns are those of the ports."
+    )
     example = code((EXAMPLES / "measured_set.toml").read_text(encoding="utf-8"), "toml")
     rows = [
         (f"`{kind}`", f"`[{q.name}]`", str(q.width), q.unit, "required" if q.needed else "", ", ".join(f"`*.{p}`" for p in q.ports))
@@ -224,11 +229,12 @@ def _diagnosis() -> str:
         "Numbers that nothing determines are null. Intervals are those of 90 %."
     )
     adopt = (
-        "## adopt.ssv\n\nAn SSP 1.0 parameter set with one parameter `component.parameter` per adopted effect, in the unit of the parameter. "
-        "`robomill run --adopt` takes it. Faults of the log are left out."
+        "## adopt.ssv\n\nAn SSP 1.0 parameter set with one parameter `component.parameter` per adopted effect, in the unit of "
+        "the parameter. `robomill run --adopt` takes it. Faults of the log are left out."
     )
     return page(
-        "Files of a diagnosis", lead, f"## diagnosis.json\n\n{prose(answer.to_json.__doc__)}", *json_sections(answer.Answer, "Answer", {Changing: "`like`, `how` and `gain`"}), adopt,
+        "Files of a diagnosis", lead, f"## diagnosis.json\n\n{prose(answer.to_json.__doc__)}",
+        *json_sections(answer.Answer, "Answer", {Changing: "`like`, `how` and `gain`"}), adopt,
         *json_sections(check.Checked, f"Output of --check --json ({check.CHECK_SCHEMA})"),
     )  # fmt: skip
 

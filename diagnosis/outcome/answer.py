@@ -146,7 +146,8 @@ class Answer:
     """What diagnosis.json holds, in its order; what is None is not part of this answer."""
 
     verdict: Verdict
-    """`identified`: one cause; `ambiguous`: several that the runs cannot tell apart; `unknown`: an effect that is not in the catalogue; `none`: no effect; `bad_log`: the log cannot be used."""
+    """`identified`: one cause; `ambiguous`: several that the runs cannot tell apart; `unknown`: an effect that is not in the catalogue;
+    `none`: no effect; `bad_log`: the log cannot be used."""
     findings: tuple[gate.Finding, ...] = ()
     """What is to be said of the log."""
     where: tuple[Where, ...] = ()

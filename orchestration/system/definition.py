@@ -8,7 +8,7 @@
 
     [components.drive]
     source = "robot_drive"              # in process, or "dist/robot_drive.fmu", or "replay:runs/42"
-    parameters = {backlash = "20 urad", "stiffness_scale[2]" = 0.9}
+    parameters = {"backlash[2]" = "20 urad", loop_frequency = "6.5 Hz"}
     inputs = {m_T_B = ["2 N.m", 0, 0]}  # start values of inputs, which open inputs keep
     isolate = false                     # true: an FMU in its own process (orchestration/slaves/isolation.py)
     time_limit = "60 s"                 # of wall clock for one call, if isolated
