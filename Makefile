@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: run test check quick build golden figures bench diagnose-real recordings clean help
+.PHONY: run test check quick build golden reference figures bench diagnose-real recordings clean help
 
 run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictures in results/test_part
 	$(BIN)/robomill build
@@ -27,6 +27,9 @@ build: $(READY) ## write every FMU to dist/
 
 golden: $(READY) ## write the golden results anew; review the diff
 	$(BIN)/python -m tests.fmus.regenerate
+
+reference: $(READY) ## docs/reference anew from the program: commands, file formats, Python API, errors
+	$(BIN)/python -m reference
 
 figures: $(READY) ## the studies and pictures of docs/validation.md and docs/rate_control.md
 	$(BIN)/python docs/studies.py

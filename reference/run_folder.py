@@ -54,6 +54,8 @@ class RunKeys(Keys):
     warnings = optional(keys.texts(), "what was to be said of the system (simulated)")
     rates = default({}, keys.named(keys.number(), "component"), "steps of a component in each step of the system, where not 1")
     sources = default({}, keys.named(keys.text(), "component"), "what stood there (simulated)")
+    connections = optional(keys.texts(), "what was connected to what (simulated)")
+    files = optional(keys.named(keys.text(), "file"), "hash of each file that a parameter names (simulated)")
     parameters = default(
         {}, keys.anything("table of `component.parameter = value`"), "all parameters, or those that the experimenter knows"
     )
