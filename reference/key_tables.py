@@ -53,12 +53,12 @@ def below_of(path: str, key: Key[Any]) -> str:
 
 
 def _row(key: Key[Any], path: str, found: dict[type[Any], str]) -> tuple[str, ...]:
-    value = key.kind.type
+    value = key.kind.what
     if key.kind.nested is not None:
         anchor = re.sub(r"[^\w\- ]", "", found[key.kind.nested].lower()).replace(" ", "-")
         value = f"{value} [`{below_of(path, key)}`](#{anchor})"
     elif key.kind.allowed:
-        value = " or ".join(filter(None, ("" if key.kind.type == "text" else key.kind.type, ", ".join(f"`{a}`" for a in key.kind.allowed))))
+        value = " or ".join(filter(None, ("" if key.kind.what == "text" else key.kind.what, ", ".join(f"`{a}`" for a in key.kind.allowed))))
     start = "required" if key.needed else literal(key.start) if key.has_default and key.start not in ({}, []) else ""
     return f"`{key.name}`", value, key.kind.unit, start, sentence(key.meaning)
 

@@ -34,7 +34,7 @@ class Kind(Generic[T]):
     """What a value is: how it is read, and what the reference says of it."""
 
     read: Callable[[Entry], T]
-    type: str
+    what: str
     """What is written, in words: `text`, `length or 0`."""
     unit: str = ""
     """SI unit that a quantity is read in; any unit of the same dimension may be written."""
@@ -174,9 +174,9 @@ def parameters() -> Kind[dict[str, Written]]:
     return Kind(Entry.parameters, "table of `component.parameter = value`")
 
 
-def anything(type: str, unit: str = "", allowed: Collection[str] = ()) -> Kind[Entry]:
-    """An entry that the reader looks at itself; `type` says in words what it takes."""
-    return Kind(lambda e: e, type, unit, allowed)
+def anything(what: str, unit: str = "", allowed: Collection[str] = ()) -> Kind[Entry]:
+    """An entry that the reader looks at itself; `what` says in words what it takes."""
+    return Kind(lambda e: e, what, unit, allowed)
 
 
 def table(keys: type[Keys]) -> Kind[Entry]:
@@ -201,4 +201,4 @@ def made(cls: type[Made]) -> Kind[Made]:
 
 def named(kind: Kind[T], name: str = "NAME") -> Kind[Mapping[str, T]]:
     """A table `name = value` with values of one kind, by a `name` that the writer of the file gives."""
-    return Kind(lambda e: {key: kind.read(value) for key, value in e.items()}, f"table of `{name} = {kind.type}`", kind.unit, kind.allowed)
+    return Kind(lambda e: {key: kind.read(value) for key, value in e.items()}, f"table of `{name} = {kind.what}`", kind.unit, kind.allowed)
