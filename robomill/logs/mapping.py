@@ -310,9 +310,9 @@ def _cut(entry: Entry) -> Cut:
             raise entry[key].fail("belongs to a marker; give marker, the column that it is about")
     if "length" in entry and not ways:
         raise entry["length"].fail("is that of the pieces; give period, at or marker, or to")
-    for key in (k.period, k.length):
-        if (value := key.of(entry)) is not None and value <= 0.0:
-            raise key.entry(entry).expected("a positive time")
+    for time in (k.period, k.length):
+        if (value := time.of(entry)) is not None and value <= 0.0:
+            raise time.entry(entry).expected("a positive time")
     return Cut(
         f"{entry.place}: {entry.name}",
         _instant(entry["from"]) if "from" in entry else None,
