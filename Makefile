@@ -5,7 +5,7 @@ READY := .venv/ready
 # what tests, linters and benchmarks need besides
 DEVELOP := .venv/ready-dev
 
-.PHONY: run test check docs quick build golden figures bench recordings clean help
+.PHONY: run test check docs quick build golden reference figures bench recordings clean help
 
 run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictures in results/test_part
 	$(BIN)/robomill build
@@ -32,6 +32,9 @@ build: $(READY) ## write every FMU to dist/
 
 golden: $(DEVELOP) ## write the golden results anew; review the diff
 	$(BIN)/python -m tests.fmus.regenerate
+
+reference: $(DEVELOP) ## docs/reference anew from the program: commands, file formats, Python API, errors
+	$(BIN)/python -m reference
 
 figures: $(DEVELOP) ## the studies and pictures of docs/explanation/validation.md and docs/explanation/rate_control.md
 	$(BIN)/python docs/studies.py

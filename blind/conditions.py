@@ -45,7 +45,9 @@ class Condition:
     """One way to measure. SI, but for degrees."""
 
     name: str
+    """Name of the condition."""
     position: tuple[float, float, float]
+    """Centre of the block's top in the robot base [m]."""
     turn: float
     """deg"""
     depth: float = 0.0
@@ -57,6 +59,7 @@ class Condition:
     reversals: bool = True
     """Whether the program begins with reversals in the air."""
     mode: int = 1
+    """Mode of the compensation controller."""
     warm_up_time: float = 5400.0
     """s since switching on."""
     program: str = "slots"
@@ -66,6 +69,7 @@ class Condition:
     weight: float = 0.0
     """Mass [kg] that hangs from the tool tip all the time."""
     held_out: bool = False
+    """Whether it is held out."""
 
     @property
     def cuts(self) -> bool:

@@ -56,12 +56,19 @@ class Request:
     """What is asked for: all of request.json. Everything in the benchmark follows from it."""
 
     cases: int
+    """Number of cases."""
     seed: int
+    """Seed that all cases follow from."""
     tier: str = "T1"
+    """Set of channels that are logged."""
     set: str = "mixed"
+    """Set of cases."""
     generator: str = "first"
+    """Generator of the cases."""
     schema: str = "robomill-blind/2"
+    """Name and version of the form."""
     version: int = GENERATOR_VERSION
+    """Version of the generator."""
 
     def plans(self) -> list[Plan]:
         """Its cases. ValueError: a set, tier, generator or number that there is not."""

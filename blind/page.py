@@ -30,7 +30,7 @@ def read_reasons(file: Path) -> Reasons:
     try:
         listed = tomllib.loads(file.read_text(encoding="utf-8")).get("missed", [])
     except tomllib.TOMLDecodeError as error:
-        raise BenchmarkError(f"{file}: not valid TOML: {error}") from None
+        raise BenchmarkError(f"{file}: not valid TOML: {error}; correct that line") from None
     found = {}
     for i, entry in enumerate(listed, 1):
         if set(entry) != _REASON:

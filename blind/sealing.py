@@ -24,11 +24,15 @@ class Benchmark:
     """All of benchmark.json."""
 
     schema: str
+    """Name and version of the form."""
     version: int
     """Version of the generator."""
     cases: int
+    """Number of cases."""
     seed: int
+    """Seed that all cases follow from."""
     tier: str
+    """Set of channels that are logged."""
     set: str
     """One of `sets.SETS`."""
     generator: str
@@ -65,19 +69,31 @@ def unseal(folder: Path) -> tuple[Benchmark, dict[int, Truth]]:
     try:
         head = Benchmark(**json.loads(file.read_text(encoding="utf-8")))
     except TypeError as error:
-        raise BenchmarkError(f"{file} has other keys than this version writes: {error}") from error
+        raise BenchmarkError(
+            f"{file} has other keys than this version writes: {error}; make the benchmark anew with this version"
+        ) from error
     sealed = folder / "sealed"
     manifest = sealed / "manifest.json"
     if not manifest.is_file() or hashlib.sha256(manifest.read_bytes()).hexdigest() != head.truth:
-        raise BenchmarkError(f"{manifest} is not the one whose hash is in benchmark.json: the truth was changed or is not here")
+        raise BenchmarkError(
+            f"{manifest} is not the one whose hash is in benchmark.json: the truth was changed or is not here"
+            "; put back the truth that was made with it, or make the benchmark anew"
+        )
     listed = json.loads(manifest.read_text(encoding="utf-8"))
     if hashes(sealed, exclude=("manifest.json",)) != listed:
-        raise BenchmarkError(f"{sealed}: files differ from manifest.json: the truth was changed")
+        raise BenchmarkError(
+            f"{sealed}: files differ from manifest.json: the truth was changed"
+            "; put back the truth that was made with it, or make the benchmark anew"
+        )
     changed = sorted(k for k, v in hashes(folder / "cases").items() if head.files.get(k, v) != v)
     if changed:
-        raise BenchmarkError(f"{folder / 'cases'}: changed since it was made: {', '.join(changed[:5])}")
+        raise BenchmarkError(
+            f"{folder / 'cases'}: changed since it was made: {', '.join(changed[:5])}; put the files back, or make the benchmark anew"
+        )
     files = [sealed / name for name in listed if name.endswith(".json")]
     try:
         return head, {int(f.name[:4]): Truth.read(json.loads(f.read_text(encoding="utf-8"))) for f in files}
     except TypeError as error:
-        raise BenchmarkError(f"{sealed}: truths with other keys than this version writes: {error}") from error
+        raise BenchmarkError(
+            f"{sealed}: truths with other keys than this version writes: {error}; make the benchmark anew with this version"
+        ) from error

@@ -20,8 +20,11 @@ class Figure:
     """An estimate; value and 95 % interval are None where there are too few cases."""
 
     value: float | None
+    """The estimate."""
     count: int
+    """Cases that it rests on."""
     interval: Sequence[float] | None
+    """95 % interval."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +32,11 @@ class Claim:
     """What was claimed, how sure, and whether it was right."""
 
     probability: float
+    """How sure the diagnosis was, 0..1."""
     right: bool
+    """Whether it was right."""
     generator: str
+    """Generator of the case."""
 
 
 def wilson(hits: int, count: int, z: float = Z) -> tuple[float, float]:

@@ -16,12 +16,17 @@ class TrueEffect:
     """A catalogue effect; value in SI."""
 
     component: str
+    """Component of the system, or `logging`."""
     effect: str
+    """Name of the parameter without its element."""
     parameter: str
     """Name of the element: `stiffness_error[2]`."""
     index: int
+    """Element of the parameter, from 1; 0: it is a scalar."""
     value: float
+    """Value, in `unit`."""
     unit: str
+    """SI unit."""
     formulation: str = "parameter"
     """How it is made: by its parameter, or as something else, such as `bouc_wen`; `clock`: in the log."""
     detectability: float | None = None
@@ -48,10 +53,13 @@ class TrueOutside:
     """A change that no catalogue entry expresses."""
 
     name: str
+    """What the change is."""
     component: str | None
     """None: no single one."""
     value: float
+    """Value, in `unit`."""
     unit: str
+    """SI unit."""
 
 
 @dataclass(frozen=True)
@@ -59,9 +67,13 @@ class TrueFault:
     """A fault of the log; `channel` is an array or an element of one."""
 
     kind: str
+    """What is wrong with the log."""
     channel: str
+    """Array, or element of one."""
     value: float
+    """Value, in `unit`."""
     unit: str
+    """SI unit."""
     detectability: float | None = None
     """Oracle ratio; None: not looked at."""
 
@@ -71,12 +83,19 @@ class Truth:
     """All of a case; of a null there are no effects, and neither of the two after them."""
 
     kind: str
+    """What sort of case it is: null, single, double, withheld, unknown, bad_log."""
     effects: tuple[TrueEffect, ...] = ()
+    """Effects that the machine has."""
     outside: TrueOutside | None = None
+    """Change that no catalogue entry expresses."""
     bad_log: TrueFault | None = None
+    """Fault of the log."""
     case: int = 0
+    """Number of the case."""
     tier: str = "T1"
+    """Set of channels that are logged."""
     generator: str = "first"
+    """Generator that made it."""
     repeats: int = 6
     """Runs of each diagnosed condition."""
     machine: Mapping[str, Mapping[str, Any]] | None = None
@@ -88,6 +107,7 @@ class Truth:
     detectability: float = 0.0
     """Oracle ratio of all that is in it, the largest over the measured arrays."""
     detectability_by_array: Mapping[str, float] = field(default_factory=dict)
+    """Oracle ratio by measured array."""
     ceiling: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Held-out condition -> tool tip or force -> closure if the true effects are adopted."""
 

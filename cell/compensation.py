@@ -386,6 +386,7 @@ def _variant(scenario: Scenario, name: str | None) -> Variant:
     if scenario.kind != "milling":
         raise CompensationError(
             f"{scenario.file}: a scenario of kind {scenario.kind!r}; only milling scenarios have a program to compensate"
+            "; choose one with kind = 'milling'"
         )
     for variant in scenario.variants:
         if name in (None, variant.name):
@@ -417,7 +418,10 @@ class Loop:
         left = self._mirrored(self.first)
         start = _rms(left[self.first.cut]) if np.any(self.first.cut) else 0.0
         if start == 0.0:
-            raise CompensationError(f"{self.path.name}: the tool never meets the block; nothing to compensate")
+            raise CompensationError(
+                f"{self.path.name}: the tool never meets the block; nothing to compensate"
+                "; correct the place of the block or the zero of the program"
+            )
         self._note(self.first, None, 0.0, left)
         least, best = start, (self.offset, self.program, self.plan, self.along, self.last)
         for number in range(1, self.settings.iterations + 1):

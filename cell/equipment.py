@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 
 from robomill.cell.binding import convert, resolve
+from robomill.cell.equipment_keys import EquipmentKeys, RobotKeys
 from robomill.fmus.components import beside, is_component
 from robomill.models.components.sensor_chain import GRAVITY, MOUNTING, ForceSensor
 from robomill.models.components.spindle_holder import SpindleHolder
@@ -56,8 +57,6 @@ _AXIS_ANGLES = ("q_ref", "q_link", "q_motor", "q")
 """Inputs that are axis angles A1..A6 (docs/nomenclature.md)."""
 _SAME = 1e-9
 """Part of the largest element by which geometry may differ: what a conversion of units rounds."""
-_KEYS = {"robot": ("name", "file", "compliance", "dynamics")}
-_DEFAULT_KEYS = ("name", "file")
 
 
 @dataclass(frozen=True)
@@ -206,7 +205,7 @@ def _check_geometry(
 
 def _named(system: System, role: str) -> Entry:
     """The entry that says which one."""
-    table = system.equipment[role].keys((), _KEYS.get(role, _DEFAULT_KEYS))
+    table = (RobotKeys if role == "robot" else EquipmentKeys).of(system.equipment[role])
     for _, entry in table.items():
         entry.text()
     if ("name" in table) == ("file" in table):

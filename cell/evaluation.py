@@ -36,25 +36,37 @@ class Figures:
     """What summary.json has of a variant, key by key; what cannot be told is None, and `note` says why nothing can."""
 
     max_deviation_m: float | None = None
+    """Largest deviation of the machined surface."""
     max_deviation_limited: bool | None = None
     """Whether the largest deviation is as far as the measure reaches: it may be more."""
     max_deviation_location: str | None = None
+    """Wall or floor where it is."""
     max_deviation_point_m: tuple[float, ...] | None = None
     """x, y, z in P."""
     rms_deviation_m: float | None = None
+    """Root mean square of the deviation."""
     p95_deviation_m: float | None = None
+    """Magnitude that 95 % of the deviations do not exceed."""
     floor_rms_deviation_m: float | None = None
+    """Root mean square of the deviation of the floors."""
     floor_max_deviation_m: float | None = None
+    """Largest deviation of the floors."""
     edge_share: float | None = None
     """Share of the measured points beside edges; they count in `edge_max_deviation_m` and nowhere else."""
     edge_max_deviation_m: float | None = None
+    """Largest deviation beside edges."""
     peak_force_n: float | None = None
-    """As measured; the next two are of the cutter: means of steps, and within the steps."""
+    """Largest force as measured."""
     peak_cutting_force_n: float | None = None
+    """Largest force on the cutter, mean over a step."""
     peak_substep_force_n: float | None = None
+    """Largest force on the cutter within a step."""
     reaction_t50_s: float | None = None
+    """Time after the entry of the cutter in which half of the deflection is corrected."""
     real_time_factor: float | None = None
+    """Simulated time over wall-clock time."""
     note: str | None = None
+    """Why there are no figures."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +99,9 @@ def evaluate(name: str, title: str, run: Run, workpiece: Workpiece, real_time_fa
     surface, figures = None, Figures()
     try:
         if not cuts:
-            raise NothingCutError("nothing is cut: the tool never met the block")
+            raise NothingCutError(
+                "nothing is cut: the tool never met the block; correct the place of the block, the zero of the program or the tool"
+            )
         surface = part.scan(run, workpiece) if part.is_tridexel(run) else measure(nominal, actual, workpiece.size)
     except NothingCutError as why:
         figures = Figures(note=str(why))

@@ -46,6 +46,7 @@ from scipy.spatial.transform import Rotation
 
 from robomill.cell.binding import convert, resolve, with_fmus
 from robomill.cell.equipment import load_system
+from robomill.cell.equipment_keys import EquippedKeys
 from robomill.cell.milling import Progress, notes_of, own_tool, read_program, with_parameters
 from robomill.cell.plan_checks import check_plan
 from robomill.cell.scenario import ComponentParameters, ScenarioError, equipment
@@ -54,8 +55,10 @@ from robomill.models.planning import gcode
 from robomill.models.planning.trajectory import Placement, Plan, plan
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import RUN, Run, check_vacant, read_info
-from robomill.orchestration.system.definition import EQUIPMENT, System
+from robomill.orchestration.system import keys
+from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.keys import Keys, Kind, default, optional, required
 from robomill.orchestration.system.toml_text import dump, parse
 from robomill.orchestration.system.written import merged
 
@@ -65,8 +68,6 @@ GRAVITY = 9.81
 """m/s2, as in the models."""
 LOAD_ROW = ("s", "N", "N", "N")
 """Units of a row of an applied load as it is written: time, force in B. The table has moments behind them, which are 0."""
-_TOP = {"scenario", "experiment", "parameters", "machine", "condition", *EQUIPMENT}
-_CONDITION = {"name", "program", "position", "abc", "size", "load", "weight", "held_out", "minutes", "parameters"}
 
 
 @dataclass(frozen=True)
@@ -126,31 +127,86 @@ def is_experiment(file: Path) -> bool:
         return False
 
 
+def _minutes(entry: Entry) -> float:
+    """The key says the unit; a text may say another."""
+    found = entry.si("min" if isinstance(entry.value, str) else "1")
+    if found < 0.0:
+        raise entry.fail(f"{entry.value!r} is negative; expected 0 or more")
+    return found
+
+
+LOAD_ROWS = keys.anything("rows `[time, fx, fy, fz]`", "s, N")
+"""An applied load as it is written."""
+
+
+class ExperimentHeadKeys(Keys):
+    """What the experiment is called, and what is measured."""
+
+    name = required(keys.folder_name(), "name of the experiment; results stand in a folder of that name")
+    kind = optional(keys.text(), "`experiment`")
+    title = optional(keys.text(), "heading of the results (default: the name)")
+    system = required(keys.file(), "system file: components and connections")
+
+
+class MeasurementKeys(Keys):
+    """How often and what is measured."""
+
+    kind = required(keys.text(), "kind of experiment, a label of the runs")
+    repeats = default(1, keys.count(1), "repeats of each condition, each with noise of its own")
+    columns = optional(keys.texts(), "patterns of what is measured (default: what the system records)")
+
+
+class ConditionKeys(Keys):
+    """One way to measure; all its repeats are run folders."""
+
+    name = required(keys.text(), "name of the condition, used once")
+    program = required(keys.file(), "G-code, or a path of points (TOML)")
+    position = required(keys.vector("m"), "of the frame that the program is in, in the robot base")
+    abc = default([0, 0, 0], keys.vector("rad"), "orientation of that frame: Euler angles A about z, B about y', C about x''")
+    size = optional(keys.vector("m"), "size of the block, where one is milled")
+    load = default([], LOAD_ROWS, "force on the tool in the robot base over time, straight lines between the rows")
+    weight = default(0, keys.quantity("kg"), "mass that hangs from the tool tip all the time, not negative")
+    held_out = default(False, keys.flag(), "label of the runs: a diagnosis does not fit them, it tries its answer on them")
+    minutes = default(0, Kind(_minutes, "number, or quantity", "min"), "what all repeats cost on the machine, with setting up; 0: not said")
+    parameters = default({}, keys.parameters(), "parameters that the experimenter sets in this condition, with units")
+
+
+class ExperimentKeys(EquippedKeys):
+    """Runs made to find something out, simulated as they would be measured. A scenario of kind `experiment`."""
+
+    scenario = required(keys.table(ExperimentHeadKeys), "what the experiment is called, and its system")
+    experiment = required(keys.table(MeasurementKeys), "how often and what is measured")
+    parameters = default({}, keys.parameters(), "parameters that the experimenter knows, for all conditions")
+    machine = default({}, keys.parameters(), "parameters that the machine has and nobody knows; not written to the runs")
+    condition = required(keys.each(ConditionKeys), "the ways to measure")
+
+
 def load_experiment(path: str | Path) -> Experiment:
     """Read and check an experiment file. ScenarioError or FileNotFoundError says what is wrong and what is possible."""
     file = Path(path).resolve()
-    top = Entry.load(file, ScenarioError, convert).keys({"scenario", "experiment", "condition"}, _TOP)
-    head = top["scenario"].keys({"name", "system"}, {"kind", "title"})
-    about = top["experiment"].keys({"kind"}, {"repeats", "columns"})
+    top = ExperimentKeys.of(Entry.load(file, ScenarioError, convert))
+    head, about = ExperimentKeys.scenario.of(top), ExperimentKeys.experiment.of(top)
     conditions = tuple(read_condition(entry) for entry in top["condition"].each())
     names = [c.name for c in conditions]
     folders = [folder_of(name) for name in names]
     for i, folder in enumerate(folders):
         if folder in folders[:i]:
             other = names[folders.index(folder)]
-            raise top["condition"][i]["name"].fail(f"{names[i]!r} and {other!r} are the same or have the same folder of results, {folder}")
+            raise top["condition"][i]["name"].fail(
+                f"{names[i]!r} and {other!r} are the same or have the same folder of results, {folder}; give one of them another name"
+            )
     return Experiment(
         file,
-        head["name"].folder_name(),
-        head.get("title", head["name"].value).text(),
-        about["kind"].text(),
-        about.get("repeats", 1).count(1),
-        head["system"].file(),
-        top.get("parameters", {}).parameters(),
-        top.get("machine", {}).parameters(),
+        ExperimentHeadKeys.name.of(head),
+        ExperimentHeadKeys.title.of(head) or ExperimentHeadKeys.name.of(head),
+        MeasurementKeys.kind.of(about),
+        MeasurementKeys.repeats.of(about),
+        ExperimentHeadKeys.system.of(head),
+        ExperimentKeys.parameters.of(top),
+        ExperimentKeys.machine.of(top),
         conditions,
         equipment(top),
-        about["columns"].texts() if "columns" in about else (),
+        MeasurementKeys.columns.of(about) or (),
     )
 
 
@@ -161,38 +217,34 @@ def folder_of(condition: str) -> str:
 
 def read_condition(entry: Entry) -> ExperimentCondition:
     """A condition of an experiment, or one that is made like it (`next_runs.py`)."""
-    entry.keys({"name", "program", "position"}, _CONDITION)
-    rows = entry.get("load", [])
+    k = ConditionKeys
+    k.of(entry)
+    rows = k.load.of(entry)
     if not isinstance(rows.value, list) or not all(isinstance(r, list) and len(r) == len(LOAD_ROW) for r in rows.value):
         raise rows.fail(f"{rows.value!r}; expected rows of time, fx, fy, fz")
     load = np.zeros((max(len(rows.value), 1), 7))
     for i in range(len(rows.value)):
         load[i, : len(LOAD_ROW)] = [rows[i][k].si(unit) for k, unit in enumerate(LOAD_ROW)]
         if i and load[i, 0] <= load[i - 1, 0]:
-            raise rows[i].fail(f"the time {load[i, 0]:g} s is not after that of the row before, {load[i - 1, 0]:g} s")
-    weight = entry.get("weight", 0).si("kg")
+            raise rows[i].fail(
+                f"the time {load[i, 0]:g} s is not after that of the row before, {load[i - 1, 0]:g} s"
+                "; expected times that grow from row to row"
+            )
+    weight = k.weight.of(entry)
     if weight < 0.0:
-        raise entry["weight"].fail(f"{entry['weight'].value!r} is negative")
+        raise entry["weight"].fail(f"{entry['weight'].value!r} is negative; expected 0 or more")
     load[:, 3] -= weight * GRAVITY
     return ExperimentCondition(
-        entry["name"].text(),
-        entry["program"].file(),
-        entry["position"].vector("m"),
-        entry.get("abc", [0, 0, 0]).vector("rad"),
-        entry["size"].vector("m") if "size" in entry else None,
+        k.name.of(entry),
+        k.program.of(entry),
+        k.position.of(entry),
+        k.abc.of(entry),
+        k.size.of(entry),
         load if rows.value or weight else load[:0],
-        entry.get("held_out", False).flag(),
-        entry.get("parameters", {}).parameters(),
-        _minutes(entry.get("minutes", 0)),
+        k.held_out.of(entry),
+        k.parameters.of(entry),
+        k.minutes.of(entry),
     )
-
-
-def _minutes(entry: Entry) -> float:
-    """The key says the unit; a text may say another."""
-    found = entry.si("min" if isinstance(entry.value, str) else "1")
-    if found < 0.0:
-        raise entry.fail(f"{entry.value!r} is negative")
-    return found
 
 
 def known_parameters(experiment: Experiment, c: ExperimentCondition, system: System) -> dict[str, Mapping[str, Any]]:

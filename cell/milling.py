@@ -137,7 +137,10 @@ def lay_out(
             )
         if scenario.tools:
             if not _names_tool(system):
-                raise ScenarioError(f"{scenario.file}: has [tools], but {system.file} does not connect path.tool to milling.tool")
+                raise ScenarioError(
+                    f"{scenario.file}: has [tools], but {system.file} does not connect path.tool to milling.tool"
+                    "; add that connection, or leave out [tools]"
+                )
             system = system.with_parameters("milling", {"tools": _table(folder, "tools", tool_table.rows(scenario.tools))})
             if scenario.tool_corners:
                 corners = np.array(sorted(scenario.tool_corners.items()), dtype=np.float64)

@@ -32,23 +32,23 @@ from typing import Any
 
 from robomill.cell.binding import convert
 from robomill.cell.equipment import load_system
-from robomill.cell.experiments import Experiment, in_folder, read_condition
+from robomill.cell.experiments import LOAD_ROWS, Experiment, in_folder, read_condition
 from robomill.cell.experiments import prepare as prepare_condition
 from robomill.cell.milling import PARTS
 from robomill.cell.scenario import ScenarioError
 from robomill.files import FILES
 from robomill.orchestration.errors import unknown
+from robomill.orchestration.system import keys
 from robomill.orchestration.system.definition import Component, Connection, System
 from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.keys import Keys, default, optional, required
 
 KINDS = FILES / "scenarios" / "next_runs" / "kinds.toml"
 OWN = "next_runs.toml"
 """File of kinds beside a system."""
 _CUT, _LOAD = "milling", "load"
-_KIND = {"name", "minutes"}
 TEMPLATE = ".template"
 """What ends the name of a table of a program that is no TOML until it is filled in."""
-_MORE = {"system", "repeats", "range", "seconds", "program", "position", "abc", "size", "load", "weight", "parameters"}
 _CONDITION = {"name", "program", "position", "abc", "size", "load", "weight", "minutes", "parameters"}
 _FIELD = re.compile(r"\$\{([^}]*)\}")
 _UNIT = re.compile(r"\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*(.*?)\s*")
@@ -109,12 +109,51 @@ class NextRun:
     repeats: int
 
 
+class RangeKeys(Keys):
+    """A quantity that the experimenter sets within bounds; texts of the kind and of its program refer to it as `${NAME}`."""
+
+    low = required(keys.anything("quantity"), "lowest value; its unit is that of the quantity")
+    high = required(keys.anything("quantity"), "highest value")
+    start = optional(keys.anything("quantity"), "value that the search begins with (default: the middle)")
+
+
+class KindKeys(Keys):
+    """A kind of run that could be made next. Give either `program` or `seconds`.
+
+    `${...}` stands for a number, in any text of the kind and in its program: `+ - * /` of numbers and quantities, sin and cos of degrees.
+    """
+
+    name = required(keys.text(), "name of the kind, used once")
+    minutes = required(keys.positive(), "what all repeats take, with setting up")
+    system = default(
+        "diagnosed",
+        keys.text(),
+        "`diagnosed`: the one that is diagnosed; `loaded`: with an applied load in place of the cut; or a system file",
+    )
+    repeats = default(3, keys.count(1), "repeats of the run")
+    range = default({}, keys.tables(RangeKeys), "quantities that the experimenter sets, by name")
+    seconds = optional(keys.positive(), "length of a run of a system without a program [s]")
+    program = optional(keys.file(), "G-code, a path of points (TOML), or a template of one of them that ends in .template")
+    position = optional(keys.vector("m"), "of the frame that the program is in, in the robot base; needed with a program")
+    abc = optional(keys.vector("rad"), "orientation of that frame: Euler angles A about z, B about y', C about x''")
+    size = optional(keys.vector("m"), "size of the block, where one is milled")
+    load = default([], LOAD_ROWS, "force on the tool in the robot base over time, straight lines between the rows")
+    weight = optional(keys.quantity("kg"), "mass that hangs from the tool tip all the time")
+    parameters = default({}, keys.parameters(), "parameters that are set in the run, with units")
+
+
+class KindsKeys(Keys):
+    """Kinds of runs that a diagnosis designs the next run from."""
+
+    kind = required(keys.each(KindKeys), "the kinds")
+
+
 def load_kinds(file: Path = KINDS) -> tuple[RunKind, ...]:
     """Read and check a file of kinds. ScenarioError or FileNotFoundError says what is wrong and what is possible."""
     if not file.is_file():
         raise FileNotFoundError(f"no kinds of runs {file}; without --next-runs they are {OWN} beside the system, or the milling cell's")
     found: dict[str, RunKind] = {}
-    for entry in Entry.load(file, ScenarioError, convert).keys({"kind"})["kind"].each():
+    for entry in KindsKeys.of(Entry.load(file, ScenarioError, convert))["kind"].each():
         kind = _kind(entry)
         if kind.name in found:
             raise entry["name"].fail(f"{kind.name!r} is there twice; every kind needs a name of its own")
@@ -123,14 +162,15 @@ def load_kinds(file: Path = KINDS) -> tuple[RunKind, ...]:
 
 
 def _kind(entry: Entry) -> RunKind:
-    entry.keys(_KIND, _MORE)
+    k = KindKeys
+    k.of(entry)
     if ("program" in entry) == ("seconds" in entry):
         raise entry.fail("expected either program or seconds: how long is a run?")
-    ranges = tuple(_range(name, r) for name, r in entry.get("range", {}).items())
-    system = entry.get("system", "diagnosed").text()
+    ranges = tuple(_range(name, r) for name, r in k.range.of(entry).items())
+    system = k.system.of(entry)
     if system not in ("diagnosed", "loaded"):
         entry["system"].file()
-    kind = RunKind(entry["name"].text(), ranges, entry["minutes"].positive(), entry.get("repeats", 3).count(1), system, entry)
+    kind = RunKind(k.name.of(entry), ranges, k.minutes.of(entry), k.repeats.of(entry), system, entry)
     values = kind.values({})
     filled = _filled(entry, values)
     if "program" in filled:
@@ -142,7 +182,6 @@ def _kind(entry: Entry) -> RunKind:
 
 
 def _range(name: str, entry: Entry) -> Range:
-    entry.keys({"low", "high"}, {"start"})
     stated = _UNIT.fullmatch(entry["low"].value) if isinstance(entry["low"].value, str) else None
     unit = (stated[1] if stated else "") or "1"
     low, high = entry["low"].si(unit), entry["high"].si(unit)
@@ -150,7 +189,7 @@ def _range(name: str, entry: Entry) -> Range:
         raise entry.fail(f"low = {low:g} {unit} is not below high = {high:g} {unit}; exchange them")
     start = entry["start"].si(unit) if "start" in entry else 0.5 * (low + high)
     if not low <= start <= high:
-        raise entry["start"].fail(f"{start:g} {unit} is out of the range, {low:g} .. {high:g} {unit}")
+        raise entry["start"].fail(f"{start:g} {unit} is out of the range, {low:g} .. {high:g} {unit}; choose a start within it")
     if not name.isidentifier():
         raise entry.fail(f"{name!r} is no name for a quantity; expected letters, digits and _, such as 'load'")
     return Range(name, unit, low, high, start)
@@ -176,7 +215,7 @@ def prepare(system: System, kind: str, folder: Path, values: Mapping[str, float]
     entry = _filled(k.entry, set_to)
     made = system if k.system == "diagnosed" else with_load(system) if k.system == "loaded" else load_system(entry["system"].file())
     if "program" not in entry:
-        return NextRun(kind, made, entry.get("parameters", {}).parameters(), entry["seconds"].positive(), k.minutes, k.repeats)
+        return NextRun(kind, made, KindKeys.parameters.of(entry), entry["seconds"].positive(), k.minutes, k.repeats)
     folder.mkdir(parents=True, exist_ok=True)
     source = entry["program"].file()
     program = folder / source.name.removesuffix(TEMPLATE)

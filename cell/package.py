@@ -30,7 +30,9 @@ def systems(file: Path, work: Path, variants: Sequence[str] | None = None) -> li
         return [load_system(file)]
     scenario = load_scenario(file)
     if scenario.kind != "milling":
-        raise ScenarioError(f"{file}: is of kind {scenario.kind!r}; packages are made of milling scenarios and of system files")
+        raise ScenarioError(
+            f"{file}: is of kind {scenario.kind!r}; packages are made of milling scenarios and of system files; give one of these"
+        )
     known = [v.name for v in scenario.variants]
     unknown = [n for n in variants or () if n not in known]
     if unknown:

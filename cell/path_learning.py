@@ -82,8 +82,10 @@ from robomill.models.robot.numeric_inverse import solve
 from robomill.models.robot.virtual_joints import JOINTS
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run, check_vacant
+from robomill.orchestration.system import keys
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.keys import Keys, default, optional, required
 
 KIND = "path_learning"
 CONTOUR = "contour.npy"
@@ -102,9 +104,6 @@ FORCE_LIMIT = 10.0
 """Filtered force above which the feed stands, over the desired force."""
 RIGID = 9.9e96
 """N m/rad: what the files of models/data/compliance write for a joint that does not give way."""
-_LEARNING = {"force", "feed", "stiffness", "tip_radius", "passes", "rigid", "name"}
-_GUIDING = {"spacing", "distance", "scatter", "blend", "seed", "lead_through", "operator", "start"}
-_PART = {"abc", "shift", "turn", "bend"}
 
 
 @dataclass(frozen=True)
@@ -180,33 +179,94 @@ def is_learning(file: Path) -> bool:
         return False
 
 
+class LearningHeadKeys(Keys):
+    """What the scenario is called, and its system."""
+
+    name = required(keys.folder_name(), "name of the scenario; results stand in a folder of that name")
+    kind = required(keys.text(), "`path_learning`")
+    title = optional(keys.text(), "heading of the results (default: the name)")
+    system = required(keys.file(), "system file with path, drive, compliance, contact, sensor and learning")
+
+
+class PartKeys(Keys):
+    """The part: its edge as drawn, and how the real one differs from that."""
+
+    edge = required(keys.file(), "CSV file with a heading: x, y in mm of the nominal edge, material on the left of its direction")
+    position = required(keys.vector("m"), "of the part frame in the robot base")
+    abc = default([0, 0, 0], keys.vector("rad"), "orientation of the part frame: Euler angles A about z, B about y', C about x''")
+    shift = default([0, 0], keys.anything("two quantities", "m"), "how far the real part is moved in x and y; nobody knows it")
+    turn = default(0, keys.quantity("rad"), "how far it is turned about its middle, likewise")
+    bend = default(0, keys.quantity("m"), "how far it is bent, likewise: y + bend (2 x / length)^2")
+
+
+class GuidingKeys(Keys):
+    """The first path: points taught by hand beside the nominal edge, or led by hand where `lead_through` is given."""
+
+    spacing = default("40 mm", keys.quantity("m"), "distance between taught points, above 0")
+    distance = default("1.5 mm", keys.quantity("m"), "from the surface of the tip to the nominal edge")
+    scatter = default("0 mm", keys.quantity("m"), "of the hand, one standard deviation in x and y")
+    blend = default("1 mm", keys.quantity("m"), "radius in which corners are blended")
+    seed = default(1, keys.count(0), "of the scatter")
+    lead_through = optional(keys.file(), "system file: the robot is led by hand instead, with lead, drive, compliance and contact")
+    operator = optional(keys.file(), "CSV file with a heading, rows of the component lead_through: s, N, N, N, deg/s, deg/s, deg/s, teach")
+    start = optional(keys.vector("m"), "where leading begins: tip of the upright tool in the part frame; needed with `lead_through`")
+
+
+class LearningKeys(Keys):
+    """How the path is learnt."""
+
+    force = default("10 N", keys.quantity("N"), "contact force, above 0")
+    feed = default("5 mm/s", keys.quantity("m/s"), "feed along the part, above 0")
+    stiffness = default("100 N/mm", keys.quantity("N/m"), "of the stylus, above 0; the gain is chosen for it, and its deflection corrected")
+    tip_radius = default("1 mm", keys.quantity("m"), "radius of the tip")
+    passes = default(1, keys.count(1), "passes along the part")
+    rigid = default(False, keys.flag(), "the robot does not give way")
+    name = default("learnt", keys.text(), "name of the RAPID module")
+
+
+class LearningVariantKeys(Keys):
+    """One way to learn the path."""
+
+    title = optional(keys.text(), "what the variant is called (default: its name)")
+    learning = default({}, keys.table(LearningKeys), "what differs from [learning]")
+    parameters = default({}, keys.parameters(), "parameters of this variant alone, with units")
+
+
+class LearningScenarioKeys(Keys):
+    """Path learning: guiding points, passes along an unknown part, and the program that comes out. A scenario of kind `path_learning`."""
+
+    scenario = required(keys.table(LearningHeadKeys), "what the scenario is called, and its system")
+    part = required(keys.table(PartKeys), "the part")
+    guiding = default({}, keys.table(GuidingKeys), "the first path")
+    learning = required(keys.table(LearningKeys), "how the path is learnt")
+    parameters = default({}, keys.parameters(), "parameters of all variants, with units")
+    variants = required(keys.tables(LearningVariantKeys), "ways to learn the path, by name")
+
+
 def load_learning(path: str | Path) -> LearningScenario:
     """Read and check a scenario of path learning. ScenarioError says what is wrong and what is possible."""
     file = Path(path).resolve()
-    top = Entry.load(file, ScenarioError, convert)
-    top.keys({"scenario", "part", "learning", "variants"}, {"guiding", "parameters"})
-    head = top["scenario"].keys({"name", "kind", "system"}, {"title"})
-    part = top["part"].keys({"edge", "position"}, _PART)
+    top, k = LearningScenarioKeys.of(Entry.load(file, ScenarioError, convert)), LearningScenarioKeys
+    head, part = k.scenario.of(top), k.part.of(top)
     nominal = 1e-3 * _columns(part["edge"], 2)
-    common = top.get("parameters", {}).parameters()
+    common = k.parameters.of(top)
     variants = []
-    for name, entry in top["variants"].items():
-        entry.keys((), {"title", "learning", "parameters"})
-        own = entry.get("parameters", {}).parameters()
+    for name, entry in k.variants.of(top).items():
+        own = LearningVariantKeys.parameters.of(entry)
         both = {c: {**common.get(c, {}), **own.get(c, {})} for c in {**common, **own}}
-        title = entry.get("title", name).text()
-        variants.append(LearningVariant(name, title, _settings(top["learning"], entry.get("learning", {})), both))
-    x, y, z = part["position"].vector("m")
-    a, b, c = part.get("abc", [0, 0, 0]).vector("rad")
+        title = LearningVariantKeys.title.of(entry) or name
+        variants.append(LearningVariant(name, title, _settings(k.learning.of(top), LearningVariantKeys.learning.of(entry)), both))
+    x, y, z = PartKeys.position.of(part)
+    a, b, c = PartKeys.abc.of(part)
     return LearningScenario(
         file,
-        head["name"].folder_name(),
-        head.get("title", head["name"].value).text(),
-        head["system"].file(),
+        LearningHeadKeys.name.of(head),
+        LearningHeadKeys.title.of(head) or LearningHeadKeys.name.of(head),
+        LearningHeadKeys.system.of(head),
         Placement((x, y, z), (a, b, c)),
         nominal,
         _real(nominal, part),
-        _guiding(top.get("guiding", {})),
+        _guiding(k.guiding.of(top)),
         tuple(variants),
     )
 
@@ -225,27 +285,19 @@ def _columns(entry: Entry, columns: int) -> FloatArray:
 
 def _settings(common: Entry, own: Entry) -> Settings:
     """The keys of a variant go before the common ones."""
-    for table in (common, own):
-        table.keys((), _LEARNING)
-
-    def pick(key: str, default: Any) -> Entry:
-        return own[key] if key in own else common.get(key, default)
-
-    values = {key: pick(key, text).si(unit) for key, text, unit in _QUANTITIES}
-    for key, value in values.items():
-        if value <= 0.0 and key != "tip_radius":
-            raise pick(key, "").fail(f"{value:g} is not positive")
-    return Settings(**values, passes=pick("passes", 1).count(1), rigid=pick("rigid", False).flag(), name=pick("name", "learnt").text())
-
-
-_QUANTITIES = (("force", "10 N", "N"), ("feed", "5 mm/s", "m/s"), ("stiffness", "100 N/mm", "N/m"), ("tip_radius", "1 mm", "m"))
+    values: dict[str, Any] = {}
+    for name, key in LearningKeys.all().items():
+        table = own if name in own else common
+        values[name] = key.of(table)
+        if name in ("force", "feed", "stiffness") and values[name] <= 0.0:
+            raise key.entry(table).fail(f"{values[name]:g} is not positive; expected a value above 0")
+    return Settings(**values)
 
 
 def _guiding(entry: Entry) -> dict[str, Any]:
-    entry.keys((), _GUIDING)
-    lengths = {"spacing": "40 mm", "distance": "1.5 mm", "scatter": "0 mm", "blend": "1 mm"}
-    found: dict[str, Any] = {key: entry.get(key, text).si("m") for key, text in lengths.items()}
-    found["seed"] = entry.get("seed", 1).count(0)
+    k = GuidingKeys
+    found: dict[str, Any] = {key.name: key.of(entry) for key in (k.spacing, k.distance, k.scatter, k.blend)}
+    found["seed"] = k.seed.of(entry)
     if "lead_through" in entry:
         for key in ("operator", "start"):
             if key not in entry:
@@ -254,18 +306,18 @@ def _guiding(entry: Entry) -> dict[str, Any]:
         found["operator"] = _columns(entry["operator"], LEAD_COLUMNS)
         found["operator"][:, 4:7] = np.deg2rad(found["operator"][:, 4:7])
     elif found["spacing"] <= 0.0:
-        raise entry["spacing"].fail("is not positive")
+        raise entry["spacing"].fail("is not positive; expected a value above 0")
     return found
 
 
 def _real(nominal: FloatArray, part: Entry) -> FloatArray:
     """The nominal edge moved, turned and bent."""
-    x, y = (part["shift"][i].si("m") for i in range(2)) if "shift" in part else (0.0, 0.0)
+    x, y = (PartKeys.shift.of(part)[i].si("m") for i in range(2))
     middle = 0.5 * (nominal.min(axis=0) + nominal.max(axis=0))
     half = 0.5 * float(np.ptp(nominal[:, 0]))
-    turn = part.get("turn", 0).si("rad")
+    turn = PartKeys.turn.of(part)
     bent = nominal - middle
-    bent[:, 1] += part.get("bend", 0).si("m") * (bent[:, 0] / half) ** 2
+    bent[:, 1] += PartKeys.bend.of(part) * (bent[:, 0] / half) ** 2
     s, c = math.sin(turn), math.cos(turn)
     turned = np.column_stack([c * bent[:, 0] - s * bent[:, 1], s * bent[:, 0] + c * bent[:, 1]])
     real: FloatArray = turned + middle + np.array([x, y])

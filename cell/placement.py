@@ -82,7 +82,9 @@ class Task:
         if found:
             x, y, z = 1e3 * self.position[found // 4]
             why = {1: "out of reach", 2: "beyond the limits of an axis", 3: "too near to the wrist singularity"}[found % 4]
-            raise PlacementError(f"the point {x:.1f}, {y:.1f}, {z:.1f} mm of the program is {why}")
+            raise PlacementError(
+                f"the point {x:.1f}, {y:.1f}, {z:.1f} mm of the program is {why}; place the part where the robot reaches it"
+            )
         return bent @ placement.R_BP, q
 
     def criterion(self, placement: Placement) -> float:
@@ -176,7 +178,9 @@ def prepare(scenario: Scenario, folder: Path, progress: Progress | None = None) 
     pressed = np.column_stack([np.interp(times, tau, c) for c in force.T]) @ placement.R_BP
     pressed[np.linalg.norm(pressed, axis=1) < _NO_FORCE] = 0.0
     if not np.any(pressed):
-        raise PlacementError(f"{scenario.program.name}: no cutting force anywhere along the program; nothing bends the robot")
+        raise PlacementError(
+            f"{scenario.program.name}: no cutting force anywhere along the program; nothing bends the robot; give a program that cuts"
+        )
     rotation = Rotation.from_matrix(placement.R_BT.T) * job.plan.rotation(times)
     springs = _springs(job.system)
     return task(robot_of(job.system), tool_of(job.system), springs, path.position[chosen], rotation, pressed), job.system

@@ -21,11 +21,53 @@ from pathlib import Path
 from robomill.models.model.units import to_si
 from robomill.models.planning.gcode import Vector
 from robomill.models.planning.point_path import INTERPOLATIONS, PathPoint, PointPath
+from robomill.orchestration.system import keys
 from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.keys import Keys, Kind, default, optional, required
+
+_FIRST = 1e-3
+"""Feed [m/s] to a first point that names none: nothing is on the way to it."""
 
 
 class PathError(ValueError):
     """A point file that cannot be read: names file, line, point and key, what was found and what is expected."""
+
+
+def _number(entry: Entry, unit: str, least: float = -math.inf) -> float:
+    what = f"a number in {unit}" + (f", at least {least:g}" if least > -math.inf else "")
+    if entry.number(what) < least:
+        raise entry.expected(what)
+    return to_si(entry.number(), unit)
+
+
+def _vector(entry: Entry, unit: str, factor: float) -> Vector:
+    x, y, z = (factor * element.number(f"a number in {unit}") for element in entry.triple(f"three numbers in {unit}"))
+    return x, y, z
+
+
+class PointKeys(Keys):
+    """A point of the path; a key that is missing keeps its value from the point before."""
+
+    position = required(
+        Kind(lambda e: _vector(e, "mm", 1e-3), "three numbers in mm"), "where the tool tip is, in the frame of the workpiece"
+    )
+    orientation = default(
+        [0, 0, 0], Kind(lambda e: _vector(e, "deg", math.pi / 180.0), "three numbers in deg"), "A, B, C; 0, 0, 0: tool axis along -z"
+    )
+    blend = default(
+        0.0, Kind(lambda e: _number(e, "mm", 0.0), "number in mm from 0"), "radius in which the corner is blended; 0: exact stop"
+    )
+    feed = optional(
+        Kind(lambda e: _number(e, "mm/s", 1e-3), "number in mm/s from 0.001"), "feed on the way to the point; the first two need it"
+    )
+    speed = default(0.0, Kind(lambda e: _number(e, "rpm"), "number in rpm"), "spindle speed on the way to the point")
+
+
+class PathKeys(Keys):
+    """A tool path with orientations, which a three-axis program cannot say."""
+
+    orientation = default("path", keys.choice(INTERPOLATIONS), "where the tool turns: over the way between points, or in the corners only")
+    point = default([], keys.each(PointKeys), "the points, at least two")
 
 
 def parse_points(text: str, name: str = "path") -> PointPath:
@@ -42,37 +84,26 @@ def read_points(path: str | Path) -> PointPath:
 
 
 def _path(top: Entry) -> PointPath:
-    top.keys((), {"orientation", "point"})
-    interpolation = top.get("orientation", "path").choice(INTERPOLATIONS)
-    entries = top.get("point", []).each()
+    interpolation = PathKeys.orientation.of(PathKeys.of(top))
+    entries = PathKeys.point.entry(top).each()
     if not entries[1:]:
         raise top.fail(f"a path needs at least two [[point]] tables; found {len(entries)}")
     points: list[PathPoint] = []
-    start = {"orientation": [0, 0, 0], "blend": 0.0, "feed": 1.0, "speed": 0.0}
-    current = {key: Entry(top.content, value) for key, value in start.items()}
+    k, current = PointKeys, top
     for entry in entries:
-        current |= entry.keys({"position"}, start).items()
-        if points and not current["feed"].key:
+        k.of(entry)
+        last = {} if current is top else current.value
+        current = Entry(top.content, {**last, **entry.value}, entry.key)
+        feed = k.feed.of(current)
+        if points and feed is None:
             raise entry.fail("feed is missing; expected feed = <mm/s> here or at an earlier point")
         points.append(
             PathPoint(
-                _vector(current["position"], "mm", 1e-3),
-                _vector(current["orientation"], "deg", math.pi / 180.0),
-                _number(current["blend"], "mm", 0.0),
-                _number(current["feed"], "mm/s", 1e-3),
-                _number(current["speed"], "rpm"),
+                k.position.of(current),
+                k.orientation.of(current),
+                k.blend.of(current),
+                _FIRST if feed is None else feed,
+                k.speed.of(current),
             )
         )
     return PointPath(top.content.name, tuple(points), interpolation, tuple(f"point {i}: {p.position}" for i, p in enumerate(points, 1)))
-
-
-def _number(entry: Entry, unit: str, least: float = -math.inf) -> float:
-    what = f"a number in {unit}" + (f", at least {least:g}" if least > -math.inf else "")
-    if entry.number(what) < least:
-        raise entry.expected(what)
-    return to_si(entry.number(), unit)
-
-
-def _vector(entry: Entry, unit: str, factor: float) -> Vector:
-    x, y, z = (factor * element.number(f"a number in {unit}") for element in entry.triple(f"three numbers in {unit}"))
-    return x, y, z

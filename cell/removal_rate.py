@@ -43,13 +43,25 @@ import numpy as np
 
 from robomill.cell.binding import convert, resolve, with_fmus
 from robomill.cell.equipment import load_system
+from robomill.cell.equipment_keys import EquippedKeys
 from robomill.cell.milling import Progress, with_parameters
-from robomill.cell.scenario import ComponentParameters, ScenarioError, Variant, equipment, published_figures, variant
+from robomill.cell.scenario import (
+    ComponentParameters,
+    ScenarioError,
+    ScenarioKeys,
+    Variant,
+    VariantKeys,
+    equipment,
+    published_figures,
+    variant,
+)
 from robomill.models.model.declaration import FloatArray
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run, check_vacant
-from robomill.orchestration.system.definition import EQUIPMENT, System
+from robomill.orchestration.system import keys
+from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.keys import Keys, default, optional, required
 from robomill.orchestration.system.parameters import quantity
 from robomill.orchestration.system.toml_text import parse
 
@@ -60,7 +72,6 @@ FINE = 2.5e-4
 """Way [m] between rows of the table on the flanks of a bur."""
 STEADY = 0.5
 """Scatter [N] of the force below which no line is looked for in it."""
-_TOP = {"scenario", "cut", "section", "limit", "against", "parameters", "variants", "paper", *EQUIPMENT}
 
 
 @dataclass(frozen=True)
@@ -137,28 +148,87 @@ def is_removal_rate(file: Path) -> bool:
         return False
 
 
+class RateHeadKeys(Keys):
+    """What the scenario is called, and its system."""
+
+    name = required(keys.folder_name(), "name of the scenario; results stand in a folder of that name")
+    kind = optional(keys.text(), "`removal_rate`")
+    title = optional(keys.text(), "heading of the results (default: the name)")
+    system = required(keys.file(), "system file with the components `robot`, `process` and `controller`")
+
+
+class BurKeys(Keys):
+    """A bur on top of the profile: raised-cosine flanks beside a flat top."""
+
+    at = required(keys.quantity("m"), "way along the path to its middle")
+    height = required(keys.quantity("m"), "height, above 0")
+    flank = required(keys.quantity("m"), "length of each flank, above 0")
+    top = required(keys.quantity("m"), "length of the flat top")
+
+
+class CutKeys(Keys):
+    """What is cut."""
+
+    rows = required(
+        keys.anything("rows `[way, depth]`", "m"), "way along the path and depth of cut, growing, straight lines between the rows"
+    )
+    width = default("1 mm", keys.quantity("m"), "width of cut")
+    bur = default([], keys.each(BurKeys), "burs on top")
+
+
+class SectionKeys(Keys):
+    """A piece of the path whose figures are told: mean, scatter and slope of the force, by the name of the section."""
+
+    begin = required(keys.quantity("m"), "where it begins along the path", name="from")
+    end = required(keys.quantity("m"), "where it ends", name="to")
+
+
+class LimitKeys(Keys):
+    """What the spindle bears."""
+
+    force = required(keys.quantity("N"), "force above 0; what exceeds it is said")
+
+
+class AgainstKeys(Keys):
+    """A cut at constant feed that the time is compared with."""
+
+    feed = required(keys.quantity("m/s"), "its feed, above 0")
+
+
+class RateKeys(EquippedKeys):
+    """Controlled material removal rate: the feed follows the force along a profile of depths. A scenario of kind `removal_rate`."""
+
+    scenario = required(keys.table(RateHeadKeys), "what the scenario is called, and its system")
+    cut = required(keys.table(CutKeys), "what is cut")
+    section = default({}, keys.tables(SectionKeys), "pieces of the path, by name")
+    limit = optional(keys.table(LimitKeys), "what the spindle bears")
+    against = optional(keys.table(AgainstKeys), "a cut at constant feed to compare with")
+    parameters = default({}, keys.parameters(), "parameters of all variants, with units")
+    variants = required(keys.tables(VariantKeys), "ways to run the scenario, by name")
+    paper = ScenarioKeys.paper
+
+
 def load_removal_rate(path: str | Path) -> RateScenario:
     """Read and check a scenario file. ScenarioError or FileNotFoundError says what is wrong and what is possible."""
     file = Path(path).resolve()
-    top = Entry.load(file, ScenarioError, convert).keys({"scenario", "cut", "variants"}, _TOP)
-    head = top["scenario"].keys({"name", "system"}, {"kind", "title"})
-    cut = top["cut"].keys({"rows"}, {"width", "bur"})
-    burs = tuple(_bur(entry) for entry in cut.get("bur", []).each())
+    top, k = RateKeys.of(Entry.load(file, ScenarioError, convert)), RateHeadKeys
+    head, cut = RateKeys.scenario.of(top), RateKeys.cut.of(top)
+    burs = tuple(_bur(entry) for entry in CutKeys.bur.of(cut))
     profile = _profile(cut, burs)
-    sections = tuple(_section(name, entry, profile[-1, 0]) for name, entry in top.get("section", {}).items())
+    sections = tuple(_section(name, entry, profile[-1, 0]) for name, entry in RateKeys.section.of(top).items())
     return RateScenario(
         file,
-        head["name"].folder_name(),
-        head.get("title", head["name"].value).text(),
-        head["system"].file(),
+        k.name.of(head),
+        k.title.of(head) or k.name.of(head),
+        k.system.of(head),
         profile,
         burs,
         sections,
-        _positive(top["limit"].keys({"force"})["force"], "N") if "limit" in top else None,
-        _positive(top["against"].keys({"feed"})["feed"], "m/s") if "against" in top else None,
-        top.get("parameters", {}).parameters(),
+        _positive(LimitKeys.of(top["limit"])["force"], "N") if "limit" in top else None,
+        _positive(AgainstKeys.of(top["against"])["feed"], "m/s") if "against" in top else None,
+        RateKeys.parameters.of(top),
         tuple(variant(name, entry) for name, entry in top["variants"].items()),
-        {name: published_figures(entry) for name, entry in top.get("paper", {}).items()},
+        {name: published_figures(entry) for name, entry in RateKeys.paper.of(top).items()},
         equipment(top),
     )
 
@@ -171,13 +241,11 @@ def _positive(entry: Entry, unit: str) -> float:
 
 
 def _bur(entry: Entry) -> Bur:
-    entry.keys({"at", "height", "flank", "top"})
-    return Bur(entry["at"].si("m"), _positive(entry["height"], "m"), _positive(entry["flank"], "m"), entry["top"].si("m"))
+    return Bur(BurKeys.at.of(entry), _positive(entry["height"], "m"), _positive(entry["flank"], "m"), BurKeys.top.of(entry))
 
 
 def _section(name: str, entry: Entry, end: float) -> Section:
-    entry.keys({"from", "to"})
-    start, stop = entry["from"].si("m"), entry["to"].si("m")
+    start, stop = SectionKeys.begin.of(entry), SectionKeys.end.of(entry)
     if not 0.0 <= start < stop <= end:
         raise entry.fail(f"from {start:g} m to {stop:g} m; expected a piece of the path, which goes from 0 to {end:g} m")
     return Section(name, start, stop)
@@ -199,12 +267,12 @@ def _profile(cut: Entry, burs: Sequence[Bur]) -> FloatArray:
             "a step of the depth needs two rows a little apart"
         )
     if (table[:, 1] < 0.0).any():
-        raise cut["rows"].fail("a depth of cut is negative; air is 0")
+        raise cut["rows"].fail("a depth of cut is negative; air is 0; expected 0 or more")
     fine = [np.arange(start, end + FINE, FINE) for start, end in (bur.ends for bur in burs)]
     way = np.unique(np.concatenate([table[:, 0], *fine]))
     way = way[(way >= table[0, 0]) & (way <= table[-1, 0])]
     depth = np.interp(way, *table.T) + sum((bur.above(way) for bur in burs), np.zeros_like(way))
-    return np.column_stack([way, depth, np.full_like(way, cut.get("width", "1 mm").si("m"))])
+    return np.column_stack([way, depth, np.full_like(way, CutKeys.width.of(cut))])
 
 
 def run_variant(

@@ -62,6 +62,7 @@ from typing import Any
 import numpy as np
 
 from robomill.cell.binding import convert
+from robomill.cell.equipment_keys import EquippedKeys
 from robomill.models.metrology.stl import StlError, read_stl
 from robomill.models.model.declaration import FloatArray
 from robomill.models.planning.gcode import DIALECTS, Setup, Vector
@@ -69,8 +70,10 @@ from robomill.models.planning.point_path import INTERPOLATIONS, Interpolation
 from robomill.models.planning.trajectory import Placement
 from robomill.models.process.cutting import MAX_TEETH, EndMill
 from robomill.orchestration import html
+from robomill.orchestration.system import keys
 from robomill.orchestration.system.definition import EQUIPMENT
 from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.keys import Keys, default, optional, required
 
 __all__ = ["ComponentParameters", "Scenario", "ScenarioError", "Variant", "Workpiece", "load_scenario"]
 
@@ -81,8 +84,6 @@ PLAIN_OFFSETS: Mapping[float, Vector] = {54: (0.0, 0.0, 0.0)}
 """Work offsets where a scenario names none."""
 OFFSETS = {f"G{n:g}": float(n) for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3)}
 """Names of the work offsets, and the numbers that the reader of programs knows them by."""
-_READING = {"start", "home", "dialect", "block_delete", "wear", "feed", "spindle_speed"}
-"""Keys of [scenario] that say how the program is read."""
 _FACES: Mapping[str, tuple[tuple[int, float], ...]] = {
     "left": ((0, -0.5),),
     "right": ((0, 0.5),),
@@ -94,11 +95,12 @@ _FACES: Mapping[str, tuple[tuple[int, float], ...]] = {
     "centre": (),
 }
 """Words of a place in the block: axis and share of the size from the centre of the top."""
-_SECTIONS = {"scenario", "parameters", "workpiece", "variants", "paper", "tools", "scan", *EQUIPMENT}
 ROUNDING = 1e-9
 """Part of a length by which the conversion of units may be off."""
 _FOLDERS = ("plan", "offline")
 """Folders beside those of the variants."""
+_PLACE = keys.anything("three quantities, or a place of the block", "m", _FACES)
+"""A point of P."""
 _PAPER_UNITS = {"_m": "m", "_n": "N", "_s": "s", "_percent": "%", "_hz": "Hz", "_m_s": "m/s"}
 
 
@@ -190,15 +192,107 @@ class Scenario:
         return html.table(caption, ("variant", "title", "parameters and sources"), rows)
 
 
+class VariantKeys(Keys):
+    """One way to run the scenario: its values go before those of the scenario."""
+
+    title = optional(keys.text(), "what the variant is called in tables and pictures (default: its name)")
+    parameters = default({}, keys.parameters(), "parameters of this variant alone, with units")
+    sources = default(
+        {}, keys.named(keys.text(), "component"), "what stands in place of the source that the system names: one component exchanged"
+    )
+
+
+class WorkOffsetKeys(Keys):
+    """Origins of the work offsets that the program uses: a place such as `front-left-top`, or three lengths from the centre of the top."""
+
+    G54 = optional(_PLACE, "origin of G54 (default: the centre of the top); the same as `zero`")
+    G55 = optional(_PLACE, "origin of G55")
+    G56 = optional(_PLACE, "origin of G56")
+    G57 = optional(_PLACE, "origin of G57")
+    G58 = optional(_PLACE, "origin of G58")
+    G59 = optional(_PLACE, "origin of G59")
+    G59_1 = optional(_PLACE, "origin of G59.1", name="G59.1")
+    G59_2 = optional(_PLACE, "origin of G59.2", name="G59.2")
+    G59_3 = optional(_PLACE, "origin of G59.3", name="G59.3")
+
+
+class WorkpieceKeys(Keys):
+    """Where the block is and how large; frame P lies at the centre of its top surface. Give either `size` or `stock`."""
+
+    position = required(keys.vector("m"), "centre of the top surface in the robot base")
+    abc = default([0, 0, 0], keys.vector("rad"), "orientation in the robot base: Euler angles A about z, B about y', C about x''")
+    size = optional(keys.vector("m"), "length, width and height of a block")
+    stock = optional(keys.file(), "instead of `size`: an STL file with a closed solid; the middle of the top of its box is the origin of P")
+    stock_unit = default("1 mm", keys.quantity("m"), "length that a coordinate of 1 in the STL file stands for")
+    tool_angle = default(0, keys.quantity("rad"), "angle of the spindle about the tool axis; 0: away from the robot")
+    zero = default("centre-top", _PLACE, "where G54 lies in the block")
+    work_offsets = default({}, keys.table(WorkOffsetKeys), "where the other work offsets lie")
+
+
+class ToolKeys(Keys):
+    """A cutter of the program, by its T number."""
+
+    diameter = required(keys.quantity("m"), "diameter, above 0")
+    teeth = required(keys.count(1), f"number of teeth, at most {MAX_TEETH}")
+    helix = required(keys.quantity("rad"), "helix angle")
+    cutting_length = required(keys.quantity("m"), "length of the cutting edges, above 0")
+    corner_radius = default(0, keys.quantity("m"), "0: flat; half of the diameter: ball nose; for components with tri-dexels")
+    title = optional(keys.text(), "what the tool is called in run.toml")
+
+
+class ScanKeys(Keys):
+    """A faced block whose surface is scanned: the error of the surface is measured."""
+
+    depth = required(keys.quantity("m"), "how far the programmed plane lies below the top, above 0")
+    margin = default(0, keys.quantity("m"), "what is left out at both ends in x, where the cutter comes in and leaves")
+
+
+class ScenarioHeadKeys(Keys):
+    """What is simulated, and how the program is read where it does not say itself."""
+
+    name = required(keys.folder_name(), "name of the scenario; results stand in a folder of that name")
+    kind = required(
+        keys.choice((*KINDS, "experiment", "removal_rate")),
+        "`milling`: a program is milled; `static_loads`: the robot is loaded. Each other kind has a page of its own",
+    )
+    system = required(keys.file(), "system file: components and connections")
+    title = optional(keys.text(), "heading of the results (default: the name)")
+    program = optional(keys.file(), "G-code, or a path of points (TOML); needed for `milling`")
+    orientation = optional(keys.choice(INTERPOLATIONS), "how the orientation runs between points of a path (default: as the path says)")
+    start = optional(keys.vector("m"), "where the tool stands before the first block, from program zero (default: over the first point)")
+    home = optional(keys.vector("m"), "where G28, G30 and G53 lead, from program zero (default: 100 mm over the block)")
+    dialect = default(Setup().dialect, keys.choice(DIALECTS), "control whose unit of dwells the program uses")
+    block_delete = default(Setup().block_delete, keys.flag(), "skip lines that begin with `/`; false: execute them")
+    wear = default(Setup().wear, keys.flag(), "G41 and G42 correct wear only: the program has the path of the centre of the tool")
+    feed = optional(keys.quantity("m/s"), "feed until the program names one, above 0")
+    spindle_speed = optional(keys.quantity("rad/s"), "spindle speed until the program names one, above 0")
+
+
+class ScenarioKeys(EquippedKeys):
+    """A milling cell in its variants: program, workpiece, tools, parameters, published figures."""
+
+    scenario = required(keys.table(ScenarioHeadKeys), "what is simulated")
+    workpiece = optional(keys.table(WorkpieceKeys), "the block; needed for `milling`")
+    tools = default({}, keys.tables(ToolKeys, "1"), "cutters by T number; without, the one of the milling component does all")
+    parameters = default({}, keys.parameters(), "parameters of all variants, with units")
+    variants = default({}, keys.tables(VariantKeys), "ways to run the scenario, by name; `milling` needs at least one")
+    scan = optional(keys.table(ScanKeys), "how the surface of a faced block is scanned")
+    paper = default(
+        {},
+        keys.anything("table of `VARIANT.FIGURE = value`"),
+        f"published figures, printed beside ours; the name of a figure ends in its unit: {', '.join(f'`{u}`' for u in _PAPER_UNITS)}",
+    )
+
+
 def load_scenario(path: str | Path) -> Scenario:
     """Read and check a scenario file. ScenarioError or FileNotFoundError says what is wrong and what is possible."""
     file = Path(path)
     if not file.is_file():
         beside = sorted(str(f) for f in file.parent.glob("*.toml")) if file.parent.is_dir() else []
         raise FileNotFoundError(f"no scenario {file}; TOML files in that folder: {', '.join(beside) or 'none'}")
-    top = Entry.load(file, ScenarioError, convert).keys({"scenario"}, _SECTIONS - {"scenario"})
-    head = top["scenario"].keys({"name", "kind", "system"}, {"title", "program", "orientation", *_READING})
-    kind = head["kind"].choice((*KINDS, "experiment", "removal_rate"))
+    top, k = ScenarioKeys.of(Entry.load(file, ScenarioError, convert)), ScenarioHeadKeys
+    head = ScenarioKeys.scenario.of(top)
+    kind = k.kind.of(head)
     if kind not in KINDS:
         raise head["kind"].fail(f"{kind!r} cannot be used here; expected {' or '.join(KINDS)}")
     milling = kind == "milling"
@@ -210,23 +304,25 @@ def load_scenario(path: str | Path) -> Scenario:
         if milling and not there:
             raise top.fail(f"a milling scenario needs a {key}; see cell/scenario.py or scenarios/groove.toml")
     workpiece = _workpiece(top["workpiece"]) if "workpiece" in top else None
-    tools = dict(_tool(name, entry) for name, entry in top.get("tools", {}).items())
+    listed = dict(ScenarioKeys.tools.entry(top).items())
+    tools = dict(_tool(name, entry) for name, entry in listed.items())
+    titles = {int(name): ToolKeys.title.of(entry) for name, entry in listed.items()}
     return Scenario(
         file=file.resolve(),
-        name=head["name"].folder_name(),
+        name=k.name.of(head),
         kind=kind,
-        title=head.get("title", head["name"].value).text(),
-        system=head["system"].file(),
-        program=head["program"].file() if "program" in head else None,
+        title=k.title.of(head) or k.name.of(head),
+        system=k.system.of(head),
+        program=k.program.of(head),
         workpiece=workpiece,
-        parameters=top.get("parameters", {}).parameters(),
-        variants=tuple(variant(name, entry) for name, entry in top.get("variants", {}).items()),
-        paper={name: published_figures(entry) for name, entry in top.get("paper", {}).items()},
+        parameters=ScenarioKeys.parameters.of(top),
+        variants=tuple(variant(name, entry) for name, entry in ScenarioKeys.variants.entry(top).items()),
+        paper={name: published_figures(entry) for name, entry in ScenarioKeys.paper.of(top).items()},
         reading=_reading(head, workpiece.work_offsets if workpiece else PLAIN_OFFSETS),
-        orientation=head["orientation"].choice(INTERPOLATIONS) if "orientation" in head else None,
+        orientation=k.orientation.of(head),
         tools=tools,
-        tool_titles={int(name): entry["title"].text() for name, entry in top.get("tools", {}).items() if "title" in entry},
-        tool_corners=_corners(top.get("tools", {})),
+        tool_titles={number: title for number, title in titles.items() if title is not None},
+        tool_corners=_corners(listed),
         equipment=equipment(top),
         scan=_scan(top["scan"], workpiece) if "scan" in top else None,
     )
@@ -238,7 +334,8 @@ def equipment(top: Entry) -> dict[str, Entry]:
 
 
 def _workpiece(entry: Entry) -> Workpiece:
-    entry.keys({"position"}, {"abc", "tool_angle", "work_offsets", "zero", "size", "stock", "stock_unit"})
+    k = WorkpieceKeys
+    k.of(entry)
     if ("size" in entry) == ("stock" in entry):
         raise entry.fail("give either size, of a block, or stock, an STL file")
     stock = _stock(entry) if "stock" in entry else None
@@ -249,13 +346,12 @@ def _workpiece(entry: Entry) -> Workpiece:
     else:
         x, y, z = np.ptp(stock.reshape(-1, 3), axis=0).tolist()
         size = (x, y, z)
-    abc, angle = entry.get("abc", [0, 0, 0]).vector("rad"), entry.get("tool_angle", 0).si("rad")
-    return Workpiece(entry["position"].vector("m"), size, abc, _work_offsets(entry, size), stock, angle)
+    return Workpiece(k.position.of(entry), size, k.abc.of(entry), _work_offsets(entry, size), stock, k.tool_angle.of(entry))
 
 
 def _stock(entry: Entry) -> FloatArray:
     """Triangles (n, 3, 3) [m] of `stock`, moved so that the middle of the top of their box is the origin of P."""
-    unit = entry.get("stock_unit", "1 mm").si("m")
+    unit = WorkpieceKeys.stock_unit.of(entry)
     if not unit > 0.0:
         raise entry["stock_unit"].fail(f"{entry['stock_unit'].value!r}; expected a positive length")
     try:
@@ -266,12 +362,12 @@ def _stock(entry: Entry) -> FloatArray:
     return np.asarray(triangles - [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), high[2]], dtype=np.float64)
 
 
-def _corners(tools: Entry) -> dict[int, float]:
+def _corners(tools: Mapping[str, Entry]) -> dict[int, float]:
     """Corner radii [m] by T number, of the tools that have one."""
     found = {}
     for name, entry in tools.items():
-        corner = entry.get("corner_radius", 0).si("m")
-        if not 0.0 <= corner <= 0.5 * entry["diameter"].si("m") * (1.0 + ROUNDING):
+        corner = ToolKeys.corner_radius.of(entry)
+        if not 0.0 <= corner <= 0.5 * ToolKeys.diameter.of(entry) * (1.0 + ROUNDING):
             raise entry["corner_radius"].fail(f"{entry['corner_radius'].value!r}; expected 0 (flat) to half of the diameter (ball nose)")
         if corner > 0.0:
             found[int(name)] = corner
@@ -279,23 +375,24 @@ def _corners(tools: Entry) -> dict[int, float]:
 
 
 def _scan(entry: Entry, workpiece: Workpiece | None) -> Scan:
-    entry.keys({"depth"}, {"margin"})
-    scan = Scan(entry["depth"].si("m"), entry.get("margin", 0).si("m"))
+    k = ScanKeys
+    k.of(entry)
+    scan = Scan(k.depth.of(entry), k.margin.of(entry))
     if not scan.depth > 0.0:
         raise entry["depth"].fail(f"{entry['depth'].value!r}; expected a positive length: the plane lies below the top")
     if workpiece is None or not 0.0 <= 2.0 * scan.margin < workpiece.size[0]:
-        raise entry.get("margin", 0).fail(f"{scan.margin:g} m at both ends; expected less than half of the length of the block")
+        raise k.margin.entry(entry).fail(f"{scan.margin:g} m at both ends; expected less than half of the length of the block")
     return scan
 
 
 def _work_offsets(entry: Entry, size: Vector) -> dict[float, Vector]:
     """`zero` and `work_offsets` as the reader of programs takes them."""
-    given = entry.get("work_offsets", {}).keys((), OFFSETS)
+    given = WorkpieceKeys.work_offsets.of(entry)
     if "zero" in entry and "G54" in given:
         raise entry["zero"].fail("is the same as work_offsets.G54, which is there, too; give one of them")
     origins = {OFFSETS[name]: _place(value, size) for name, value in given.items()}
     if "zero" in entry:
-        origins[54.0] = _place(entry["zero"], size)
+        origins[54.0] = _place(WorkpieceKeys.zero.of(entry), size)
     return {**PLAIN_OFFSETS, **origins}
 
 
@@ -305,7 +402,7 @@ def _place(entry: Entry, size: Vector) -> Vector:
         try:
             return place_in_block(entry.value, size)
         except ValueError as error:
-            raise entry.fail(f"{entry.value!r}: {error}; or three lengths from the centre of the top") from None
+            raise entry.fail(f"{entry.value!r}: {error}; or three lengths from the centre of the top; give one of these") from None
     return entry.vector("m")
 
 
@@ -330,40 +427,45 @@ def _reading(head: Entry, offsets: Mapping[float, Vector]) -> Setup:
     """The keys of [scenario] that say how the program is read."""
     setup = Setup(work_offsets=offsets)
     zero = offsets[54]
-    for key in ("start", "home"):
-        if key in head:
-            x, y, z = (c + o for c, o in zip(head[key].vector("m"), zero, strict=True))
-            setup = replace(setup, start=(x, y, z)) if key == "start" else replace(setup, home=(x, y, z))
-    dialect = head.get("dialect", setup.dialect).choice(DIALECTS)
-    feed, speed = (head[k].si(u) if k in head else None for k, u in (("feed", "m/s"), ("spindle_speed", "rad/s")))
-    for key, value in (("feed", feed), ("spindle_speed", speed)):
+    k = ScenarioHeadKeys
+    for key in (k.start, k.home):
+        if (point := key.of(head)) is not None:
+            x, y, z = (c + o for c, o in zip(point, zero, strict=True))
+            setup = replace(setup, start=(x, y, z)) if key is k.start else replace(setup, home=(x, y, z))
+    feed, speed = k.feed.of(head), k.spindle_speed.of(head)
+    for name, value in (("feed", feed), ("spindle_speed", speed)):
         if value is not None and value <= 0.0:
-            raise head[key].fail(f"{head[key].value!r} is not positive")
-    block_delete, wear = head.get("block_delete", setup.block_delete).flag(), head.get("wear", setup.wear).flag()
-    return replace(setup, dialect=dialect, block_delete=block_delete, wear=wear, feed=feed, spindle_speed=speed)
+            raise head[name].fail(f"{head[name].value!r} is not positive; expected a value above 0")
+    return replace(
+        setup, dialect=k.dialect.of(head), block_delete=k.block_delete.of(head), wear=k.wear.of(head), feed=feed, spindle_speed=speed
+    )
 
 
 def _tool(name: str, entry: Entry) -> tuple[int, EndMill]:
     """`[tools.1]`: T number and end mill."""
     if not name.isdecimal() or int(name) < 1:
         raise entry.fail("a tool is called by its T number, 1 or more, such as [tools.1]")
-    entry.keys({"diameter", "teeth", "helix", "cutting_length"}, {"title", "corner_radius"})
-    for key in ("diameter", "cutting_length"):
-        if entry[key].si("m") <= 0.0:
-            raise entry[key].fail(f"{entry[key].value!r}; expected a positive length")
-    teeth = entry["teeth"].count(1)
+    k = ToolKeys
+    k.of(entry)
+    for key in (k.diameter, k.cutting_length):
+        if key.of(entry) <= 0.0:
+            raise key.entry(entry).fail(f"{key.entry(entry).value!r}; expected a positive length")
+    teeth = k.teeth.of(entry)
     if teeth > MAX_TEETH:
         raise entry["teeth"].fail(f"expected a whole number from 1 to {MAX_TEETH}; found {teeth}")
-    return int(name), EndMill(entry["diameter"].si("m"), teeth, entry["helix"].si("rad"), entry["cutting_length"].si("m"))
+    return int(name), EndMill(k.diameter.of(entry), teeth, k.helix.of(entry), k.cutting_length.of(entry))
 
 
 def variant(name: str, entry: Entry) -> Variant:
     """`[variants.cartesian]`."""
-    entry.keys((), {"title", "parameters", "sources"})
+    k = VariantKeys
+    k.of(entry)
     if Entry(entry.content, name, entry.key).folder_name() in _FOLDERS:
-        raise entry.fail(f"a variant cannot be called {name!r}: the results have a folder of that name; taken: {', '.join(_FOLDERS)}")
-    sources = {component: source.text() for component, source in entry.get("sources", {}).items()}
-    return Variant(name, entry.get("title", name).text(), entry.get("parameters", {}).parameters(), sources)
+        raise entry.fail(
+            f"a variant cannot be called {name!r}: the results have a folder of that name; taken: {', '.join(_FOLDERS)}"
+            "; choose another name"
+        )
+    return Variant(name, k.title.of(entry) or name, k.parameters.of(entry), k.sources.of(entry))
 
 
 def published_figures(entry: Entry) -> dict[str, float]:

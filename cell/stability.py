@@ -101,7 +101,10 @@ def prepare(scenario: Scenario, modes: str | Path | None = None, rigid: bool = F
     Raises what the readers and the planner raise; ScenarioError where nothing is cut, nothing can vibrate, or the tool is not described.
     """
     if scenario.program is None or scenario.workpiece is None:
-        raise ScenarioError(f"{scenario.file}: a scenario of kind {scenario.kind!r} has no program whose stability could be judged")
+        raise ScenarioError(
+            f"{scenario.file}: a scenario of kind {scenario.kind!r} has no program whose stability could be judged"
+            "; choose one with kind = 'milling'"
+        )
     program = read_program(scenario.program, scenario.reading, scenario.orientation)
     system = with_parameters(load_system(scenario.system, scenario.equipment), scenario.parameters)
     own = own_tool(system)
@@ -115,7 +118,9 @@ def prepare(scenario: Scenario, modes: str | Path | None = None, rigid: bool = F
         c for c in planned_cuts(planned, scenario.workpiece.size, {n: 0.5 * m.diameter for n, m in mills.items()}) if c.spindle_speed > 0.0
     )
     if not cuts:
-        raise ScenarioError(f"{scenario.file}: {scenario.program.name} cuts nothing with the spindle on; `robomill plan` says why")
+        raise ScenarioError(
+            f"{scenario.file}: {scenario.program.name} cuts nothing with the spindle on; `robomill plan` says why; give a program that cuts"
+        )
     angles = axis_angles(planned, np.array([c.time for c in cuts]), robot, tool_of(system), robot.q_home)
     coefficients, spindle, notes = _process(system, modes)
     machine = None if rigid else machine_of(system)
@@ -135,6 +140,7 @@ def _process(system: System, modes: str | Path | None) -> tuple[CuttingCoefficie
     if lacking:
         raise ScenarioError(
             f"{system.name}: component 'milling' has no {', '.join(lacking)}: its force does not follow from a chip thickness"
+            "; use a milling component that has them, such as milling_force"
         )
     coefficients = CuttingCoefficients(*(float(given[name]) for name in _COEFFICIENTS))
     if modes is not None:
@@ -274,7 +280,10 @@ def map_of(cell: Cell, line: LineStability, x: FloatArray, y: FloatArray) -> Flo
     there. ScenarioError for a rigid robot.
     """
     if cell.machine is None:
-        raise ScenarioError("a map shows how the modes of the robot change over its work space; this one is rigid (no springs, no bodies)")
+        raise ScenarioError(
+            "a map shows how the modes of the robot change over its work space; this one is rigid (no springs, no bodies)"
+            "; name a robot that has both, or leave out --map and --rigid"
+        )
     s = kinematics(cell.machine.robot, cell.machine.tool)
     height = cell.planned.placement.to_base(line.position)[2]
     R = np.ascontiguousarray(cell.planned.rotation(np.array([line.cut.time])).as_matrix()[0])

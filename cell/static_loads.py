@@ -24,9 +24,13 @@ class LoadCase:
     """Displacement of the tool under one load, as summary.json has it."""
 
     case: int
+    """Number of the load."""
     load: str
+    """Its place and direction."""
     displacement_m: float
+    """Magnitude of the displacement of the tool."""
     d_T_B_m: tuple[float, ...]
+    """Displacement in the robot base: x, y, z."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +38,11 @@ class StaticLoads:
     """What a variant comes to, as summary.json has it."""
 
     mean_displacement_m: float
+    """Mean displacement over all loads."""
     max_displacement_m: float
+    """Largest displacement."""
     cases: tuple[LoadCase, ...]
+    """Each load."""
 
     @property
     def magnitudes(self) -> FloatArray:

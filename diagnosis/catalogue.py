@@ -58,7 +58,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from robomill.orchestration.system import keys
 from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.keys import Keys, default, optional, required
 from robomill.orchestration.system.parameters import Convert, same_unit, same_unit_only
 from robomill.orchestration.system.written import Written, merged
 
@@ -70,17 +72,10 @@ OBSERVATIONS = ("lag", "smooth", "gain", "offset", "swap", "sign", "unit", "rota
 Address = tuple[str, str]
 """(component, parameter element)."""
 
-_FURTHER = {"shape", "family"}
-_SHAPE = {"name", "parameter", "values"}
-_EFFECT = {"name", "component", "description", "source", "locations", "minimum", "maximum", "prior", "unit", "sign"}
-_LOCATION = {"name", "parameters"}
-_PHASE, _PER = "phase", "per"
 COS, SIN = " cos ", " sin "
 """Between an amplitude and its phase, in the name of its part that is in phase, and of that a quarter of a turn ahead."""
 AT, AND = " at ", " and "
 """Between a parameter and the values `PARAMETER=VALUE` of its shape parameters, and between these, in the name of a variant's number."""
-_QUIET = {"component", "parameters"}
-_SEED = {"component", "parameter"}
 
 
 def selects(pattern: str, channel: str) -> bool:
@@ -419,91 +414,186 @@ def _with_variants(candidate: Candidate, shapes: tuple[Shape, ...]) -> Candidate
     return replace(shaped, variants=tuple(shaped.with_shapes(values) for values in grid))
 
 
+class PriorKeys(Keys):
+    """How large the effect is expected to be before the data are seen."""
+
+    kind = required(keys.choice(("normal", "log-normal")), "`normal`: about zero; `log-normal`: about `scale`, never negative")
+    scale = required(keys.positive(), "standard deviation (`normal`) or median (`log-normal`), in the unit of the effect")
+    spread = default(0.8, keys.positive(), "standard deviation of the logarithm, `log-normal` only")
+
+
+class LocationKeys(Keys):
+    """One place where the effect may be."""
+
+    name = required(keys.text(), "name of the place, such as `joint 1`")
+    parameters = required(keys.texts(), "parameters of the component that switch the effect on there, elements as `backlash[1]`")
+    phase = optional(keys.text(), "parameter that is the phase of the one parameter above, where it differs from machine to machine")
+    per = optional(keys.choice(("run",)), "the phase differs from run to run; needs `phase`")
+
+
+class ShapeKeys(Keys):
+    """A further parameter that differs between machines, such as the frequency of a vibration; the values of a grid are tried."""
+
+    name = required(keys.text(), "what it is called in the answer")
+    parameter = required(keys.text(), "parameter of the component; `name[*]` is the element that the effect has at its place")
+    values = required(keys.anything("list of numbers"), "two values or more to try, growing")
+    unit = default("1", keys.text(), "unit of the values, that of the parameter")
+    per = optional(keys.choice(("machine",)), "says that the value is one of the machine")
+
+
+class EffectKeys(Keys):
+    """One effect that a real machine may have and the nominal simulation has not."""
+
+    name = required(keys.text(), "name of the effect, used once")
+    component = required(
+        keys.text(), f"component of the system that owns the parameters; `{LOGGING}` for what is wrong with the log itself"
+    )
+    description = required(keys.text(), "what the effect is, for the report")
+    source = required(keys.text(), "where its size and form come from")
+    unit = required(keys.text(), "unit of the sizes, that of the parameters")
+    minimum = required(keys.positive(), "magnitude below which the effect is no finding, in its unit")
+    maximum = required(keys.positive(), "largest magnitude that is fitted, in its unit")
+    sign = required(keys.choice(("positive", "both")), "whether it may be negative, too")
+    prior = required(keys.table(PriorKeys), "how large it is expected to be")
+    locations = required(keys.each(LocationKeys), "where it may be")
+    shape = default([], keys.each(ShapeKeys), "further parameters that differ between machines")
+    family = optional(keys.text(), "what effects are called together that no run can tell apart; `{location}` stands for the place")
+
+
+class NuisanceKeys(Keys):
+    """Calibrated numbers that are known to a standard deviation only. Give either `relative` or `absolute`."""
+
+    component = required(keys.text(), f"component of the system, or `{LOGGING}`")
+    parameters = required(keys.texts(), "its parameters: elements or whole arrays")
+    source = required(keys.text(), "where the standard deviation comes from")
+    relative = optional(keys.positive(), "standard deviation as part of the nominal value")
+    absolute = optional(keys.positive(), "standard deviation in `unit`")
+    unit = default("1", keys.text(), "unit of `absolute`, that of the parameter")
+
+
+class QuietKeys(Keys):
+    """Parameters that are set in every simulation of the diagnosis, such as the noise of a sensor."""
+
+    component = required(keys.text(), "component of the system")
+    parameters = required(keys.values(), "its parameters")
+
+
+class SeedKeys(Keys):
+    """A parameter that seeds the noise of the simulation: another value is another repeat."""
+
+    component = required(keys.text(), "component of the system")
+    parameter = required(keys.text(), "its parameter")
+
+
+class RefinementKeys(Keys):
+    """A simulation with a smaller step, which shows what the communication step itself does to a replay."""
+
+    divide = required(keys.count(2), "parts of the communication step")
+    sampled = default([], keys.texts(), "components that keep their cycle")
+
+
+class CatalogueKeys(Keys):
+    """The effects that a diagnosis looks for, and what is known of the simulation beside them."""
+
+    effect = required(keys.each(EffectKeys), "the effects")
+    nuisance = default([], keys.each(NuisanceKeys), "calibrated numbers and their standard deviations")
+    quiet = default([], keys.each(QuietKeys), "parameters of every simulation of the diagnosis")
+    seed = default([], keys.each(SeedKeys), "parameters that seed noise")
+    refinement = optional(keys.table(RefinementKeys), "a simulation with a smaller step")
+    titles = default(
+        {},
+        keys.named(keys.text(), '"component.array"'),
+        "what the difference in an array is called; these arrays are the figures of the answer",
+    )
+
+
 def _read(top: Entry, file: Path) -> Catalogue:
-    top.keys({"effect"}, {"nuisance", "quiet", "seed", "refinement", "titles"})
+    k = CatalogueKeys
+    k.of(top)
     descriptions: dict[str, tuple[str, str]] = {}
     candidates: list[Candidate] = []
-    for entry in top["effect"].each():
+    for entry in k.effect.entry(top).each():
         candidates += _effect(entry)
         if candidates[-1].effect in descriptions:
-            raise entry["name"].fail("is there twice")
-        descriptions[candidates[-1].effect] = (entry["description"].text(), entry["source"].text())
+            raise entry["name"].fail("is there twice; give every one a name of its own")
+        descriptions[candidates[-1].effect] = (EffectKeys.description.of(entry), EffectKeys.source.of(entry))
     quiet: dict[str, Mapping[str, Any]] = {}
-    for entry in top.get("quiet", []).each():
-        component = entry.keys(_QUIET)["component"].text()
-        quiet[component] = merged(quiet.get(component, {}), entry["parameters"].written())
+    for entry in k.quiet.of(top):
+        component = QuietKeys.component.of(entry)
+        quiet[component] = merged(quiet.get(component, {}), QuietKeys.parameters.of(entry))
     return Catalogue(
         file,
         tuple(candidates),
-        tuple(t for entry in top.get("nuisance", []).each() for t in _tolerances(entry)),
+        tuple(t for entry in k.nuisance.of(top) for t in _tolerances(entry)),
         quiet,
-        tuple((entry.keys(_SEED)["component"].text(), entry["parameter"].text()) for entry in top.get("seed", []).each()),
+        tuple((SeedKeys.component.of(entry), SeedKeys.parameter.of(entry)) for entry in k.seed.of(top)),
         descriptions,
         _refinement(top["refinement"]) if "refinement" in top else None,
-        {name: title.text() for name, title in top.get("titles", {}).items()},
+        dict(k.titles.of(top)),
     )
 
 
 def _effect(entry: Entry) -> list[Candidate]:
-    entry.keys(_EFFECT, _FURTHER)
-    name, component, unit = (entry[key].text() for key in ("name", "component", "unit"))
-    low, high = entry["minimum"].positive(), entry["maximum"].positive()
+    k = EffectKeys
+    k.of(entry)
+    name, component, unit = k.name.of(entry), k.component.of(entry), k.unit.of(entry)
+    low, high = k.minimum.of(entry), k.maximum.of(entry)
     if low >= high:
-        raise entry["minimum"].fail(f"{low} is not below maximum = {high} (both are magnitudes)")
-    both = entry["sign"].choice(("positive", "both")) == "both"
-    of = entry["prior"].keys({"kind", "scale"}, {"spread"})
-    prior = Prior(of["kind"].choice(("normal", "log-normal")), of["scale"].positive(), of.get("spread", 0.8).positive())
-    locations = entry["locations"].each()
+        raise entry["minimum"].fail(f"{low} is not below maximum = {high} (both are magnitudes); give a smaller minimum")
+    both = k.sign.of(entry) == "both"
+    of = k.prior.of(entry)
+    prior = Prior(PriorKeys.kind.of(of), PriorKeys.scale.of(of), PriorKeys.spread.of(of))
+    locations = k.locations.of(entry)
     if not locations:
         raise entry["locations"].expected("at least one location")
-    family = entry["family"].text() if "family" in entry else name
+    family = k.family.of(entry) or name
     made: dict[str, Candidate] = {}
     for spot in locations:
-        called = spot.keys(_LOCATION, {_PHASE, _PER})["name"].text()
+        called, phase = LocationKeys.name.of(spot), LocationKeys.phase.of(spot)
+        per_run = LocationKeys.per.of(spot) == "run"
         if called in made:
-            raise spot["name"].fail(f"location {called!r} is there twice")
+            raise spot["name"].fail(f"location {called!r} is there twice; give every one a name of its own")
         parameters, size = _names(spot["parameters"], component), prior
-        if _PHASE in spot:
-            phase = spot[_PHASE].text()
+        if phase is not None:
             if len(parameters) != 1 or component == LOGGING:
-                raise spot[_PHASE].fail(f"{phase!r} needs one parameter of a component beside it, its amplitude")
+                raise spot["phase"].fail(f"{phase!r} needs one parameter of a component beside it, its amplitude")
             parameters, size = (parameters[0] + COS + phase, parameters[0] + SIN + phase), Prior("normal", prior.scale)
-        if _PER in spot and spot[_PER].choice(("run",)) and _PHASE not in spot:
-            raise spot[_PER].fail("'run' is for a phase, which is not there; add phase = PARAMETER")
-        signs, place = both or _PHASE in spot, entry["unit"].place
-        plain = Candidate(name, component, called, parameters, low, high, size, unit, signs, len(locations), place, _PER in spot)
+        if per_run and phase is None:
+            raise spot["per"].fail("'run' is for a phase, which is not there; add phase = PARAMETER")
+        signs, place = both or phase is not None, entry["unit"].place
+        plain = Candidate(name, component, called, parameters, low, high, size, unit, signs, len(locations), place, per_run)
         plain = replace(plain, family=family.replace("{location}", called))
-        made[called] = _with_variants(plain, tuple(_shape(one, plain) for one in entry.get("shape", []).each()))
+        made[called] = _with_variants(plain, tuple(_shape(one, plain) for one in k.shape.of(entry)))
     return list(made.values())
 
 
 def _shape(entry: Entry, candidate: Candidate) -> Shape:
     """A shape parameter; `[*]` in it is the element that the effect has at the candidate's location."""
-    entry.keys(_SHAPE, {"unit", _PER})
+    k = ShapeKeys
     if candidate.component == LOGGING:
-        raise entry.fail("is for parameters of a component; the log has none")
-    if _PER in entry:
-        entry[_PER].choice(("machine",))
-    values = tuple(v.number() for v in entry["values"].each())
+        raise entry.fail("is for parameters of a component; the log has none; leave it out")
+    k.per.of(entry)
+    values = tuple(v.number() for v in k.values.of(entry).each())
     if not values[1:] or any(a >= b for a, b in itertools.pairwise(values)):
         raise entry["values"].expected("two numbers or more, growing")
-    parameter, element = entry["parameter"].text(), candidate.named[0].partition("[")[2]
+    parameter, element = k.parameter.of(entry), candidate.named[0].partition("[")[2]
     if parameter.endswith("[*]"):
         if not element:
             raise entry["parameter"].fail(f"{parameter!r}: {candidate.named[0]!r} has no element; expected an element, such as [1]")
         parameter = parameter.removesuffix("*]") + element
     a, b = (math.log(v) if values[0] > 0.0 else v for v in (values[0], values[-1]))
-    return Shape(entry["name"].text(), parameter, entry.get("unit", "1").text(), values, (b - a) / (len(values) - 1))
+    return Shape(k.name.of(entry), parameter, k.unit.of(entry), values, (b - a) / (len(values) - 1))
 
 
 def _tolerances(entry: Entry) -> list[Tolerance]:
-    entry.keys({"component", "parameters", "source"}, {"relative", "absolute", "unit"})["source"].text()
-    given = [entry[key] for key in ("relative", "absolute") if key in entry]
+    k = NuisanceKeys
+    k.source.of(entry)
+    given = [(key.entry(entry), size) for key in (k.relative, k.absolute) if (size := key.of(entry)) is not None]
     if len(given) != 1:
         raise entry.fail(f"expected either relative or absolute; found {'both' if given else 'neither'}")
-    component, unit, place = entry["component"].text(), entry.get("unit", "1").text(), given[0].place
+    component, (written, size) = k.component.of(entry), given[0]
     names = _names(entry["parameters"], component)
-    return [Tolerance((component, name), given[0].positive(), "relative" in entry, unit, place) for name in names]
+    return [Tolerance((component, name), size, "relative" in entry, k.unit.of(entry), written.place) for name in names]
 
 
 def _names(entry: Entry, component: str) -> tuple[str, ...]:
@@ -518,5 +608,4 @@ def _names(entry: Entry, component: str) -> tuple[str, ...]:
 
 
 def _refinement(entry: Entry) -> Refinement:
-    entry.keys({"divide"}, {"sampled"})
-    return Refinement(entry["divide"].count(2), entry.get("sampled", []).texts())
+    return Refinement(RefinementKeys.divide.of(entry), RefinementKeys.sampled.of(RefinementKeys.of(entry)))

@@ -44,6 +44,7 @@ class Help:
     """An array that is not measured, or a kind of run as it begins."""
 
     name: str
+    """Array that is not measured, or kind of run."""
     distance: float
     """Deviations of noise between the effect, at the size that is looked at, and what it is nearest to."""
     minutes: float = 0.0
@@ -55,15 +56,21 @@ class Shown:
     """What the runs show of a parameter of an effect."""
 
     effect: str
+    """Name in the catalogue."""
     component: str
+    """Component that has the effect."""
     location: str
+    """Where in the component."""
     parameter: str
+    """Parameter of the component."""
     unit: str
+    """Unit of the sizes."""
     smallest: float
     """Smallest visible value [unit]; infinite where it does not show."""
     usual: float
+    """Prior scale of the catalogue [unit]."""
     largest: float
-    """Prior scale and bound of the catalogue [unit]."""
+    """Bound of the catalogue [unit]."""
     by_tolerance: float
     """Part of the variance behind `smallest` that is tolerances, 0..1: what repeats do not take away."""
     state: str
@@ -73,8 +80,9 @@ class Shown:
     repeats: int | None
     """Repeats of each condition with which the usual size shows, if nothing else changes; None: no number of them is enough."""
     channels: list[Help]
+    """Arrays that would show it if they were measured, or tell it apart; the best first."""
     runs: list[Help]
-    """What would show it, or tell it apart; the best first, runs by the squared distance per minute."""
+    """Kinds of runs that would; the best by the squared distance per minute first."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +108,7 @@ class Checked:
     skipped: tuple[str, ...]
     """What of the catalogue the systems do not have, in words."""
     effort: Effort
+    """What it took."""
 
     @property
     def result(self) -> dict[str, Any]:

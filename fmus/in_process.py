@@ -37,7 +37,7 @@ class InProcessSlave:
     def instance(self) -> Instance:
         """The instance behind it; ComponentError after `close`."""
         if self._instance is None:
-            raise ComponentError(f"{self.name}: was closed")
+            raise ComponentError(f"{self.name}: was closed; open it anew")
         return self._instance
 
     def configure(self, parameters: Mapping[str, Any]) -> None:
@@ -71,7 +71,10 @@ class InProcessSlave:
         shape = self.interface.model.variable(name).shape
         array = np.asarray(value)
         if array.shape not in (shape, (count,)):
-            raise ComponentError(f"{self.name}: parameter {name} has shape {list(shape)}; found a value of shape {list(array.shape)}")
+            raise ComponentError(
+                f"{self.name}: parameter {name} has shape {list(shape)}; found a value of shape {list(array.shape)}"
+                "; give a value of that shape"
+            )
         values: list[Any] = array.ravel().tolist()
         return values
 
@@ -150,7 +153,9 @@ class _Image:
         """`values` -> record, refused with the name of the port if one is not finite."""
         if not all_finite(values, self._finite):
             bad = int(np.flatnonzero(~np.isfinite(values))[0])
-            raise ComponentError(f"{self._name}: input {self._ports[bad].name} = {values[bad]} is not a finite number")
+            raise ComponentError(
+                f"{self._name}: input {self._ports[bad].name} = {values[bad]} is not a finite number; correct what is connected to it"
+            )
         self._record[:] = values[self._positions]
         for i, port in self._others:
             self._instance.set(port, values[i])

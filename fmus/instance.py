@@ -24,7 +24,10 @@ _READY: set[tuple[Any, np.dtype[np.void]]] = set()
 
 
 class ComponentError(RuntimeError):
-    """What a component refuses or cannot do; the text names component, variable or time, value and what is expected."""
+    """What a component refuses or cannot do; the text names component, variable or time, value and what is expected.
+
+    Remedy: correct the value that it names, or what is connected to the input; after a failed step reset the component.
+    """
 
 
 class TableState(NamedTuple):
@@ -114,9 +117,11 @@ class Instance:
     def set(self, port: Port, value: Any) -> None:
         """Set an input or a parameter. ComponentError says what is wrong: type, not finite, out of bounds, fixed while running."""
         if port.causality == "output":
-            raise ComponentError(f"{self.name}: {port.name} is an output and cannot be set")
+            raise ComponentError(f"{self.name}: {port.name} is an output and cannot be set; set an input or a parameter")
         if port.causality == "parameter" and self.running and port.variability == "fixed":
-            raise ComponentError(f"{self.name}: parameter {port.name} is fixed: it can be set before the first step only")
+            raise ComponentError(
+                f"{self.name}: parameter {port.name} is fixed: it can be set before the first step only; set it before initialisation"
+            )
         if port.type == "string":
             self.load_table(port.name, value)
             return
@@ -150,7 +155,9 @@ class Instance:
     def load_table(self, name: str, source: str | Path | Sequence[Any] | FloatArray | None) -> None:
         """Fill the table `name` from a .npy file or rows; "" or None puts the built-in rows back. ComponentError says what does not fit."""
         if self.running:
-            raise ComponentError(f"{self.name}: table {name} is fixed: it can be set before the first step only")
+            raise ComponentError(
+                f"{self.name}: table {name} is fixed: it can be set before the first step only; set it before initialisation"
+            )
         self._put_table(name, self._read_table(name, source))
         self.stale = True
 

@@ -151,7 +151,7 @@ def run(
             raise OrchestrationError(f"system {system.name!r} has no end: give stop, or set stop or stop_when in the system file")
         end = math.inf
     if math.isnan(end):
-        raise OrchestrationError("stop is not a number (NaN)")
+        raise OrchestrationError("stop is not a number (NaN); give a time in s")
     if folder is None:
         if resume:
             raise OrchestrationError("resume needs the folder of the run")
@@ -229,7 +229,7 @@ def _saver(assembly: Assembly, recorder: Recorder) -> Saver:
 
 def _open(system: System, c: Component, resolver: Resolver | None) -> Slave:
     if c.isolate and not c.source.endswith(".fmu"):
-        raise SlaveError(f"isolate = true is for FMUs; source {c.source!r} runs in this process")
+        raise SlaveError(f"isolate = true is for FMUs; source {c.source!r} runs in this process; leave isolate out, or give an FMU")
     if c.source.startswith(REPLAY):
         folder, _, component = c.source[len(REPLAY) :].partition("#")
         return Playback.of_run(c.name, Run.load(system.folder / folder), component or None)
@@ -248,7 +248,9 @@ def _open(system: System, c: Component, resolver: Resolver | None) -> Slave:
 
         return FmuSlave(system.folder / c.source, c.name, goes_back)
     if resolver is None:
-        raise SlaveError(f"source {c.source!r} is neither an .fmu file nor {REPLAY}FOLDER, and no in-process components were given")
+        raise SlaveError(
+            f"source {c.source!r} is neither an .fmu file nor {REPLAY}FOLDER, and no in-process components were given; correct the source"
+        )
     try:
         return resolver(c.source, c.name)
     except LookupError as error:

@@ -18,7 +18,10 @@ class SystemFileError(OrchestrationError):
 
 
 class SlaveError(OrchestrationError):
-    """A component could not be loaded, configured, initialised or stepped."""
+    """A component could not be loaded, configured, initialised or stepped.
+
+    Remedy: the text of the component says what it cannot do; correct its inputs or parameters, or use another FMU.
+    """
 
 
 class PlacedError(SlaveError, ValueError):

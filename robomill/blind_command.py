@@ -30,24 +30,50 @@ CATALOGUE = FILES / "scenarios" / "catalogue.toml"
 def add_arguments(parser: Any) -> None:
     """The steps and their options."""
     steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
-    make = steps.add_parser("make", help="simulate cases with withheld effects and seal the truth", description="Make a benchmark.")
-    make.add_argument("folder", type=Path, metavar="DIR", help="folder for it")
-    make.add_argument("--set", default="mixed", help="withheld, null, single, machine, few, campaign, bad_log, outside or mixed (default)")
-    make.add_argument("--cases", type=int, default=240, help="how many (default: 240)")
-    make.add_argument("--seed", type=int, default=1, help="same seed, same bits (default: 1)")
-    make.add_argument("--tier", choices=("T0", "T1"), default="T1", help="T1: with a laser tracker on the tool tip (default); T0: without")
-    make.add_argument("--generator", default="first", help="first (default), second, or both: every second case")
+    make = steps.add_parser(
+        "make",
+        help="simulate cases with withheld effects and seal the truth",
+        description="Simulate cases with withheld effects and seal the truth.",
+        epilog="Example: robomill blind make results/blind --cases 24",
+    )
+    make.add_argument("folder", type=Path, metavar="DIR", help="folder for the benchmark")
+    make.add_argument(
+        "--set",
+        default="mixed",
+        help="kind of cases: withheld, null, single, machine, few, campaign, bad_log, outside or mixed (default: mixed)",
+    )
+    make.add_argument("--cases", type=int, default=240, help="number of cases (default: 240)")
+    make.add_argument("--seed", type=int, default=1, help="of all random numbers; the same seed gives the same bits (default: 1)")
+    make.add_argument(
+        "--tier", choices=("T0", "T1"), default="T1", help="T1: with a laser tracker on the tool tip; T0: without (default: T1)"
+    )
+    make.add_argument("--generator", default="first", help="first, second, or both: each for every second case (default: first)")
     make.add_argument("--jobs", type=int, help="processes (default: one per core)")
-    run = steps.add_parser("run", help="diagnose every case that has no prediction yet", description="Diagnose the cases; may be repeated.")
+    run = steps.add_parser(
+        "run",
+        help="diagnose every case that has no prediction yet",
+        description="Diagnose every case that has no prediction yet; an interrupted run goes on.",
+        epilog="Example: robomill blind run results/blind",
+    )
     run.add_argument("folder", type=Path, metavar="DIR", help="folder of the benchmark")
     run.add_argument("--jobs", type=int, help="processes (default: one per core)")
     run.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers see DIR, such as tcp://host:8786")
-    score = steps.add_parser("score", help="hash the predictions, unseal, score", description="Score the predictions.")
+    score = steps.add_parser(
+        "score",
+        help="hash the predictions, unseal, score",
+        description="Hash the predictions, unseal the truth, and score the predictions by it.",
+        epilog="Example: robomill blind score results/blind",
+    )
     score.add_argument("folder", type=Path, metavar="DIR", help="folder of the benchmark")
     score.add_argument("--jobs", type=int, help="processes for the signatures (default: one per core)")
     score.add_argument("--no-isolability", action="store_true", help="take every detectable single as isolable; saves minutes")
     score.add_argument("--no-baselines", action="store_true", help="leave out the methods to compare with; saves minutes")
-    page = steps.add_parser("page", help="write the results of scored benchmarks as Markdown", description="Write the page of results.")
+    page = steps.add_parser(
+        "page",
+        help="write the results of scored benchmarks as Markdown",
+        description="Write the results of scored benchmarks as a Markdown page.",
+        epilog="Example: robomill blind page results/blind --output results/blind.md",
+    )
     page.add_argument("folders", type=Path, nargs="+", metavar="DIR", help="folders of scored benchmarks")
     page.add_argument("--output", type=Path, default=PAGE, metavar="FILE", help=f"the page (default: {PAGE}); {REASONS} beside it")
     add_overwrite(score, "score.json")

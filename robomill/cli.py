@@ -17,6 +17,10 @@ from robomill import __version__
 from robomill.option_types import add_overwrite, in_unit, probability
 from robomill.orchestration.errors import Interrupted, OrchestrationError
 
+STATUS = (
+    "Exit status 0: done. 1: the answer is bad (a check failed, a log is not usable, a program does not fit, nothing converged). "
+    "2: it could not run; the message says why. 128 + N: ended by signal N, such as 130 by Ctrl-C."
+)
 DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exchangeable FMUs."
 
 ACTIONS = {
@@ -44,7 +48,7 @@ SHELLS = ("bash", "zsh", "fish")
 """Shells that commands are completed in."""
 
 
-class _Parser(argparse.ArgumentParser):
+class Parser(argparse.ArgumentParser):
     """Ends with an exception that has the text, for --json."""
 
     _later: tuple[str, str] | None = None
@@ -71,16 +75,18 @@ class _Parser(argparse.ArgumentParser):
 
 
 def parser() -> argparse.ArgumentParser:
-    """All commands and their options; those of commands that load much are added when they are parsed (`_Parser.complete`)."""
-    main_parser = _Parser(
-        "robomill", description=DESCRIPTION, epilog="Start with: robomill example groove, then robomill run scenarios/groove.toml"
+    """All commands and their options; those of commands that load much are added when they are parsed (`Parser.complete`)."""
+    main_parser = Parser(
+        "robomill", description=DESCRIPTION, epilog=f"{STATUS} Start with: robomill example groove, then robomill run scenarios/groove.toml"
     )
     main_parser.add_argument("--version", action="version", version=f"robomill {__version__}")
     commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     example = _command(commands, "example", "list the examples that come with robomill, or copy one here", "robomill example groove")
-    example.add_argument("name", nargs="?", help="which one; without, they are listed")
-    example.add_argument("folder", nargs="?", type=Path, metavar="DIR", help="where to (default: scenarios, as in the documentation)")
+    example.add_argument("name", nargs="?", help="example to copy; without it, the examples are listed")
+    example.add_argument(
+        "folder", nargs="?", type=Path, metavar="DIR", help="folder to copy it into (default: scenarios, as in the documentation)"
+    )
 
     run = _command(commands, "run", "run a scenario in all its variants, or a system file once", "robomill run scenarios/groove.toml")
     run.add_argument("file", type=Path, help="scenario or system file (TOML), or an SSP package (.ssp)")
@@ -104,7 +110,7 @@ def parser() -> argparse.ArgumentParser:
         help="how the master runs; the numbers are the same (default: what the system file says)",
     )
     run.add_argument("--csv", action="store_true", help="also write signals.csv")
-    run.add_argument("--checkpoint-every", type=int, metavar="STEPS", help="save each so many steps all that --resume goes on from")
+    run.add_argument("--checkpoint-every", type=int, metavar="STEPS", help="every STEPS steps, save all that --resume goes on from")
     present = run.add_mutually_exclusive_group()
     present.add_argument("--overwrite", action="store_true", help="replace runs that are in the folder (default: that is refused)")
     present.add_argument(
@@ -112,7 +118,9 @@ def parser() -> argparse.ArgumentParser:
         action="store_true",
         help="keep finished runs in the folder, go on with one that has a checkpoint, begin the others anew",
     )
-    run.add_argument("--adopt", type=Path, metavar="FILE.ssv", help="with the effects that `robomill diagnose` found")
+    run.add_argument(
+        "--adopt", type=Path, metavar="FILE.ssv", help="use the parameters in this file, such as the effects that `robomill diagnose` found"
+    )
     run.add_argument("--no-pictures", action="store_true", help="skip the pictures")
     run.add_argument("--stl", action="store_true", help="write the machined part as part.stl beside each recording (cells with tri-dexels)")
 
@@ -124,7 +132,7 @@ def parser() -> argparse.ArgumentParser:
     )
     sweep.add_when_used("sweep_command", "add_arguments")
 
-    build = _command(commands, "build", "write every FMU", "robomill build --out dist")
+    build = _command(commands, "build", "write the components as FMUs, and systems as SSP packages", "robomill build --out dist")
     build.add_argument("--out", type=Path, default=Path("dist"), help="folder for the FMUs (default: dist)")
     build.add_argument(
         "--backend",
@@ -138,7 +146,7 @@ def parser() -> argparse.ArgumentParser:
         choices=(2, 3),
         nargs="+",
         action="extend",
-        help="FMI version (3: native only; default: 2); `--fmi 2 3`: both, FMI 3 in the subfolder fmi3",
+        help="FMI version; 3 needs --backend native; `--fmi 2 3` writes both, FMI 3 into the subfolder fmi3 (default: 2)",
     )
     build.add_argument(
         "--platform", action="append", choices=("linux64", "win64", "darwin64"), help="native only; may be repeated (default: linux64)"
@@ -146,7 +154,7 @@ def parser() -> argparse.ArgumentParser:
     build.add_argument("--component", action="append", metavar="NAME", help="only this component; may be repeated")
     build.add_argument("--ssp", type=Path, metavar="FILE", help="also write this system, or this scenario in all its variants, as SSP 1.0")
     build.add_argument("--variant", action="append", metavar="NAME", help="with --ssp: only this variant; may be repeated")
-    build.add_argument("--replay", type=Path, metavar="RUN", help="a replay FMU of --component from this recorded run")
+    build.add_argument("--replay", type=Path, metavar="RUN", help="write a replay FMU of --component from this recorded run")
     build.add_argument(
         "--as", dest="recorded_as", metavar="NAME", help="name of the component in the recorded run, where it differs (path, drive, ...)"
     )
@@ -154,7 +162,12 @@ def parser() -> argparse.ArgumentParser:
     check = _command(commands, "check", "check FMUs, ours or not: validity, conformance, repeatability", "robomill check dist/*.fmu")
     check.add_argument("fmus", type=Path, nargs="+", metavar="FMU", help="co-simulation FMUs of FMI 2.0 or 3.0")
 
-    plan = _command(commands, "plan", "plan a program and say what it does", "robomill plan scenarios/groove.ngc")
+    plan = _command(
+        commands,
+        "plan",
+        "plan a program, and say how long it takes, what it cuts and whether the robot reaches it",
+        "robomill plan scenarios/groove.ngc",
+    )
     plan.add_when_used("cli", "add_plan_arguments")
 
     stability = _command(
@@ -181,13 +194,11 @@ def parser() -> argparse.ArgumentParser:
     bring = _command(
         commands,
         "import",
-        "bring a foreign log in as a run folder (CSV, npz, MAT, MDF4, RSI)",
+        "import a log of another program as a run folder (CSV, npz, MAT, HDF5, MDF4, ROS bags, RSI)",
         "robomill import data/kuka_kr300_recordings/map.toml data/kuka_kr300_recordings/recording_A.npz --out runs/A",
     )
-    bring.add_argument(
-        "mapping", type=Path, metavar="MAP.toml", help="which column is which port, unit, frame, clock: docs/how_to/import.md"
-    )
-    bring.add_argument("log", type=Path, metavar="LOG", help="the log")
+    bring.add_argument("mapping", type=Path, metavar="MAP.toml", help="which column is which port, in which unit and frame, on which clock")
+    bring.add_argument("log", type=Path, metavar="LOG", help="the log: a file, or the folder of a ROS bag")
     bring.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder for the run")
     bring.add_argument("--label", action="append", default=[], metavar="KEY=VALUE", help="a label beside those of the mapping, or instead")
     bring.add_argument("--overwrite", action="store_true", help="replace a run that is in the folder")
@@ -257,7 +268,10 @@ def parser() -> argparse.ArgumentParser:
     rsi = _command(commands, "rsi", "answer a KUKA controller in real time over RSI, and record it", "robomill rsi scenarios/rsi/link.toml")
     rsi.add_when_used("rsi_command", "add_partner_arguments")
     krc = _command(
-        commands, "krc", "be the robot controller of such a link, simulated", "robomill krc scenarios/rsi/link.toml --lost 0.001"
+        commands,
+        "krc",
+        "simulate the robot controller at the other end of an RSI link",
+        "robomill krc scenarios/rsi/link.toml --lost 0.001",
     )
     krc.add_when_used("rsi_command", "add_robot_arguments")
     completion = _command(
@@ -339,7 +353,9 @@ def add_plan_arguments(plan: argparse.ArgumentParser) -> None:
     plan.add_argument("--tool", type=in_unit("mm"), metavar="D", help="diameter of the tool, mm (default: that of milling_force)")
     plan.add_argument("--out", type=Path, metavar="FILE.npy", help="write the segment table for the path component")
     plan.add_argument(
-        "--orientation", choices=INTERPOLATIONS, help="of a path of points: turn over the way between points, or in the corners only"
+        "--orientation",
+        choices=INTERPOLATIONS,
+        help="where the tool turns on a path of points: over the way between points, or in the corners only",
     )
     plan.add_argument(
         "--within", choices=QUANTITIES, help="lower the feed of lines on which an axis would exceed its speed (acceleration, jerk as well)"
@@ -358,8 +374,8 @@ def add_plan_arguments(plan: argparse.ArgumentParser) -> None:
     )
 
 
-def _command(commands: Any, name: str, text: str, example: str) -> _Parser:
-    command: _Parser = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=f"Example: {example}")
+def _command(commands: Any, name: str, text: str, example: str) -> Parser:
+    command: Parser = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=f"Example: {example}")
     command.add_argument("--json", action="store_true", help="print the result as JSON and nothing else")
     return command
 

@@ -60,7 +60,9 @@ from robomill.models.model.parameters import load
 from robomill.models.model.units import convert
 from robomill.models.robot.kinematics import load_robot
 from robomill.models.robot.virtual_joints import Compliance, load_compliance
+from robomill.orchestration.system import keys
 from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.keys import Keys, default, optional, required
 
 DONE, UNSURE = 0, 1
 VAGUE = 0.2
@@ -97,7 +99,7 @@ def add_arguments(kinds: Any) -> None:
         "cubes",
         help="springs of joints, linked arm and arm from laser triangulation on cubes",
         description="Identify the springs between cubes on the robot from laser triangulation readings, loaded and unloaded.",
-        epilog="Example: robomill identify cubes data/kr300_cubes/cubes.toml --compare kr300_r2500_ultra",
+        epilog="Example: robomill identify cubes scenarios/cubes/kr300.toml --compare kr300_r2500_ultra",
     )
     kind.add_argument("measured", type=Path, metavar="SET.toml", help="cubes, loads and table of readings (docs/how_to/identify.md)")
     kind.add_argument("--compare", metavar="NAME", help="springs to compare with: name of models/data/compliance or a .toml file")
@@ -135,52 +137,101 @@ def _compliance(name: str) -> Compliance:
     return load(Compliance, name) if name.endswith(".toml") else load_compliance(name)
 
 
+_STANDARD = Triangulation()
+
+
+class SensorsKeys(Keys):
+    """The laser triangulation sensors."""
+
+    noise = default(f"{_STANDARD.noise} m", keys.quantity("m"), "standard deviation of one reading")
+    averages = default(_STANDARD.averages, keys.count(1), "readings that are averaged")
+    systematic = default(f"{_STANDARD.systematic} m", keys.quantity("m"), "standard deviation that averaging does not take away")
+
+
+class SpotsKeys(Keys):
+    """Where the sensors look at each cube (default: three, two and one on three faces)."""
+
+    points = required(keys.anything("list of three quantities", "m"), "spots on the cube, from its centre")
+    directions = required(keys.anything("list of three numbers"), "directions in which the sensors measure")
+
+
+class GivenKeys(Keys):
+    """Springs that are not identified."""
+
+    compliance = optional(keys.text(), "where they are taken from: a name of models/data/compliance or a .toml file")
+    joints = default([], keys.anything("list of texts", allowed=JOINT_NAMES), "which ones; needs `compliance`")
+
+
+class CubeKeys(Keys):
+    """A cube on the robot, from the base to the flange; the loads act at the centre of the last one."""
+
+    name = required(keys.text(), "name of the cube, used once; its columns in the readings are `NAME_1`, `NAME_2` and so on")
+    behind = required(keys.choice(MEMBERS), "last virtual joint before it")
+    position = required(keys.vector("m"), "its centre in the robot base")
+    abc = default([0, 0, 0], keys.vector("rad"), "its orientation in the robot base: Euler angles A about z, B about y', C about x''")
+
+
+class LoadKeys(Keys):
+    """A load on the last cube."""
+
+    force = default([0, 0, 0], keys.vector("N"), "in the robot base")
+    moment = default([0, 0, 0], keys.vector("N.m"), "in the robot base")
+
+
+class CubesKeys(Keys):
+    """A measurement of joint springs with cubes on the robot: where everything stands, which loads, and the table of readings."""
+
+    robot = required(keys.text(), "name in models/data/robots, or a .toml file")
+    q = required(keys.anything("six quantities", "rad"), "axis angles")
+    readings = required(keys.text(), "table beside this file: a column per cube and spot, a row per load, loaded minus unloaded")
+    unit = required(keys.text(), "unit of the readings")
+    cube = required(keys.each(CubeKeys), "the cubes")
+    load = required(keys.each(LoadKeys), "the loads, a row of the readings each")
+    sensors = default({}, keys.table(SensorsKeys), "the sensors")
+    spots = optional(keys.table(SpotsKeys), "where they look")
+    given = default({}, keys.table(GivenKeys), "what is not identified")
+
+
 def read_set(file: Path) -> MeasuredCubes:
     """The measured set of a TOML file. MeasuredSetError says what is wrong and what is expected."""
     if not file.is_file():
         raise MeasuredSetError(f"no measured set {file}; expected a TOML file of cubes and loads, see docs/how_to/identify.md")
     top = Entry.load(file, MeasuredSetError, convert, name=str(file))
-    top.keys({"robot", "q", "readings", "unit", "cube", "load"}, {"sensors", "spots", "given"})
-    sensors = top.get("sensors", {}).keys((), ("noise", "averages", "systematic"))
-    standard = Triangulation()
-    q = top["q"].each()
+    k, s, c, w = CubesKeys, SensorsKeys, CubeKeys, LoadKeys
+    k.of(top)
+    sensors = k.sensors.of(top)
+    q = k.q.of(top).each()
     if len(q) != AXES:
         raise top["q"].expected("six axis angles")
-    cubes = [c.keys({"name", "behind", "position"}, {"abc"}) for c in top["cube"].each()]
-    loads = [w.keys((), {"force", "moment"}) for w in top["load"].each()]
-    given = top.get("given", {}).keys((), ("compliance", "joints"))
+    cubes, loads, given = k.cube.of(top), k.load.of(top), k.given.of(top)
     with top["cube"].blamed_for(ValueError):
         setup = Setup(
-            load_robot(top["robot"].text()),
+            load_robot(k.robot.of(top)),
             np.array([a.si("rad") for a in q]),
             tuple(
                 Cube(
-                    c["name"].text(),
-                    MEMBERS.index(c["behind"].choice(MEMBERS)),
-                    np.array(c["position"].vector("m")),
-                    Rotation.from_euler("ZYX", c.get("abc", [0, 0, 0]).vector("rad")).as_matrix(),
+                    c.name.of(cube),
+                    MEMBERS.index(c.behind.of(cube)),
+                    np.array(c.position.of(cube)),
+                    Rotation.from_euler("ZYX", c.abc.of(cube)).as_matrix(),
                 )
-                for c in cubes
+                for cube in cubes
             ),
             _spots(top),
-            Triangulation(
-                sensors.get("noise", f"{standard.noise} m").si("m"),
-                sensors.get("averages", standard.averages).count(1),
-                sensors.get("systematic", f"{standard.systematic} m").si("m"),
-            ),
+            Triangulation(s.noise.of(sensors), s.averages.of(sensors), s.systematic.of(sensors)),
         )
-    names = [c.name for c in setup.cubes]
+    names = [cube.name for cube in setup.cubes]
     if doubles := sorted({n for n in names if names.count(n) > 1}):
         raise top["cube"].fail(f"two cubes are called {doubles[0]!r}; expected a name of its own for each")
-    joints = tuple(JOINT_NAMES.index(j.choice(JOINT_NAMES)) for j in given.get("joints", []).each())
+    joints = tuple(JOINT_NAMES.index(j.choice(JOINT_NAMES)) for j in GivenKeys.joints.of(given).each())
     if joints and "compliance" not in given:
         raise given.fail("joints without compliance; expected the springs that they are taken from, a name of models/data/compliance")
     return MeasuredCubes(
         setup,
-        np.array([w.get("force", [0, 0, 0]).vector("N") for w in loads]).reshape(-1, 3),
-        np.array([w.get("moment", [0, 0, 0]).vector("N.m") for w in loads]).reshape(-1, 3),
-        file.parent / top["readings"].text(),
-        top["unit"].text(),
+        np.array([w.force.of(load) for load in loads]).reshape(-1, 3),
+        np.array([w.moment.of(load) for load in loads]).reshape(-1, 3),
+        file.parent / k.readings.of(top),
+        k.unit.of(top),
         _compliance(given["compliance"].text()) if "compliance" in given else None,
         joints,
     )
@@ -189,7 +240,7 @@ def read_set(file: Path) -> MeasuredCubes:
 def _spots(top: Entry) -> Spots:
     if "spots" not in top:
         return three_two_one()
-    spots = top["spots"].keys({"points", "directions"})
+    spots = SpotsKeys.of(top["spots"])
     with spots.blamed_for(ValueError):
         return Spots(
             np.array([p.vector("m") for p in spots["points"].each()]), np.array([d.vector("1") for d in spots["directions"].each()])

@@ -31,7 +31,9 @@ from robomill.models.model.units import convert
 from robomill.models.robot.kinematics import SPINDLE_ACROSS, Robot, Tool, load_robot, load_tool
 from robomill.orchestration.errors import OrchestrationError, unknown
 from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system import keys
 from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.keys import Keys, default, optional, required
 
 COUPLED, APART = "axes", "joints"
 _STANDARD = {"robot": "kr300_r2500_ultra", "tool": "spindle_across"}
@@ -64,6 +66,30 @@ class MeasuredSet:
     """Whether the springs are at the axis angles; False: at the joints, the coupling is one of the display."""
     values: Mapping[str, FloatArray]
     """Quantity -> [n, width] in SI; zeros for one that is not measured and not needed."""
+
+
+class MeasuredRobotKeys(Keys):
+    """The robot, by name or by file."""
+
+    name = optional(keys.text(), "name in models/data/robots")
+    file = optional(keys.file(), "a file of that form")
+    springs = default(COUPLED, keys.choice((COUPLED, APART)), "where the springs of coupled drives are: at the `axes`, or at the `joints`")
+
+
+class MeasuredToolKeys(Keys):
+    """The tool, by name, by file, or by its tip alone."""
+
+    name = optional(keys.text(), "name in models/data/tools")
+    file = optional(keys.file(), "a file of that form")
+    p_FT_F = optional(keys.vector("m"), "tool tip from the flange")
+
+
+class ColumnsKeys(Keys):
+    """One quantity of all poses: columns of a table, one row per pose."""
+
+    file = required(keys.file(), "table beside this file, in any format that `robomill import` reads")
+    columns = required(keys.texts(), "its columns, one for each element of the quantity")
+    unit = required(keys.text(), "their unit")
 
 
 def read_measured(files: Sequence[Path], quantities: Sequence[Quantity], robot: str | None = None, tool: str | None = None) -> MeasuredSet:
@@ -129,36 +155,38 @@ def _of_tables(top: Entry, quantities: Sequence[Quantity]) -> dict[str, FloatArr
 def _from_toml(file: Path, quantities: Sequence[Quantity], robot: str | None, tool: str | None) -> MeasuredSet:
     top = _top(file)
     top.keys({q.name for q in quantities if q.needed}, {"robot", "tool", *(q.name for q in quantities)})
-    about = top.get("robot", {}).keys((), ("name", "file", "springs"))
+    k = MeasuredRobotKeys
+    about = k.of(top.get("robot", {}))
     if robot is None and not about.value.keys() & {"name", "file"}:
         raise top.fail("no robot: expected [robot] with a name of models/data/robots or a file, or the option --robot")
     values = _of_tables(top, quantities)
     rows = len(next(iter(values.values())))
     return MeasuredSet(
-        load_robot(robot or (about["file"].file() if "file" in about else about["name"].text())),
+        load_robot(robot or k.file.of(about) or about["name"].text()),
         load_tool(tool) if tool else _tool(top.get("tool", {})),
-        about.get("springs", COUPLED).choice((COUPLED, APART)) == COUPLED,
+        k.springs.of(about) == COUPLED,
         {q.name: values.get(q.name, np.zeros((rows, q.width))) for q in quantities},
     )
 
 
 def _tool(entry: Entry) -> Tool:
-    entry.keys((), ("name", "file", "p_FT_F"))
-    named = load_tool(entry["file"].file() if "file" in entry else entry["name"].text()) if len(entry.value.keys() - {"p_FT_F"}) else None
-    if "p_FT_F" not in entry:
-        return named or SPINDLE_ACROSS
-    return replace(named or SPINDLE_ACROSS, p_FT_F=np.array(entry["p_FT_F"].vector("m")))
+    k = MeasuredToolKeys
+    k.of(entry)
+    source, tip = k.file.of(entry) or k.name.of(entry), k.p_FT_F.of(entry)
+    tool = SPINDLE_ACROSS if source is None else load_tool(source)
+    return tool if tip is None else replace(tool, p_FT_F=np.array(tip))
 
 
 def _columns(entry: Entry, wanted: Quantity) -> FloatArray:
     """[n, width] in SI of the columns that a table names."""
-    entry.keys({"file", "columns", "unit"})
-    file, names = entry["file"].file(), entry["columns"].texts()
+    k = ColumnsKeys
+    k.of(entry)
+    file, names = k.file.of(entry), k.columns.of(entry)
     if len(names) != wanted.width:
         raise entry["columns"].expected(f"{wanted.width} names of columns")
     if file.suffix not in SUFFIXES:
         raise entry["file"].fail(f"{unknown('suffix', file.suffix, SUFFIXES)}")
-    unit, log = entry["unit"].text(), read_log(file, SUFFIXES[file.suffix])
+    unit, log = k.unit.of(entry), read_log(file, SUFFIXES[file.suffix])
     with entry["unit"].blamed_for(ValueError):
         factor, offset = convert(1.0, unit, wanted.unit) - convert(0.0, unit, wanted.unit), convert(0.0, unit, wanted.unit)
     return np.stack([log[name] for name in names], axis=1) * factor + offset

@@ -47,19 +47,19 @@ def _add_priority(parser: Any) -> None:
 
 def add_robot_arguments(parser: Any) -> None:
     """Options of `robomill krc`."""
-    parser.add_argument("link", type=Path, metavar="LINK.toml", help="the link file that the partner has, too")
+    parser.add_argument("link", type=Path, metavar="LINK.toml", help="the link file; the partner has the same one")
     parser.add_argument("--to", type=address, metavar="IP:PORT", help="where the partner listens (default: the link's)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for what the robot did (default: results/NAME_robot)")
     parser.add_argument("--overwrite", action="store_true", help="replace a run that is in the folder")
     parser.add_argument("--fmus", type=Path, nargs="?", const=Path("dist"), metavar="FOLDER", help="run the FMUs in FOLDER (dist)")
     parser.add_argument("--adopt", type=Path, metavar="FILE.ssv", help="a robot with these parameters instead of the nominal one")
     parser.add_argument("--lost", type=float, default=0.0, metavar="P", help="probability that a datagram is lost, in either direction")
-    parser.add_argument("--late", type=float, default=0.0, metavar="P", help="that it comes a cycle late")
-    parser.add_argument("--doubled", type=float, default=0.0, metavar="P", help="that it comes twice")
+    parser.add_argument("--late", type=float, default=0.0, metavar="P", help="probability that a datagram comes a cycle late")
+    parser.add_argument("--doubled", type=float, default=0.0, metavar="P", help="probability that a datagram comes twice")
     parser.add_argument("--jitter", type=in_unit("s"), default=0.0, metavar="S", help="packets leave up to so much late, s or with a unit")
     parser.add_argument("--seed", type=int, default=1, help="of losses, delays and jitter (default: 1)")
     _add_priority(parser)
-    parser.add_argument("--in-step", action="store_true", help="not in real time, but as fast as answers come")
+    parser.add_argument("--in-step", action="store_true", help="go on as fast as answers come, instead of in real time")
 
 
 def address(text: str) -> Address:

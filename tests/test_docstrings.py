@@ -19,6 +19,7 @@ FOLDERS = (
     "fmus",
     "models",
     "orchestration",
+    "reference",
     "robomill",
     "tests",
 )

@@ -108,7 +108,8 @@ def run(m: Machine, c: Condition, random: np.random.Generator | None = None) -> 
     log = simulate(cell, path, late, float(cell.cut.size[2] - BLOCK[2]), noise, chance, _load(c, path.t))
     if not np.all(np.isfinite(log.tip)) or float(np.abs(log.tip - path.p[:: round(CYCLE / FINE)]).max()) > 0.02:
         raise RunError(
-            f"condition {c.name!r}: the tool leaves its path by more than 20 mm; the loop of force and deflection has run away",
+            f"condition {c.name!r}: the tool leaves its path by more than 20 mm; the loop of force and deflection has run away"
+            "; choose a smaller depth of cut or feed",
             "compliance",
             path.t[-1],
         )

@@ -101,7 +101,7 @@ def read(file: Path) -> Ethernet:
         raise EthernetError(f"{file}: ONLYSEND is {only_send!r}; expected TRUE or FALSE")
     protocol = _text(file, root, "CONFIG/PROTOCOL", "UDP").upper()
     if protocol != "UDP":
-        raise EthernetError(f"{file}: PROTOCOL is {protocol!r}; only UDP is supported")
+        raise EthernetError(f"{file}: PROTOCOL is {protocol!r}; only UDP is supported; set it to UDP")
     port = _text(file, root, "CONFIG/PORT")
     if not port.isdecimal() or not 0 < int(port) <= _LAST_PORT:
         raise EthernetError(f"{file}: PORT is {port!r}; expected a whole number from 1 to {_LAST_PORT}")
@@ -115,14 +115,16 @@ def read(file: Path) -> Ethernet:
     )
     names = [name for e in (*made.send, *made.receive) for name in e.names]
     if twice := sorted({n for n in names if names.count(n) > 1}):
-        raise EthernetError(f"{file}: {available(twice)} twice; an element is there once")
+        raise EthernetError(f"{file}: {available(twice)} twice; an element is there once; leave one of them out")
     return made
 
 
 def _text(file: Path, root: ElementTree.Element, path: str, default: str | None = None) -> str:
     text = (root.findtext(path) or "").strip()
     if not text and default is None:
-        raise EthernetError(f"{file}: <{path.replace('/', '><')}> is missing or empty")
+        raise EthernetError(
+            f"{file}: <{path.replace('/', '><')}> is missing or empty; add it: `robomill rsi LINK --config FILE` writes such a file"
+        )
     return text or (default or "")
 
 

@@ -64,7 +64,10 @@ class Telegram:
         self.places = (*places, Place(IPOC, WHOLE))
         names = [p.name for p in self.places]
         if len(set(names)) < len(names):
-            raise TelegramError(f"<{root}>: {', '.join(sorted({n for n in names if names.count(n) > 1}))} twice; a name is one value")
+            raise TelegramError(
+                f"<{root}>: {', '.join(sorted({n for n in names if names.count(n) > 1}))} twice; a name is one value"
+                "; leave one of them out of the configuration file"
+            )
         self.index = {name: i for i, name in enumerate(names)}
         self.buffer = bytearray(LONGEST)
         self.values = np.zeros(len(names))

@@ -23,8 +23,10 @@ from pathlib import Path
 from robomill.diagnosis.experiment.measured import Condition, DataError, driven, sort_by_condition
 from robomill.orchestration.assembly import MEASURED
 from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system import keys
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.keys import Keys, required
 
 DIAGNOSE, HELD_OUT = "diagnose", "held_out"
 
@@ -49,7 +51,7 @@ class Campaign:
 
     def __post_init__(self) -> None:
         if not self.runs:
-            raise DataError("no run to diagnose: all of them are held out")
+            raise DataError("no run to diagnose: all of them are held out; give at least one run that is not held out")
 
     @staticmethod
     def of(system: System, runs: Sequence[Run], held_out: Sequence[Run] = ()) -> Campaign:
@@ -98,6 +100,30 @@ def _told_apart(conditions: Sequence[Condition]) -> list[Condition]:
     return made
 
 
+class CampaignHeadKeys(Keys):
+    """What the campaign is called."""
+
+    name = required(keys.text(), "name of the campaign")
+
+
+class ConditionKeys(Keys):
+    """Runs of one system, made under one condition."""
+
+    name = required(keys.text(), "name of the condition, used once")
+    system = required(keys.file(), "system file of the nominal simulation of these runs")
+    runs = required(keys.texts(), "run folders, or patterns of them such as `../runs/pushes/*`, relative to this file")
+    role = required(
+        keys.choice((DIAGNOSE, HELD_OUT)), "`diagnose`: the runs are fitted; `held_out`: the answer is tried on them afterwards"
+    )
+
+
+class CampaignKeys(Keys):
+    """Conditions of several systems that share components, diagnosed together."""
+
+    campaign = required(keys.table(CampaignHeadKeys), "the campaign")
+    condition = required(keys.each(ConditionKeys), "the conditions; at least one has the role `diagnose`")
+
+
 def load_campaign(path: str | Path, load_system: Callable[[Path], System]) -> Campaign:
     """Read a campaign file and all its runs; each system is loaded once.
 
@@ -106,17 +132,16 @@ def load_campaign(path: str | Path, load_system: Callable[[Path], System]) -> Ca
     file = Path(path)
     if not file.is_file():
         raise FileNotFoundError(f"no campaign {file}")
-    top = Entry.load(file, DataError).keys({"campaign", "condition"})
-    name = top["campaign"].keys({"name"})["name"].text()
-    entries = list(top["condition"].each())
+    top = CampaignKeys.of(Entry.load(file, DataError))
+    name = CampaignHeadKeys.name.of(CampaignKeys.campaign.of(top))
+    k = ConditionKeys
     systems: dict[Path, System] = {}
     parts: dict[str, Part] = {}
-    for entry in entries:
-        entry.keys({"name", "system", "runs", "role"})
-        called, role = entry["name"].text(), entry["role"].choice((DIAGNOSE, HELD_OUT))
+    for entry in CampaignKeys.condition.of(top):
+        called, role = k.name.of(entry), k.role.of(entry)
         if called in parts:
             raise entry["name"].fail(f"{called!r} is there twice; every condition needs a name of its own")
-        place = entry["system"].file()
+        place = k.system.of(entry)
         if place not in systems:
             systems[place] = load_system(place)
         runs = _runs(entry["runs"], systems[place])

@@ -87,7 +87,10 @@ def in_units(run: Run, ports: Mapping[str, PortData], convert: Convert) -> Run:
         try:
             zero, one = convert(0.0, there, wanted), convert(1.0, there, wanted)
         except ValueError as error:
-            raise DataError(f"{run.folder}: column {name} is in {there}, the system has it in {wanted}: {error}") from None
+            raise DataError(
+                f"{run.folder}: column {name} is in {there}, the system has it in {wanted}: {error}"
+                "; correct the unit in the mapping of the import"
+            ) from None
         columns[name], units[name] = zero + (one - zero) * run.columns[name], replace(run.ports[name], unit=wanted)
     return replace(run, columns=columns, ports=units)
 

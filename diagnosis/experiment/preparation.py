@@ -137,7 +137,10 @@ def _with_channels(laboratory: Laboratory, n: int) -> tuple[list[Condition], dic
         if not shown:
             has = ", ".join(sorted({base_name(name) for r in c.runs for name in r.columns}))
             known = ", ".join(dict.fromkeys(map(base_name, outputs[id(system)])))
-            raise DataError(f"{c.name}: no measured column is an output of the system; measured: {has}; outputs: {known}")
+            raise DataError(
+                f"{c.name}: no measured column is an output of the system; measured: {has}; outputs: {known}"
+                "; import the log with the names of the system's ports"
+            )
         for name in shown.keys() & ports.keys():
             if shown[name].unit != ports[name].unit:
                 raise DataError(

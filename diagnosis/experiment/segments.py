@@ -24,6 +24,7 @@ class Structure:
     """What the connections alone say."""
 
     segments: tuple[Segment, ...]
+    """Measured outputs and the components in their reach."""
     alike: tuple[tuple[str, ...], ...]
     """Sets of more than one component that are in the same segments: no replay can tell them apart."""
 

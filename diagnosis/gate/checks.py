@@ -61,11 +61,13 @@ class Finding:
     value: float
     """How much, in `unit`."""
     unit: str
+    """Unit of `value`."""
     text: str
     """In words: a verb and what follows it, the channel being the subject."""
     fatal: bool = True
     """Whether it makes the log a bad one."""
     repaired: bool = False
+    """Whether `--repair` corrected it."""
 
 
 def raw(run: Run, channels: Sequence[str], ranges: Mapping[str, tuple[float | None, float | None]], step: float) -> list[Finding]:

@@ -42,6 +42,7 @@ def check_each(runs: Sequence[Run], held_out: Sequence[Run]) -> None:
         if mixed:
             raise DataError(
                 f"{b.folder} is held out, and {a.folder}, which is diagnosed, has {how}; a run cannot confirm what was found in it"
+                "; leave it out of one of the two"
             )
         raise DataError(
             f"{b.folder} has {how} as {a.folder}: a repeat has noise of its own (one of a simulation without noise says nothing new); "

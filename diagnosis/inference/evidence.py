@@ -244,7 +244,10 @@ def _moved(changes: Changes) -> npt.NDArray[np.bool_]:
     """Which channels any parameter changes; DataError if there is none."""
     moved = np.array([np.any([np.any(c, axis=0) for c in change], axis=0) for change in changes.values()])
     if not moved.any():
-        raise DataError("no parameter of the catalogue changes any of the measured channels: there is nothing to diagnose with")
+        raise DataError(
+            "no parameter of the catalogue changes any of the measured channels: there is nothing to diagnose with"
+            "; give another catalogue, or measure more channels"
+        )
     return np.asarray(moved.any(axis=0))
 
 

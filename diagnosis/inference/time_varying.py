@@ -33,6 +33,7 @@ class Changing:
     """An effect of the catalogue that changes with time, as the catalogue does not have it."""
 
     candidate: Candidate
+    """Effect of the catalogue that is meant."""
     how: str
     """What it does with time, in words."""
     log_odds: float

@@ -30,18 +30,19 @@ class Transfer:
     """What a model is worth in new conditions, with y the whitened residual there and s the signature of the model."""
 
     before: float
+    """chi2 of the nominal system there, over that of noise."""
     after: float
-    """chi2 that the nominal system, and that the model leaves there, over that of noise."""
+    """chi2 that the model leaves there, over that of noise."""
     gain: float
     """What the model gains there against the nominal system [nats], (<y, y> - <y - s, y - s>) / 2, with `doubt` s one more nuisance."""
     expected_gain: float
     """What it would gain if it were right [nats], <s, s> / 2."""
     doubt: float = 0.0
     """Standard deviation of the fitted values, relative to them."""
-
     amplitude: float = 1.0
+    """Factor on s that fits best there."""
     deviation: float = 1.0
-    """Factor on s that fits best there, and its standard deviation by noise, tolerances and form."""
+    """Standard deviation of the amplitude by noise, tolerances and form."""
 
     misfit: float = MISFIT
     """Mean share that the model leaves where it is right."""

@@ -96,6 +96,7 @@ class Dependence:
     """How a residual depends on a variable; or what of it is in a band of frequency."""
 
     variable: str
+    """What the residual depends on, or a band of frequency."""
     share: float
     """Part of the squared residual that it explains by itself, linearly."""
     p: float | None

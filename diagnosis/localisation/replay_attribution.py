@@ -110,7 +110,10 @@ class Replay:
         direct = {a: m for a in self.scales if (m := self._moved(a)) is not None}
         seen = {a: [b.observed(x) for b, x in zip(self.replayed, m, strict=True)] for a, m in direct.items()}
         if not any(np.any(x) for parts in seen.values() for x in parts):
-            raise DataError("no parameter of the catalogue changes a measured output of its component: there is nothing to replay")
+            raise DataError(
+                "no parameter of the catalogue changes a measured output of its component: there is nothing to replay"
+                "; give another catalogue, or measure more channels"
+            )
         self.adding = tuple(dict.fromkeys(a for b in self.replayed for a in b.adding))
         """Measured outputs that are not replayed: alone, they add up what goes in."""
         # outputs that no parameter changes say nothing

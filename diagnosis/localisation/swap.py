@@ -48,9 +48,11 @@ class Share:
     """Part of a component in the gap of one figure: its Shapley value, 0..1."""
 
     figure: str
+    """Figure whose gap is shared out."""
     component: str
     """Whose outputs are put right; the cause may be anything between them and the cuts before them."""
     share: float
+    """Part of the gap, 0..1."""
     interval: list[float] | None
     """90 %, bootstrap over the repeats; None where nothing was repeated."""
 

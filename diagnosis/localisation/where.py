@@ -55,19 +55,23 @@ class Where:
     """What is said of a component that has a share in the gap; what replay and swaps add (EXTRA) is None where they do not blame it."""
 
     component: str
+    """Component that is blamed."""
     share: float
+    """Part of the whole gap, whitened, 0..1."""
     interval: list[float] | None
-    """Part of the whole gap, whitened, 0..1, with its 90 % interval; None where nothing was repeated."""
+    """90 % interval of the share; None where nothing was repeated."""
     location: str
     """Place in the component; "" where nobody knows."""
     direction: str
+    """Axis of a frame (`B.y`) in which it shows most; the channel again where there is none."""
     channel: str
-    """Channel in which it shows most, and its axis of a frame (`B.y`); the channel again where that is none."""
+    """Channel in which it shows most."""
     regime: list[list[float]]
     """Times when it is there, [from, to] [s]."""
     log_odds: float | None = None
+    """Log of the odds that the component is to blame."""
     alternatives: tuple[str, ...] | None = None
-    """As in `Blame`."""
+    """Components that the replay cannot tell from it."""
     outputs: tuple[str, ...] | None = None
     """Measured outputs in its reach whose replay leaves more than noise."""
     alignment: dict[str, float] | None = None

@@ -38,7 +38,7 @@ def read(file: str | Path) -> dict[str, Written]:
         if not name:
             raise files.fail(f"{what}; expected component.parameter")
         if name in found.setdefault(component, {}):
-            raise files.fail(f"{what} is there twice")
+            raise files.fail(f"{what} is there twice; leave one of them out")
         given = given_by(files, parameter, what)
         found[component][name] = {"value": given.value, "unit": given.unit}
     return {c: Written(values, {(name,): str(path) for name in values}) for c, values in found.items()}

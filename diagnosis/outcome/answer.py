@@ -54,9 +54,11 @@ class Estimate:
     """Fitted value of a parameter."""
 
     value: float
+    """Fitted value, in `unit`."""
     interval: list[float]
     """90 %."""
     unit: str
+    """Unit of the parameter."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +66,13 @@ class Which:
     """A candidate of the catalogue that may be the cause."""
 
     effect: str
+    """Name in the catalogue."""
     component: str
+    """Component that has the effect."""
     location: str
+    """Where in the component, by the catalogue."""
     probability: float
+    """Probability that the effect is there, 0..1."""
     parameters: dict[str, Estimate]
     """Parameter of the component -> its value in the likeliest model that has the candidate."""
     confusable_with: list[str]
@@ -78,11 +84,13 @@ class Gap:
     """Whitened squares summed over the diagnosed runs, noise taken off (`Search.gap`)."""
 
     before: float
+    """With the nominal system."""
     within_calibration: float
-    """With the nominal system, and the part of it that the tolerances of calibrated numbers explain."""
+    """Part of `before` that the tolerances of calibrated numbers explain."""
     after: float
+    """With the best model and these tolerances."""
     noise: float
-    """With the best model and these tolerances, and the standard deviation of that by noise."""
+    """Standard deviation of `after` by noise."""
     unexplained: float
     """Share of what is beyond noise and calibration that the best model leaves, 0..1."""
     noise_is_a_guess: bool
@@ -96,7 +104,9 @@ class Unknown:
     channels: dict[str, float]
     """Channel -> its share in what the best model leaves, 0..1, largest first."""
     component: str
+    """Component that is blamed."""
     direction: str
+    """As in `Where`."""
     regime: list[list[float]]
     """As in `Where`."""
     nearest: str
@@ -110,11 +120,15 @@ class Visible:
     """The smallest value of a parameter that would have been seen."""
 
     effect: str
+    """Name in the catalogue."""
     location: str
+    """Where in the component."""
     parameter: str
+    """Parameter of the component."""
     value: float
     """SHOWS standard deviations (`visibility`) [unit]; infinite where it does not show."""
     unit: str
+    """Unit of the parameter."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +136,9 @@ class Effort:
     """What the diagnosis took."""
 
     seconds: float = 0.0
+    """Wall-clock time [s]."""
     simulations: int = 0
+    """Simulations that were run."""
     taken_over: int = 0
     """Simulations that were there already."""
 
@@ -132,6 +148,8 @@ class Answer:
     """What diagnosis.json holds, in its order; what is None is not part of this answer."""
 
     verdict: Verdict
+    """`identified`: one cause; `ambiguous`: several that the runs cannot tell apart; `unknown`: an effect that is not in the catalogue;
+    `none`: no effect; `bad_log`: the log cannot be used."""
     findings: tuple[gate.Finding, ...] = ()
     """What is to be said of the log."""
     where: tuple[Where, ...] = ()
@@ -141,28 +159,39 @@ class Answer:
     families: tuple[Family, ...] = ()
     """Effects that count as one, or that cannot be told apart; likeliest first."""
     how_far: tuple[HowFar, ...] = ()
+    """How far the gap closes with the adopted effects."""
     steps: Steps | None = None
     """The accepted effects one after the other."""
     next_run: NextRun | None = None
+    """The run that would tell the likely models apart best; null where none is needed."""
     isolability: tuple[Pair, ...] | None = None
+    """Pairs of effects that the runs cannot tell apart."""
     gap: Gap | None = None
+    """Size of the gap, before and after."""
     tests: Tests | None = None
+    """What the verdict rests on."""
     transfer: Transfer | None = None
     """What the best model is worth in held-out conditions."""
     smallest_visible: tuple[Visible, ...] | None = None
+    """Smallest values of effects that would have been seen."""
     probability_none: float | None = None
     """Probability that there is no effect."""
     replay: tuple[Reading, ...] | None = None
+    """What replay of single components leaves."""
     swap: tuple[Share, ...] | None = None
+    """Share of each component in each figure."""
     structure: Structure | None = None
+    """What the connections alone say."""
     not_replayed: str | None = None
     """Why the replay failed, or which outputs it left out."""
     predictive: dict[str, dict[str, float]] | None = None
     """Model -> condition -> gain in log score there [nats] when it is fitted to the others."""
     unknown: Unknown | None = None
+    """What is known of an effect that is not in the catalogue."""
     form: Form | None = None
     """What an unknown law is like."""
     effort: Effort = field(default_factory=Effort)
+    """What the diagnosis took."""
     skipped: tuple[str, ...] = ()
     """What of the catalogue the system does not have, in words."""
 
@@ -211,7 +240,11 @@ def _described(array: str, members: Sequence[PortData]) -> str:
 
 
 def to_json(answer: Answer) -> dict[str, Any]:
-    """The data of diagnosis.json."""
+    """The data of diagnosis.json: the fields of the answer, with four differences.
+
+    `schema` is the first key. `findings` stand in `gate`, beside `usable`: whether the log is good enough. Of `shares` only share and
+    interval are kept, of `unknown.changes` the effect that it is `like`, `how` and the `gain`. `transfer` has `promise` and `worth`, too.
+    """
     data = asdict(answer, dict_factory=_there)
     found = {"usable": answer.verdict != "bad_log", "findings": data.pop("findings")}
     data = {"schema": SCHEMA, "verdict": answer.verdict, "gate": found, **data}

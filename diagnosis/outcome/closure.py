@@ -46,28 +46,35 @@ class HowFar:
     """How far the gap of one figure shrinks on one kind of runs."""
 
     metric: str
+    """What people call the figure."""
     channel: str
-    """What people call the figure, and the measured array that it is of ("all channels, whitened": the whole gap)."""
+    """Measured array that it is of; `all channels, whitened` is the whole gap."""
     unit: str
+    """Unit of the figure."""
     on: str
     """"diagnosed runs", "held-out repeat" or "held-out condition"."""
     before: float
+    """Root mean square of the gap with the nominal system [unit]; noise is taken off unless it is a guess."""
     after: float
+    """Root mean square with the adopted effects [unit]; noise is taken off unless it is a guess."""
     floor: float
-    """Root mean squares [unit]: of the gap with the nominal system and with the adopted effects; of noise, which is taken off the others
-    unless it is a guess."""
+    """Root mean square of noise [unit]."""
     closure: float | None = None
+    """1 - G_after / G_before, G the square of the gap; null where the gap is not `measurable`."""
     interval: list[float] | None = None
-    """1 - G_after / G_before with its 90 % interval; None, like what follows, where the gap is not `measurable` beside the noise."""
+    """90 % interval of the closure."""
     ceiling: float | None = None
+    """Closure that any model could have."""
     ceiling_by: str | None = None
-    """Closure that any model could have, and what says so: "repeats" or "regression"."""
+    """What says so: "repeats" or "regression"."""
     ratio: float | None = None
     """`closure` / `ceiling`, if that is more than 0."""
     measurable: bool = True
+    """Whether the gap is large enough beside the noise."""
     within_noise: bool = False
     """Whether what is left with the adopted effects is not measurable beside the noise: `after` may be nothing."""
     why_no_ceiling: str | None = None
+    """Why there is no ceiling, in words."""
 
 
 Halves = tuple[FloatArray, FloatArray]

@@ -43,7 +43,9 @@ class Value:
     """What the experimenter sets."""
 
     value: float
+    """Value to set, in `unit`."""
     unit: str
+    """Unit of the value."""
 
 
 @dataclass(frozen=True)
@@ -51,15 +53,18 @@ class Alternative:
     """The best run of another kind."""
 
     kind: str
+    """Kind of run (docs/reference/formats/next_runs.md)."""
     distance: float
     """Whitened distance of the two models that are closest in it [deviations of noise]; of those that were not looked at with the
     nuisances, without them."""
     minutes: float
+    """What its repeats cost on the machine."""
     separation: float
     """Expected information [nats]."""
     per_minute: float
     """That per minute."""
     parameters: dict[str, Value]
+    """What the experimenter sets, by name."""
 
 
 @dataclass(frozen=True)
@@ -67,18 +72,25 @@ class NextRun:
     """The run that tells the likely models apart best; `kind` to `parameters` as in `Alternative`."""
 
     kind: str
+    """As in `Alternative`, like all that has no meaning here."""
     separates: tuple[str, ...]
     """Names of these models."""
     separated: bool
     """Whether it tells them apart: `distance` is not below CONFUSABLE."""
     distance: float
+    """Whitened distance of the two models that are closest in it [deviations of noise]."""
     now: float
     """That distance in the given runs [deviations of noise]."""
     minutes: float
+    """What its repeats cost on the machine."""
     separation: float
+    """Expected information [nats]."""
     per_minute: float
+    """Expected information per minute."""
     repeats: int
+    """Repeats to make."""
     parameters: dict[str, Value]
+    """What the experimenter sets, by name."""
     models: dict[str, dict[str, dict[str, float]]]
     """Model -> component -> parameter -> value."""
     alternatives: tuple[Alternative, ...]

@@ -40,6 +40,7 @@ class Steps:
     on: str
     """Kind of runs (`HowFar`), the hardest test that there is. What there was before, and the noise, is in `how_far`."""
     added: tuple[Step, ...]
+    """In the order in which they join."""
 
 
 def steps(closing: Closing, fit: Fit) -> Steps:

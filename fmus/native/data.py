@@ -102,7 +102,7 @@ def _message(model: Model, message: str) -> list[str]:
             continue
         if conversion or not _allowed(spec or ""):
             where = f"model {model.name!r}: error message {message!r}"
-            raise NativeBuildError(f"{where}: {field!r} has a format that C does not know: {spec!r}")
+            raise NativeBuildError(f"{where}: {field!r} has a format that C does not know: {spec!r}; use a format such as %g, %d or %s")
         style = f"%{spec}" if spec else ""
         if field == "t":
             parts.append(f"{{{_text(text)}, 't', {_text(style)}, 0, 0}}")
@@ -125,9 +125,13 @@ def _place(model: Model, message: str, field: str) -> tuple[str, int, int]:
     fields: Any = model.dtype.fields
     dtype = fields[name][0] if name in fields and re.fullmatch(r"\w+(\[\d+\])*", field) else None
     if dtype is None or len(index) > len(dtype.shape):
-        raise NativeBuildError(f"model {model.name!r}: error message {message!r}: no such field: {field!r}")
+        raise NativeBuildError(
+            f"model {model.name!r}: error message {message!r}: no such field: {field!r}; correct the message of the model"
+        )
     if any(not 0 <= i < n for i, n in zip(index, dtype.shape, strict=False)):
-        raise NativeBuildError(f"model {model.name!r}: error message {message!r}: {field!r} is out of range")
+        raise NativeBuildError(
+            f"model {model.name!r}: error message {message!r}: {field!r} is out of range; correct the message of the model"
+        )
     count = math.prod(dtype.shape[len(index) :])
     at = 0
     for i, n in zip(index, dtype.shape, strict=False):

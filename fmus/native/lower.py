@@ -41,7 +41,10 @@ _GARBAGE = 200_000
 
 
 class NativeBuildError(RuntimeError):
-    """A model that cannot become a native FMU, or a tool that failed; the text says which and why."""
+    """A model that cannot become a native FMU, or a tool that failed; the text says which and why.
+
+    Remedy: write the model as docs/how_to/native.md says, or build it with `--backend python`.
+    """
 
 
 @dataclass(frozen=True)
@@ -256,7 +259,9 @@ def portable(modules: list[tuple[str, str, str]]) -> str:
     passes.run(whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=0)))
     missing = sorted({f.name for f in whole.functions if f.is_declaration and f.name.startswith(FORBIDDEN)})
     if missing:
-        raise NativeBuildError(f"the code calls {', '.join(missing)}, which only exist inside Python")
+        raise NativeBuildError(
+            f"the code calls {', '.join(missing)}, which only exist inside Python; write it in terms of models/maths/elementary.py"
+        )
     for name in public:  # seen by the C sources beside it, not by other FMUs in the same process
         whole.get_function(name).visibility = "hidden"
     counts = {"function": 0, "global": 0}
@@ -269,7 +274,10 @@ def portable(modules: list[tuple[str, str, str]]) -> str:
     text = _square_roots(_without_target(str(whole)))
     inexact = INEXACT.search(text)
     if inexact:
-        raise NativeBuildError(f"the code holds arithmetic marked {inexact.group().strip()!r}, which processors round differently")
+        raise NativeBuildError(
+            f"the code holds arithmetic marked {inexact.group().strip()!r}, which processors round differently"
+            "; write it as plain sums and products"
+        )
     return text
 
 

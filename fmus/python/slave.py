@@ -140,7 +140,7 @@ class Slave(Fmi2Slave):
     def do_step(self, t: float, h: float) -> bool:
         """From t to t + h [s]. After an error the instance needs a reset or an earlier state."""
         if not self._initialised:
-            raise ComponentError(f"{self._instance.name}: a step before the end of initialisation")
+            raise ComponentError(f"{self._instance.name}: a step before the end of initialisation; call exitInitializationMode first")
         if self._failed:
             raise ComponentError(
                 f"{self._instance.name}: cannot go on after an error; reset it or restore a state. The error was: {self._failed}"

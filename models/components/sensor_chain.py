@@ -62,14 +62,23 @@ class ForceSensor:
     """A six-axis force-torque sensor, from a file in models/data/sensors; arrays are x, y, z of S."""
 
     name: str
+    """Name for people."""
     range_f: FloatArray = field(metadata=quantity("N", 0.0))
+    """Largest force that is measured."""
     range_m: FloatArray = field(metadata=quantity("N.m", 0.0))
+    """Largest moment that is measured."""
     resolution_f: FloatArray = field(metadata=quantity("N", 0.0))
+    """Step of the force."""
     resolution_m: FloatArray = field(metadata=quantity("N.m", 0.0))
+    """Step of the moment."""
     noise_f: float = field(metadata=quantity("N", 0.0))
+    """Standard deviation of a force sample."""
     noise_m: float = field(metadata=quantity("N.m", 0.0))
+    """Standard deviation of a moment sample."""
     walk_f: float = field(metadata=quantity("N", 0.0))
+    """Standard deviation of the drift of the force in one minute."""
     walk_m: float = field(metadata=quantity("N.m", 0.0))
+    """Standard deviation of the drift of the moment in one minute."""
 
 
 @dataclass(frozen=True)

@@ -49,19 +49,33 @@ class SpindleHolder:
     """A spindle holder with strain gauges, from a file in models/data/sensors; x, y, z of H, bridges 1..6."""
 
     name: str
+    """Name for people."""
     strain_force: FloatArray = field(metadata=quantity("1/N"))
+    """Strain of each measuring place by a force along x, y, z at the calibrated attack point."""
     lever: float = field(metadata=quantity("m", 1e-6))
+    """From the holder to that point."""
     gauge_factor: float = field(metadata=quantity("1", 0.0))
+    """Relative change of resistance over strain."""
     poisson: float = field(metadata=quantity("1", 0.0, 0.5))
+    """Poisson's ratio of the holder."""
     supply: float = field(metadata=quantity("V", 1e-3))
+    """Supply voltage of the bridges."""
     amplifier_noise: float = field(metadata=quantity("V", 0.0))
+    """Standard deviation of a sample."""
     resolution: float = field(metadata=quantity("mV/V", 0.0))
+    """Step of a bridge."""
     bridge_range: float = field(metadata=quantity("mV/V", 0.0))
+    """Largest signal of a bridge."""
     force_range: FloatArray = field(metadata=quantity("N", 0.0))
+    """Largest force that is measured."""
     measurement_matrix: FloatArray = field(metadata=quantity("N"))
+    """Force along x, y, z from the signals of bridges 1 to 6; marks the file as one of a spindle holder."""
     bridge_zero: FloatArray = field(metadata=quantity("mV/V"))
+    """Signal of each bridge without load."""
     spindle_mass: float = field(metadata=quantity("kg", 0.0))
+    """Mass of the spindle."""
     spindle_cog: FloatArray = field(metadata=quantity("m"))
+    """Its centre of gravity in H."""
 
     def __post_init__(self) -> None:
         """Refuse arrays of another shape."""

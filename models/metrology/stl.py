@@ -36,7 +36,7 @@ def read_stl(file: str | Path, unit: float = 1e-3) -> FloatArray:
         raise FileNotFoundError(f"no STL file {path}")
     triangles = _facets(path) * unit
     if not np.all(np.isfinite(triangles)):
-        raise StlError(f"{path}: has coordinates that are not finite")
+        raise StlError(f"{path}: has coordinates that are not finite; export the solid anew")
     extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
         others = {"millimetres": 1e-3, "inches": 0.0254, "metres": 1.0, "micrometres": 1e-6}
@@ -61,11 +61,11 @@ def _facets(path: Path) -> FloatArray:
         if len(data) == _HEAD + _COUNT + count * _FACET.itemsize and count > 0:
             return np.frombuffer(data, _FACET, count, _HEAD + _COUNT)["corners"].astype(np.float64)
     if not data.lstrip().lower().startswith(b"solid"):
-        raise StlError(f"{path}: is no STL file, or a binary one that ends early ({len(data)} bytes)")
+        raise StlError(f"{path}: is no STL file, or a binary one that ends early ({len(data)} bytes); export the solid as STL")
     try:
         corners = np.array([tuple(map(float, m)) for m in _CORNER.findall(data)], dtype=np.float64)
     except ValueError as error:
-        raise StlError(f"{path}: {error} in a line 'vertex x y z'") from None
+        raise StlError(f"{path}: {error} in a line 'vertex x y z'; export the solid anew") from None
     if len(corners) == 0 or len(corners) % 3:
         raise StlError(f"{path}: ASCII with {len(corners)} lines 'vertex x y z'; expected three for each triangle")
     return corners.reshape(-1, 3, 3)

@@ -144,6 +144,7 @@ def measure(nominal: ToolPath, actual: ToolPath, block_size: npt.ArrayLike, spac
         raise NothingCutError(
             f"nothing is cut: the nominal path makes no surface in the block of {_mm(size * 1e3)} mm; the tip spans x, y, z = "
             f"{_mm(low)} to {_mm(high)} mm from the centre of the block's top"
+            "; correct the place of the block or the zero of the program"
         )
     bottom = np.full(len(at), -np.inf)
     bottom[~at.wall], _ = cut.bottom(at.points[~at.wall, :2])

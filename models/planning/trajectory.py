@@ -341,7 +341,7 @@ def plan(
         last = elements[-1:].copy()
         last[:, SIGMA] = run[-1].shape.length
     if last is None:
-        raise PlanError(f"{program.name}: nothing to move; the program has no two different points")
+        raise PlanError(f"{program.name}: nothing to move; the program has no two different points; give a program that moves the tool")
     last[:, [TAU, SPINDLE]] = tau, final
     rows.append(last)
     if rows[0][0, TAU] > 0.0:

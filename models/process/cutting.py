@@ -42,11 +42,17 @@ class CuttingCoefficients:
     """Cutting coefficients [Pa] and edge coefficients [N/m] of a material and tool pairing (models/data/materials)."""
 
     Ktc: float = field(metadata=quantity("Pa", 0.0))
+    """Tangential cutting coefficient: force per area of chip."""
     Krc: float = field(metadata=quantity("Pa", 0.0))
+    """Radial cutting coefficient."""
     Kac: float = field(metadata=quantity("Pa", 0.0))
+    """Axial cutting coefficient."""
     Kte: float = field(metadata=quantity("N/m", 0.0))
+    """Tangential edge coefficient: force per length of edge in the cut."""
     Kre: float = field(metadata=quantity("N/m", 0.0))
+    """Radial edge coefficient."""
     Kae: float = field(metadata=quantity("N/m", 0.0))
+    """Axial edge coefficient."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +60,13 @@ class EndMill:
     """A flat end mill (models/data/tools): diameter [m], number of teeth, helix angle [rad], length of the cutting edges [m]."""
 
     diameter: float = field(metadata=quantity("m", 1e-4))
+    """Diameter."""
     teeth: float = field(metadata=quantity("1", 1.0, MAX_TEETH))
+    """Number of teeth."""
     helix: float = field(metadata=quantity("rad", 0.0, 1.2))
+    """Helix angle."""
     cutting_length: float = field(metadata=quantity("m", 0.0))
+    """Length of the cutting edges."""
 
     @property
     def lag(self) -> float:

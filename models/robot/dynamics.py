@@ -45,31 +45,57 @@ class RobotDynamics:
     """
 
     dh_base_roll: float = field(metadata=quantity("rad"))
+    """Turn of the first frame of the source about x of the robot base."""
     dh_d: FloatArray = field(metadata=quantity("m"))
+    """Denavit-Hartenberg offset of each link, as the source has it."""
     dh_a: FloatArray = field(metadata=quantity("m"))
+    """Denavit-Hartenberg length of each link, likewise."""
     dh_alpha: FloatArray = field(metadata=quantity("rad"))
+    """Denavit-Hartenberg twist of each link, likewise."""
     dh_offset: FloatArray = field(metadata=quantity("rad"))
+    """Joint angle where the axis angle is zero, likewise."""
     body_mass: FloatArray = field(metadata=quantity("kg", 0.0))
+    """Mass of each link."""
     body_com: FloatArray = field(metadata=quantity("m"))
+    """Centre of gravity of each link, in its frame."""
     body_inertia: FloatArray = field(metadata=quantity("kg.m2"))
+    """Inertia of each link about its centre of gravity: xx, yy, zz, xy, yz, xz."""
     rotor_inertia: FloatArray = field(default_factory=_none, metadata=quantity("kg.m2", 0.0))
+    """Inertia of each rotor, motor side."""
     gear_ratio: FloatArray = field(default_factory=_direct, metadata=quantity("1", 1.0))
+    """Turns of the motor per turn of the joint."""
     counterbalance_frame_distance: float = field(default=0.0, metadata=quantity("m", 0.0))
+    """Hydraulic counterbalance of axis 2: from the axis to where the cylinder hangs."""
     counterbalance_lever: float = field(default=0.0, metadata=quantity("m", 0.0))
+    """From the axis to where the cylinder pulls; 0: no counterbalance."""
     counterbalance_area: float = field(default=0.0, metadata=quantity("m2", 0.0))
+    """Area of the piston."""
     counterbalance_gas: float = field(default=0.0, metadata=quantity("N.m", 0.0))
+    """Amount of gas: pressure times volume."""
     counterbalance_volume: float = field(default=1.0, metadata=quantity("m3", 0.0))
+    """Volume of the gas where the cylinder is shortest."""
     counterbalance_angle: float = field(default=0.0, metadata=quantity("rad"))
+    """Angle of the cylinder's lever where axis angle 2 is zero."""
     backlash_half_gap: FloatArray = field(default_factory=_none, metadata=quantity("rad", 0.0))
+    """Half of the backlash of each gear, joint side."""
     motor_viscous_friction: FloatArray = field(default_factory=_none, metadata=quantity("N.m.s/rad", 0.0))
+    """Viscous friction of each motor."""
     motor_coulomb_friction: FloatArray = field(default_factory=_none, metadata=quantity("N.m", 0.0))
+    """Coulomb friction of each motor."""
     link_asymmetric_friction: FloatArray = field(default_factory=_none, metadata=quantity("N.m"))
+    """Friction of each joint that has one sign in both directions."""
     link_viscous_friction: FloatArray = field(default_factory=_none, metadata=quantity("N.m.s/rad", 0.0))
+    """Viscous friction of each joint."""
     link_coulomb_friction: FloatArray = field(default_factory=_none, metadata=quantity("N.m", 0.0))
+    """Coulomb friction of each joint."""
     link_step_friction: FloatArray = field(default_factory=_none, metadata=quantity("N.m", 0.0))
+    """Friction of each joint that saturates with its speed."""
     link_step_slope: FloatArray = field(default_factory=_none, metadata=quantity("s/rad", 0.0))
+    """How fast that saturates."""
     payload_inertia: FloatArray = field(metadata=quantity("kg.m2"))
+    """Inertia of the end effector about its centre of gravity."""
     gravity_B: FloatArray = field(metadata=quantity("m/s2"))
+    """Acceleration of gravity in the robot base."""
 
 
 def inertia_matrix(six: npt.ArrayLike) -> FloatArray:

@@ -31,20 +31,31 @@ class Robot:
     """Nominal geometry and limits of a robot, from a file in models/data/robots; arrays have six elements, SI units."""
 
     name: str
+    """Name for people."""
     dh_alpha: FloatArray = field(metadata=quantity("rad"))
+    """Denavit-Hartenberg twist of each link."""
     dh_a: FloatArray = field(metadata=quantity("m"))
+    """Denavit-Hartenberg length of each link."""
     dh_d: FloatArray = field(metadata=quantity("m"))
+    """Denavit-Hartenberg offset of each link."""
     dh_offset: FloatArray = field(metadata=quantity("rad"))
+    """Joint angle where the axis angle is zero."""
     axis_sign: FloatArray = field(metadata=quantity("1", -1.0, 1.0))
+    """1 or -1: sense of each axis angle against its joint."""
     axis_coupling: FloatArray = field(metadata=quantity("1"))
     """Element [i, j], j < i: what axis j+1 adds to the angle of joint i+1 [rad/rad]; zeros elsewhere."""
     q_home: FloatArray = field(metadata=quantity("rad"))
     """Axis angles from which a program is approached: they choose the branch of the inverse kinematics."""
     q_min: FloatArray = field(metadata=quantity("rad"))
+    """Lowest axis angles."""
     q_max: FloatArray = field(metadata=quantity("rad"))
+    """Highest axis angles."""
     speed_max: FloatArray = field(metadata=quantity("rad/s", 0.0))
+    """Highest speed of each axis."""
     payload: float = field(metadata=quantity("kg", 0.0))
+    """Rated payload."""
     repeatability: float = field(metadata=quantity("m", 0.0))
+    """Pose repeatability (ISO 9283)."""
 
     def __post_init__(self) -> None:
         """Refuse tables that are no robot."""
@@ -81,11 +92,17 @@ class Tool:
     """An end effector, from a file in models/data/tools; SI units, components in the flange frame F."""
 
     name: str
+    """Name for people."""
     p_FT_F: FloatArray = field(metadata=quantity("m"))
+    """Tool tip from the flange."""
     abc_FT: FloatArray = field(metadata=quantity("rad"))
+    """Orientation of the tool frame in the flange frame: Euler angles A, B, C."""
     length: float = field(metadata=quantity("m", 0.0))
+    """Distance from the virtual joint of the tool to the tool tip."""
     mass: float = field(metadata=quantity("kg", 0.0))
+    """Mass of the end effector."""
     p_FG_F: FloatArray = field(metadata=quantity("m"))
+    """Centre of gravity of the end effector from the flange."""
 
     @property
     def quat_FT(self) -> FloatArray:

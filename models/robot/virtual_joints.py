@@ -43,11 +43,17 @@ class Compliance:
     """Stiffness of the virtual joints and where they sit, from a file in models/data/compliance."""
 
     stiffness: FloatArray = field(metadata=quantity("N.m/rad", 1.0))
+    """Springs about x, y, z of each virtual joint, one row per joint."""
     sensor_stiffness_scale: float = field(metadata=quantity("1", 1e-3))
+    """Factor on the row of the sensor."""
     link_arm_position: float = field(metadata=quantity("1", 0.0, 1.0))
+    """Where the virtual joint of the linked arm sits, as a share of its length."""
     arm_position: float = field(metadata=quantity("1", 0.0, 1.0))
+    """Where the virtual joint of the arm sits, as a share of its length."""
     sensor_position: float = field(metadata=quantity("m"))
+    """Where the sensor sits, in front of the flange."""
     holder_position: float = field(metadata=quantity("m"))
+    """Where the spindle holder sits, in front of the flange."""
     damping_time: float | FloatArray = field(metadata=quantity("s", 0.0, 1.0))
     """Damping of the virtual joints over their stiffness, D = damping_time K: one value, or a table like that of the stiffness."""
     translation_compliance: FloatArray = field(default_factory=lambda: np.zeros((JOINTS, 3)), metadata=quantity("m/N", 0.0))

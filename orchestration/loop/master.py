@@ -265,7 +265,9 @@ class Master:
     def restore(self, saved: Snapshot) -> None:
         """Go on from a snapshot of the same system, also of another process; the slaves have just been initialised."""
         if (saved.step_ticks, saved.bus.shape, list(saved.states)) != (self._step_ticks, self._bus.shape, list(self._slaves)):
-            raise OrchestrationError("the checkpoint is of another system: another step, or other components or ports")
+            raise OrchestrationError(
+                "the checkpoint is of another system: another step, or other components or ports; run it anew without resuming"
+            )
         for name, slave in self._slaves.items():
             self._announce(name)
             try:
@@ -414,7 +416,9 @@ class Master:
             return math.inf
         span = round(stop * TICK) - self._start_ticks
         if not span >= 0:
-            raise OrchestrationError(f"the run stops at {stop:.9g} s, before it starts at {self._start_ticks / TICK:.9g} s")
+            raise OrchestrationError(
+                f"the run stops at {stop:.9g} s, before it starts at {self._start_ticks / TICK:.9g} s; give a later stop"
+            )
         return -(-span // self._step_ticks)
 
     def _watched(self, until: str | None, stop: float) -> int | None:

@@ -88,7 +88,10 @@ def write(folder: Path, snapshot: Snapshot) -> None:
         part.replace(folder / CHECKPOINT)
     except OSError as error:
         part.unlink(missing_ok=True)
-        raise ResultsError(f"{folder / CHECKPOINT}: the checkpoint at t = {snapshot.time:.9g} s cannot be written: {error}") from None
+        raise ResultsError(
+            f"{folder / CHECKPOINT}: the checkpoint at t = {snapshot.time:.9g} s cannot be written: {error}"
+            "; make room, or choose another folder"
+        ) from None
 
 
 def read(folder: Path) -> Snapshot:

@@ -55,9 +55,11 @@ def write_run(
         raise ResultsError(f"{folder}: time must be finite and increase from row to row; there are {len(t)} rows")
     for name, values in columns.items():
         if values.shape != t.shape:
-            raise ResultsError(f"{folder}: column {name!r} has shape {values.shape}, time has {t.shape}")
+            raise ResultsError(f"{folder}: column {name!r} has shape {values.shape}, time has {t.shape}; give one value per row")
         if not np.all(np.isfinite(values)):
-            raise ResultsError(f"{folder}: column {name!r} is not finite at t = {t[~np.isfinite(values)][0]:.9g} s")
+            raise ResultsError(
+                f"{folder}: column {name!r} is not finite at t = {t[~np.isfinite(values)][0]:.9g} s; cut the run there, or fill the gap"
+            )
     step = round(float(np.median(np.diff(t))), 9) if len(t) > 1 else 0.0
     described = {
         name: {"port": name, "unit": ports[name].unit or "", "frame": frame_of(ports[name].name), "type": "real"} for name in columns

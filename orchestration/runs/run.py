@@ -186,7 +186,7 @@ class Run:
 def load(folder: Path) -> Run:
     """See `Run.load`."""
     if not folder.is_dir():
-        raise ResultsError(f"no run folder {folder}")
+        raise ResultsError(f"no run folder {folder}; give a folder that `robomill run` or `robomill import` has written")
     info = read_info(folder)
     if info.get("outcome") == "running" and not is_locked(folder):
         info["message"] = flight.ended(flight.called(folder))
@@ -205,7 +205,9 @@ def load(folder: Path) -> Run:
         ports[name] = _port(name, said)
     t = _values(table, "t", folder)
     if not np.all(np.diff(t) > 0.0):
-        raise ResultsError(f"{folder}: time does not increase after t = {t[:-1][np.diff(t) <= 0.0][0]:.9g} s")
+        raise ResultsError(
+            f"{folder}: time does not increase after t = {t[:-1][np.diff(t) <= 0.0][0]:.9g} s; import the log anew, cut at that place"
+        )
     return Run(folder, t, columns, ports, info)
 
 
@@ -241,7 +243,7 @@ def read_info(folder: Path) -> dict[str, Any]:
     try:
         return parse(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ResultsError(f"{file}: not valid TOML: {error}") from None
+        raise ResultsError(f"{file}: not valid TOML: {error}; correct that line, or run or import it anew") from None
 
 
 def _read_table(folder: Path) -> pa.Table:
@@ -253,8 +255,8 @@ def _read_table(folder: Path) -> pa.Table:
         if (folder / CSV).is_file():
             return pyarrow.csv.read_csv(folder / CSV)
     except (pa.ArrowInvalid, OSError) as error:
-        raise ResultsError(f"{folder}: the signals cannot be read: {error}") from None
-    raise ResultsError(f"{folder}: there is no {SIGNALS}, {LIVE} or {CSV} in it")
+        raise ResultsError(f"{folder}: the signals cannot be read: {error}; run or import it anew") from None
+    raise ResultsError(f"{folder}: there is no {SIGNALS}, {LIVE} or {CSV} in it; run or import it anew")
 
 
 def _schema(file: Path) -> pa.Schema:
@@ -303,7 +305,9 @@ def arrow(values: npt.NDArray[Any]) -> pa.Array:
 def _values(table: pa.Table, name: str, folder: Path) -> FloatArray:
     column = table.column(name)
     if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type) or pa.types.is_boolean(column.type)):
-        raise ResultsError(f"{folder}: column {name!r} holds no numbers but {column.type}")
+        raise ResultsError(
+            f"{folder}: column {name!r} holds no numbers but {column.type}; leave the column out, or import it anew as numbers"
+        )
     values = column.to_numpy(zero_copy_only=False)
     return np.ascontiguousarray(values, dtype=np.float64)
 
@@ -353,7 +357,7 @@ def set_aside(folder: Path, rows: int) -> Path:
     aside = next((folder / (ASIDE + n) for n in (SIGNALS, LIVE) if (folder / (ASIDE + n)).is_file()), None)
     file = aside or next((folder / n for n in (SIGNALS, LIVE) if (folder / n).is_file()), None)
     if file is None:
-        raise ResultsError(f"{folder}: there is no {SIGNALS} or {LIVE} in it")
+        raise ResultsError(f"{folder}: there is no {SIGNALS} or {LIVE} in it; run it anew without resuming")
     held = sum(len(b) for b in rows_of(file))
     if held < rows:
         raise ResultsError(f"{folder}: {file.name} holds {held} rows, the checkpoint was made after {rows}: run it anew without resuming")
@@ -374,7 +378,7 @@ def rows_of(file: Path) -> Iterator[pa.RecordBatch]:
             with pa.OSFile(str(file)) as source:
                 yield from _batches(source)
     except (pa.ArrowInvalid, OSError) as error:
-        raise ResultsError(f"{file}: the signals cannot be read: {error}") from None
+        raise ResultsError(f"{file}: the signals cannot be read: {error}; run or import it anew") from None
 
 
 def write_csv(folder: Path) -> Path:

@@ -35,7 +35,7 @@ def unpack(file: Path, target: Path, max_total: int = MAX_TOTAL, max_files: int 
     if not file.exists():
         raise SlaveError(f"{file}: no such file{_siblings(file, kind)}")
     if not zipfile.is_zipfile(file):
-        raise SlaveError(f"{file}: not a zip archive, so not an {kind} ({_kind(file)})")
+        raise SlaveError(f"{file}: not a zip archive, so not an {kind} ({_kind(file)}); get the file anew from whoever made it")
     try:
         with zipfile.ZipFile(file) as archive:
             entries = archive.infolist()
@@ -56,7 +56,7 @@ def unpack(file: Path, target: Path, max_total: int = MAX_TOTAL, max_files: int 
                     )
             archive.extractall(target, list(seen.values()))
     except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, EOFError, OSError, ValueError) as error:
-        raise SlaveError(f"{file}: cannot be unpacked: {error}") from None
+        raise SlaveError(f"{file}: cannot be unpacked: {error}; get the file anew from whoever made it") from None
     return [e.filename for e in seen.values() if not e.is_dir()]
 
 
@@ -80,7 +80,10 @@ def _check_entry(file: Path, entry: zipfile.ZipInfo) -> None:
             f"{file}: refused: entry {_short(name)} has a backslash, which parts folders on Windows only: pack it with / instead"
         )
     if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name or "\0" in name:
-        raise SlaveError(f"{file}: refused: entry {_short(name)} would be written outside the folder it is unpacked to")
+        raise SlaveError(
+            f"{file}: refused: entry {_short(name)} would be written outside the folder it is unpacked to"
+            "; get the file anew from whoever made it"
+        )
     if len(name) > MAX_NAME or len(path.parts) > MAX_DEPTH:
         raise SlaveError(
             f"{file}: refused: entry {_short(name)} has {len(name)} characters in {len(path.parts)} levels; "
@@ -88,9 +91,9 @@ def _check_entry(file: Path, entry: zipfile.ZipInfo) -> None:
         )
     mode = entry.external_attr >> 16
     if stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
-        raise SlaveError(f"{file}: refused: entry {_short(name)} is a symbolic link or a special file")
+        raise SlaveError(f"{file}: refused: entry {_short(name)} is a symbolic link or a special file; pack it anew with plain files")
     if entry.flag_bits & 0x1:
-        raise SlaveError(f"{file}: refused: entry {_short(name)} is encrypted")
+        raise SlaveError(f"{file}: refused: entry {_short(name)} is encrypted; pack it anew without encryption")
 
 
 def check_xml(file: Path, source: Path) -> dict[str, str]:
@@ -105,7 +108,9 @@ def check_xml(file: Path, source: Path) -> dict[str, str]:
     depth = 0
 
     def refuse(*_: object) -> None:
-        raise SlaveError(f"{source}: refused: {file.name} has a document type declaration or entities (line {parser.CurrentLineNumber})")
+        raise SlaveError(
+            f"{source}: refused: {file.name} has a document type declaration or entities (line {parser.CurrentLineNumber}); remove it"
+        )
 
     def begin(_: str, found: dict[str, str]) -> None:
         nonlocal depth
@@ -113,7 +118,10 @@ def check_xml(file: Path, source: Path) -> dict[str, str]:
             attributes.update(found)
         depth += 1
         if depth > MAX_XML_DEPTH:
-            raise SlaveError(f"{source}: refused: {file.name} is nested more than {MAX_XML_DEPTH} deep (line {parser.CurrentLineNumber})")
+            raise SlaveError(
+                f"{source}: refused: {file.name} is nested more than {MAX_XML_DEPTH} deep (line {parser.CurrentLineNumber})"
+                "; get the file anew from whoever made it"
+            )
 
     def end(_: str) -> None:
         nonlocal depth
@@ -126,7 +134,7 @@ def check_xml(file: Path, source: Path) -> dict[str, str]:
     try:
         parser.Parse(file.read_bytes(), True)
     except (xml.parsers.expat.ExpatError, ValueError, LookupError) as error:  # the last two: its encoding
-        raise SlaveError(f"{source}: {file.name} is not valid XML: {error}") from None
+        raise SlaveError(f"{source}: {file.name} is not valid XML: {error}; get the file anew from whoever made it") from None
     return attributes
 
 

@@ -230,12 +230,12 @@ def _read(file: Path, folder: Path) -> Any:
             raise SlaveError(f"{file}: modelDescription.xml is not valid:\n  " + "\n  ".join(p[:300] for p in structural[:5])) from None
         return read_model_description(str(folder), validate=False)
     except Exception as error:  # FMPy raises bare Exception and whatever its parsing meets
-        raise SlaveError(f"{file}: modelDescription.xml cannot be read: {error}") from None
+        raise SlaveError(f"{file}: modelDescription.xml cannot be read: {error}; export the FMU anew") from None
 
 
 def _library(file: Path, folder: Path, identifier: str, names: Sequence[str], platform: str) -> Path:
     if not re.fullmatch(r"[\w.-]+", identifier):
-        raise SlaveError(f"{file}: its modelIdentifier {identifier!r} is not the name of a library")
+        raise SlaveError(f"{file}: its modelIdentifier {identifier!r} is not the name of a library; use letters, digits and underscores")
     library = folder / "binaries" / platform / (identifier + _SUFFIX.get(sys.platform, ".so"))
     if not library.is_file():
         place = library.relative_to(folder)
@@ -264,7 +264,7 @@ def _variables(file: Path, md: Any, fmi: int) -> tuple[Variable, ...]:
             )
         names = _elements(file, v, MAX_ELEMENTS - len(taken))
         if taken & {v.name, *names}:
-            raise SlaveError(f"{file}: variable {v.name[:200]!r} is there twice")
+            raise SlaveError(f"{file}: variable {v.name[:200]!r} is there twice; export the FMU anew with one variable of that name")
         taken |= {v.name, *names}
         if names:
             starts = _starts(file, v, kind, len(names))

@@ -100,7 +100,10 @@ class Fmi(ABC):
             os.chdir(library.parent)  # some libraries find others that they need by the working directory
             return _with_neighbours(library)
         except OSError as error:
-            raise SlaveError(f"{self.description.file}: its binary cannot be loaded: {error}") from None
+            raise SlaveError(
+                f"{self.description.file}: its binary cannot be loaded: {error}"
+                "; use an FMU for this platform, with all libraries that it needs"
+            ) from None
         finally:
             os.chdir(here)
 

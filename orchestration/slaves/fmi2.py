@@ -80,7 +80,10 @@ class Fmi2(Fmi):
             self._free = self._function("FreeInstance", None, _pointer)
             self._do_step = self._function("DoStep")
         except AttributeError as error:
-            raise SlaveError(f"{self.description.file}: its binary cannot be loaded: {error}") from None
+            raise SlaveError(
+                f"{self.description.file}: its binary cannot be loaded: {error}"
+                "; use an FMU for this platform, with all libraries that it needs"
+            ) from None
         number = next(_numbers)
         _instances[number] = self.messages
         self._callbacks = fmi2.fmi2CallbackFunctions(_LOGGER, _ALLOCATE, _FREE, componentEnvironment=number)
@@ -146,7 +149,10 @@ class Fmi2(Fmi):
         try:
             status: int = self._function(function)(self.instance, *arguments)
         except AttributeError:
-            raise SlaveError(f"component {self.name!r}: {self.description.file.name} has no function fmi2{function}") from None
+            raise SlaveError(
+                f"component {self.name!r}: {self.description.file.name} has no function fmi2{function}"
+                "; export the FMU anew with all functions of the standard"
+            ) from None
         return status
 
     def address(self, function: str) -> int:
@@ -185,7 +191,10 @@ class Fmi2(Fmi):
             try:
                 function = self._function(f"{way}{kind}")
             except AttributeError:
-                raise SlaveError(f"{self.description.file}: its binary has no function fmi2{way}{kind}") from None
+                raise SlaveError(
+                    f"{self.description.file}: its binary has no function fmi2{way}{kind}"
+                    "; export the FMU anew with all functions of the standard"
+                ) from None
             made.append(Group(f"fmi2{way}{kind}", function, places, variables, _DTYPES[kind], counted=False))
         return made
 

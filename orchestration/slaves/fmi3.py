@@ -73,7 +73,10 @@ class Fmi3(Fmi):
             self._free = self._function("FreeInstance", None, _pointer)
             self._do_step = self._function("DoStep")
         except AttributeError as error:
-            raise SlaveError(f"{self.description.file}: its binary cannot be loaded: {error}") from None
+            raise SlaveError(
+                f"{self.description.file}: its binary cannot be loaded: {error}"
+                "; use an FMU for this platform, with all libraries that it needs"
+            ) from None
         self._log = _LOG(lambda _, status, __, text: self.messages.append((status, (text or b"").decode("utf-8", "replace").rstrip())))
         # event handling needed, terminate simulation, early return; last successful time
         self.flags = np.zeros(3, dtype=np.uint8)
@@ -125,7 +128,10 @@ class Fmi3(Fmi):
         try:
             status: int = self._function(function)(self.instance, *arguments)
         except AttributeError:
-            raise SlaveError(f"component {self.name!r}: {self.description.file.name} has no function fmi3{function}") from None
+            raise SlaveError(
+                f"component {self.name!r}: {self.description.file.name} has no function fmi3{function}"
+                "; export the FMU anew with all functions of the standard"
+            ) from None
         return status
 
     def address(self, function: str) -> int:
@@ -157,7 +163,10 @@ class Fmi3(Fmi):
             try:
                 function = self._function(f"{way}{kind}")
             except AttributeError:
-                raise SlaveError(f"{self.description.file}: its binary has no function fmi3{way}{kind}") from None
+                raise SlaveError(
+                    f"{self.description.file}: its binary has no function fmi3{way}{kind}"
+                    "; export the FMU anew with all functions of the standard"
+                ) from None
             made.append(Group(f"fmi3{way}{kind}", function, places, variables, DTYPES[kind], counted=True))
         return made
 

@@ -174,7 +174,10 @@ class FmuSlave:
         """The state as (phase, bytes), or (phase, pointer) where the FMU cannot serialise it."""
         if not self.description.can_save_state:
             file = self.description.file.name
-            raise SlaveError(f"component {self._name!r}: {file} cannot save its state (canGetAndSetFMUstate is false)")
+            raise SlaveError(
+                f"component {self._name!r}: {file} cannot save its state (canGetAndSetFMUstate is false)"
+                "; use an FMU that can, or a coupling without iteration and checkpoints"
+            )
         pointer = ctypes.c_void_p()
         self._call(self._fmi.state.get, ctypes.byref(pointer))
         phase = (self._initialising, self._stepped)
@@ -239,7 +242,7 @@ class FmuSlave:
         return f"{self._fmi.prefix}DoStep(t = {t:.9g}, h = {h:.9g})"
 
     def _refuse(self) -> None:
-        raise SlaveError(f"component {self._name!r}: is not running (not initialised, closed, or after a fatal error)")
+        raise SlaveError(f"component {self._name!r}: is not running (not initialised, closed, or after a fatal error); load it anew")
 
     def _failed(self, function: str, status: int) -> None:
         # After a fatal error FMI allows no further call, not even to free the instance: the FMU may crash the process.

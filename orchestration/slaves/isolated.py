@@ -39,7 +39,7 @@ class Server:
     def fmu(self) -> Slave:
         """The FMU, once it is open."""
         if self.slave is None:
-            raise SlaveError("no FMU is open in this process")
+            raise SlaveError("no FMU is open in this process; load it first")
         return self.slave
 
     def open(self, file: str, name: str, folder: str, goes_back: bool) -> tuple[list[PortData], tuple[str, ...]]:

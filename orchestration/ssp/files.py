@@ -49,10 +49,10 @@ class Files:
         try:
             parts = urlsplit(uri)
         except ValueError as error:
-            raise self.fail(f"{what}: source {uri!r} is not a URI: {error}") from None
+            raise self.fail(f"{what}: source {uri!r} is not a URI: {error}; correct the source") from None
         path = PurePosixPath(unquote(parts.path))
         if not uri or parts.scheme or parts.netloc or parts.fragment or path.is_absolute() or ".." in path.parts:
-            raise self.fail(f"{what}: source {uri!r} is not a file within the package")
+            raise self.fail(f"{what}: source {uri!r} is not a file within the package; pack the file into it, or correct the source")
         if str(path) not in self.names:
             raise self.fail(f"{what}: there is no {path} in the package; it holds {available(sorted(self.names), 20)}")
         return str(path)
@@ -94,7 +94,7 @@ class Files:
             raise self.fail(f"refused: {name} has {len(data)} bytes, at most {MAX_XML} are allowed")
 
         def refuse(*_: object) -> None:
-            raise self.fail(f"refused: {name} has a document type declaration or entities (line {parser.CurrentLineNumber})")
+            raise self.fail(f"refused: {name} has a document type declaration or entities (line {parser.CurrentLineNumber}); remove it")
 
         builder = TreeBuilder()
         depth = 0
@@ -103,7 +103,10 @@ class Files:
             nonlocal depth
             depth += 1
             if depth > MAX_XML_DEPTH:
-                raise self.fail(f"refused: {name} is nested more than {MAX_XML_DEPTH} deep (line {parser.CurrentLineNumber})")
+                raise self.fail(
+                    f"refused: {name} is nested more than {MAX_XML_DEPTH} deep (line {parser.CurrentLineNumber})"
+                    "; get the file anew from whoever made it"
+                )
             builder.start(tag.rpartition(":")[2], attributes)
 
         def end(tag: str) -> None:
@@ -117,7 +120,7 @@ class Files:
         try:
             parser.Parse(data, True)
         except (xml.parsers.expat.ExpatError, ValueError, LookupError) as error:  # the last two: its encoding
-            raise self.fail(f"{name} is not valid XML: {error}") from None
+            raise self.fail(f"{name} is not valid XML: {error}; correct it, or get the file anew") from None
         found: Element = builder.close()
         return found
 

@@ -70,13 +70,15 @@ class _Reader:
     def package(self) -> Package:
         root = self.files.xml(SSD, "SystemStructureDescription")
         if root.get("version", "") != "2.0" and not root.get("version", "").startswith("1."):
-            raise self.fail(f"is of SSP version {root.get('version', 'unknown')!r}; only 1.0 and 2.0 can be read")
+            raise self.fail(
+                f"is of SSP version {root.get('version', 'unknown')!r}; only 1.0 and 2.0 can be read; export it as one of these"
+            )
         inner = child(root, "System")
         if inner is None:
-            raise self.fail(f"{SSD} holds no System")
+            raise self.fail(f"{SSD} holds no System; add the element System")
         structure = Structure(self.files, inner)
         if not structure.sources:
-            raise self.fail("the system has no components")
+            raise self.fail("the system has no components; add at least one")
         names = self.identifiers(structure)
         # packages of earlier versions have it at the root
         master = next((a for a in (_annotation(e, ANNOTATION, "Master") for e in (inner, root)) if a is not None), None)
@@ -147,7 +149,9 @@ class _Reader:
         if any("arameter" in kind for kind in kinds.values()) and (outputs or len(ends) == len(net.ends)):
             raise self.fail(f"connection of {text}: parameters cannot be connected; give each its value")
         if len(outputs) > 1:
-            raise self.fail(f"connection of {text}: {len(outputs)} outputs are joined; an input can have one source only")
+            raise self.fail(
+                f"connection of {text}: {len(outputs)} outputs are joined; an input can have one source only; leave one connection"
+            )
         unknown_kinds = [end for end in ends if not kinds[end]]
         if not outputs and unknown_kinds:  # a connector that neither the package nor the FMU describes: the run says what there is
             return unknown_kinds[0]
@@ -204,7 +208,7 @@ class _Reader:
         try:
             return _KINDS[kind](text)
         except (KeyError, ValueError):
-            raise self.fail(f"{element.tag}: {attribute} = {text!r} is not a value of type {kind}") from None
+            raise self.fail(f"{element.tag}: {attribute} = {text!r} is not a value of type {kind}; correct the value") from None
 
     def number(self, element: Element | None, attribute: str) -> float | None:
         return None if element is None else self.value(element, attribute, "float")

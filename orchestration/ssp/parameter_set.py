@@ -55,7 +55,7 @@ def given_by(files: Files, parameter: Element, what: str) -> Given:
     try:
         values = [VALUES[kind](t) for t in texts]
     except ValueError:
-        raise files.fail(f"{what} = {text or texts!r} is not of type {kind}") from None
+        raise files.fail(f"{what} = {text or texts!r} is not of type {kind}; correct the value, or its type") from None
     return Given(kind, values if is_array else values[0], typed.get("unit"))
 
 

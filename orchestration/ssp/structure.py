@@ -69,7 +69,9 @@ class Structure:
                     f"{element.tag} {full!r} cannot be read; only components and systems can: connect what it joins directly"
                 )
             if not name or full in self.sources or full in self._members:
-                raise self.files.fail(f"{element.tag.lower()} {full!r}: its name is {'empty' if not name else 'given twice'}")
+                raise self.files.fail(
+                    f"{element.tag.lower()} {full!r}: its name is {'empty' if not name else 'given twice'}; give each a name of its own"
+                )
             members.append(name)
             for connector in element.iterfind("Connectors/Connector"):
                 self._declared[full, connector.get("name", "")] = connector.get("kind", "")
@@ -84,9 +86,14 @@ class Structure:
     def _component(self, element: Element, name: str) -> None:
         kind = element.get("type", "")
         if kind not in FMU:
-            raise self.files.fail(f"component {name!r} is of type {kind!r}; only FMUs ({FMU[1]}) can be run")
+            raise self.files.fail(
+                f"component {name!r} is of type {kind!r}; only FMUs ({FMU[1]}) can be run; export it as a co-simulation FMU"
+            )
         if element.get("implementation", "any") not in ("any", "CoSimulation"):
-            raise self.files.fail(f"component {name!r} demands {element.get('implementation')}; only co-simulation can be run")
+            raise self.files.fail(
+                f"component {name!r} demands {element.get('implementation')}; only co-simulation can be run"
+                "; export it as a co-simulation FMU"
+            )
         self.sources[name] = self.files.place(element.get("source", ""), f"component {name!r}")
         self.values[name] = {}
         for variable, given in bindings(self.files, element, f"component {name!r}"):

@@ -18,7 +18,10 @@ def bindings(files: Files, element: Element, what: str) -> Iterator[tuple[str, G
     """(name, value) of all parameter bindings of a component or system in their order, prefixed and mapped; later ones win."""
     for binding in element.iterfind("ParameterBindings/ParameterBinding"):
         if binding.get("type", "") not in SET:
-            raise files.fail(f"{what}: parameters of type {binding.get('type')!r} cannot be read; only parameter sets ({SET[1]})")
+            raise files.fail(
+                f"{what}: parameters of type {binding.get('type')!r} cannot be read; only parameter sets ({SET[1]})"
+                "; convert them to such a set"
+            )
         values = _content(files, binding, "ParameterValues", "ParameterSet", f"parameters of {what}", binding)
         prefix = binding.get("prefix", "")
         given = {
@@ -30,7 +33,9 @@ def bindings(files: Files, element: Element, what: str) -> Iterator[tuple[str, G
             yield from given.items()
             continue
         if mapping.get("type", "") not in MAPPING:
-            raise files.fail(f"{what}: a parameter mapping of type {mapping.get('type')!r} cannot be read; only {MAPPING[1]}")
+            raise files.fail(
+                f"{what}: a parameter mapping of type {mapping.get('type')!r} cannot be read; only {MAPPING[1]}; convert it to that"
+            )
         table = _content(files, mapping, None, "ParameterMapping", f"parameter mapping of {what}", mapping)
         for entry in table.iterfind("MappingEntry"):
             source, target = entry.get("source", ""), entry.get("target", "")
@@ -47,7 +52,7 @@ def _content(files: Files, element: Element, inline: str | None, root: str, what
     if found is not None:
         return found
     if not named.get("source"):
-        raise files.fail(f"{what}: neither a source nor a {root} within")
+        raise files.fail(f"{what}: neither a source nor a {root} within; give one of them")
     return files.xml(files.place(named.get("source", ""), what), root)
 
 
@@ -70,7 +75,7 @@ def _mapped(files: Files, entry: Element, given: Given, what: str) -> Given:
             return replace(given, value=[table.get(v, v) for v in old] if isinstance(old, list) else table.get(old, old))
     except ValueError as error:
         raise files.fail(f"{what}: {transformation.tag}: {error}") from None
-    raise files.fail(f"{what}: a {transformation.tag} does not go with a value of type {given.kind}")
+    raise files.fail(f"{what}: a {transformation.tag} does not go with a value of type {given.kind}; leave one of them out")
 
 
 def resolved(files: Files, given: Given, variable: FmuVariable | None, what: str) -> Any:
@@ -95,4 +100,6 @@ def _item(files: Files, text: str, variable: FmuVariable | None, what: str) -> i
     try:
         return int(text)
     except ValueError:
-        raise files.fail(f"{what} = {text!r} is not an item of its enumeration; items: {', '.join(items) or 'none are known'}") from None
+        raise files.fail(
+            f"{what} = {text!r} is not an item of its enumeration; items: {', '.join(items) or 'none are known'}; choose one of these"
+        ) from None

@@ -8,7 +8,7 @@
 
     [components.drive]
     source = "robot_drive"              # in process, or "dist/robot_drive.fmu", or "replay:runs/42"
-    parameters = {backlash = "20 urad", "stiffness_scale[2]" = 0.9}
+    parameters = {"backlash[2]" = "20 urad", loop_frequency = "6.5 Hz"}
     inputs = {m_T_B = ["2 N.m", 0, 0]}  # start values of inputs, which open inputs keep
     isolate = false                     # true: an FMU in its own process (orchestration/slaves/isolation.py)
     time_limit = "60 s"                 # of wall clock for one call, if isolated
@@ -40,7 +40,9 @@ from typing import Any
 from robomill.orchestration import html
 from robomill.orchestration.errors import SystemFileError, unknown
 from robomill.orchestration.loop.acceleration import DEFAULT, Iteration
+from robomill.orchestration.system import keys
 from robomill.orchestration.system.entries import Entry
+from robomill.orchestration.system.keys import Keys, default, optional, required
 from robomill.orchestration.system.parameters import Convert, same_unit_only
 from robomill.orchestration.system.written import merged, place_of
 
@@ -53,13 +55,7 @@ MAX_SECONDS = 1e9
 TICK = 1_000_000_000
 """Ticks per second: time is counted in whole nanoseconds."""
 
-_TEXTS, _CHOICES, _FLAGS = (
-    ("name", "description", "stop_when"),
-    {"algorithm": ALGORITHMS, "loop": LOOPS},
-    ("require_connected", "check_ranges"),
-)
-_OTHER = {"stop", "labels", "connections", "recording", "iteration"}
-_COMPONENT = {"parameters", "inputs", "isolate", "time_limit", "rate", "every"}
+_CHOICES = {"algorithm": ALGORITHMS, "loop": LOOPS}
 MAX_CHUNK = 100_000
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -102,12 +98,14 @@ class Connection:
 
 @dataclass(frozen=True)
 class Recording:
-    """What is written: `columns` are patterns on `component.port` (`*` = anything; a component or array stands for all its elements)."""
+    """What is written to the run folder."""
 
     columns: tuple[str, ...] = ("*",)
+    """Patterns on `component.port`: `*` stands for anything, a component or an array for all its elements."""
     every: int = 1
     """Each how many steps a row is written."""
     csv: bool = False
+    """Whether signals.csv is written, too."""
     chunk: int = 250
     """Rows that are kept in memory before they go to disk."""
     checkpoint_every: int = 0
@@ -120,7 +118,9 @@ class Recording:
         if self.chunk > MAX_CHUNK:
             raise SystemFileError(f"the recording's chunk is at most {MAX_CHUNK} rows, which are kept in memory; found {self.chunk}")
         if self.checkpoint_every < 0:
-            raise SystemFileError(f"the recording's checkpoint_every counts steps, 0 = never; found {self.checkpoint_every}")
+            raise SystemFileError(
+                f"the recording's checkpoint_every counts steps, 0 = never; found {self.checkpoint_every}; give 0 or more"
+            )
 
 
 @dataclass(frozen=True)
@@ -164,13 +164,15 @@ class System:
             if getattr(self, key) not in names:
                 raise SystemFileError(unknown(key, getattr(self, key), names))
         if self.stop is not None and math.isnan(self.stop):
-            raise SystemFileError("stop is not a number (NaN)")
+            raise SystemFileError("stop is not a number (NaN); give a time such as '10 s'")
         for c in self.components:
             if not 0.0 < c.time_limit < math.inf:
-                raise SystemFileError(f"component {c.name!r}: time_limit is a positive time; found {c.time_limit!r} s")
+                raise SystemFileError(
+                    f"component {c.name!r}: time_limit is a positive time; found {c.time_limit!r} s; give a time such as '60 s'"
+                )
             self._check_rate(c)
         if not self.components:
-            raise SystemFileError("the system has no components")
+            raise SystemFileError("the system has no components; add at least one table [components.NAME]")
 
     def _check_rate(self, c: Component) -> None:
         if c.rate < 1 or c.every < 1 or c.rate > 1 < c.every:
@@ -178,7 +180,10 @@ class System:
                 f"component {c.name!r}: rate and every are whole numbers from 1, and only one of them is more; found {c.rate} and {c.every}"
             )
         if ticks(self.step, "step") % c.rate:
-            raise SystemFileError(f"component {c.name!r}: rate = {c.rate} divides the step of {self.step!r} s into no whole nanoseconds")
+            raise SystemFileError(
+                f"component {c.name!r}: rate = {c.rate} divides the step of {self.step!r} s into no whole nanoseconds"
+                "; choose another rate or step"
+            )
 
     @property
     def folder(self) -> Path:
@@ -228,14 +233,63 @@ class System:
         return load(Path(file), convert)
 
 
+class ComponentKeys(Keys):
+    """One component: where it comes from and how it is set."""
+
+    source = required(
+        keys.text(), "a component of this project (`robot_drive`), one of your own (`module:MODEL`), an FMU (`dist/x.fmu`) or `replay:RUN`"
+    )
+    parameters = default({}, keys.values(), "parameters of the component, with units, instead of its own values")
+    inputs = default({}, keys.values(), "start values of inputs: open inputs keep them, delayed ones have them until the first step")
+    isolate = default(False, keys.flag(), "run an FMU in a process of its own, so that its crash is an error and no end of the program")
+    time_limit = default("60 s", keys.quantity("s"), "wall-clock time that one call may take; needs `isolate = true`")
+    rate = default(1, keys.count(1), "steps of the component in each step of the system")
+    every = default(1, keys.count(1), "steps of the system for each step of the component; only one of `rate` and `every` is above 1")
+
+
+class ConnectionKeys(Keys):
+    """One connection: from an output to an input, whole arrays or single elements."""
+
+    source = required(keys.text(), "the output: `component.port` or `component.port[2]`", name="from")
+    target = required(keys.text(), "the input: `component.port` or `component.port[2]`", name="to")
+    delayed = default(False, keys.flag(), "the input sees the output of the step before, which breaks a loop")
+
+
+class SystemKeys(Keys):
+    """Components, their connections, and how they are stepped."""
+
+    name = required(keys.text(blank=True), "name of the system; results stand in a folder of that name")
+    description = default("", keys.text(blank=True), "what the system is")
+    step = required(keys.quantity("s"), "communication step: a whole number of nanoseconds")
+    stop = optional(keys.quantity("s"), "end of the run; without it, `stop_when` or the command line says when")
+    stop_when = optional(keys.text(blank=True), "an output, `component.port`, that ends the run as soon as it is not zero")
+    algorithm = default("gauss-seidel", keys.choice(ALGORITHMS), "how components that wait for each other are stepped")
+    loop = default("auto", keys.choice(LOOPS), "how the master runs: `auto` compiles the loop where it can; the numbers are the same")
+    require_connected = default(False, keys.flag(), "an open input is an error")
+    check_ranges = default(True, keys.flag(), "an output outside its declared minimum and maximum ends the run")
+    labels = default(
+        {}, keys.anything("table of `name = value`"), "what is known of the run (program, condition, repeat); copied to run.toml"
+    )
+    components = required(keys.tables(ComponentKeys), "the components by name: letters, digits and underscores")
+    connections = default([], keys.each(ConnectionKeys), "what is connected to what")
+    recording = default({}, keys.made(Recording), "what is written")
+    iteration = default({}, keys.made(Iteration), 'how loops are iterated, with `algorithm = "iterated"`')
+    robot = optional(keys.anything("table"), "the robot of all components that need one: see [equipment](equipment.md)")
+    tool = optional(keys.anything("table"), "the tool, likewise")
+    material = optional(keys.anything("table"), "the material, likewise")
+    sensor = optional(keys.anything("table"), "the force sensor, likewise")
+
+
 def ticks(seconds: float, what: str) -> int:
     """Seconds as a whole number of nanoseconds; SystemFileError if it is not one, or not positive."""
     if not abs(seconds) < MAX_SECONDS:  # NaN, infinite, or so many that a float does not count nanoseconds
-        raise SystemFileError(f"{what} = {seconds!r} s is not a number of seconds below {MAX_SECONDS:g}")
+        raise SystemFileError(f"{what} = {seconds!r} s is not a number of seconds below {MAX_SECONDS:g}; give a time such as '4 ms'")
     count = round(seconds * TICK)
     if count <= 0 or abs(seconds * TICK - count) > 1e-6 * max(1.0, count * 1e-6):
         near = f"; the nearest is {f'{count / TICK:.9f}'.rstrip('0')} s" if count > 0 else ""
-        raise SystemFileError(f"{what} = {seconds!r} s is not a positive whole number of nanoseconds, in which time is counted{near}")
+        raise SystemFileError(
+            f"{what} = {seconds!r} s is not a positive whole number of nanoseconds, in which time is counted{near}; choose such a number"
+        )
     return count
 
 
@@ -245,18 +299,19 @@ def load(file: Path, convert: Convert = same_unit_only) -> System:
         near = sorted(p.name for p in file.parent.glob("*.toml")) if file.parent.is_dir() else []
         raise SystemFileError(f"no system file {file}; TOML files in that folder: {', '.join(near) or 'none'}")
     top = Entry.load(file, SystemFileError, convert, file.name)
-    top.keys({"name", "step", "components"}, {*_TEXTS, *_CHOICES, *_FLAGS, *_OTHER, *EQUIPMENT})
-    plain: dict[str, Any] = {key: top[key].text(blank=True) for key in _TEXTS if key in top}
-    plain |= {key: top[key].choice(names) for key, names in _CHOICES.items() if key in top}
-    plain |= {key: top[key].flag() for key in _FLAGS if key in top}
+    k = SystemKeys
+    k.of(top)
+    plain = {
+        key.name: key.of(top) for key in (k.name, k.description, k.stop_when, k.algorithm, k.loop, k.require_connected, k.check_ranges)
+    }
     made: dict[str, Any] = {
-        "step": top["step"].si("s"),
-        "stop": top["stop"].si("s") if "stop" in top else None,
-        "components": tuple(_component(name, entry) for name, entry in top["components"].items()),
-        "connections": tuple(_connection(entry) for entry in top.get("connections", []).each()),
-        "recording": top.get("recording", {}).made(Recording),
-        "iteration": top.get("iteration", {}).made(Iteration),
-        "labels": MappingProxyType(top.get("labels", {}).table().value),
+        "step": k.step.of(top),
+        "stop": k.stop.of(top),
+        "components": tuple(_component(name, entry) for name, entry in k.components.entry(top).items()),
+        "connections": tuple(_connection(entry) for entry in k.connections.of(top)),
+        "recording": k.recording.of(top),
+        "iteration": k.iteration.of(top),
+        "labels": MappingProxyType(k.labels.of(top).table().value),
         "equipment": {key: top[key].table() for key in EQUIPMENT if key in top},
     }
     with top.blamed_for(SystemFileError):
@@ -265,27 +320,28 @@ def load(file: Path, convert: Convert = same_unit_only) -> System:
 
 def _component(name: str, entry: Entry) -> Component:
     if not _NAME.fullmatch(name):
-        raise entry.fail("the name of a component: letters, digits and underscores only, no digit first")
-    entry.keys({"source"}, _COMPONENT)
-    isolate = entry.get("isolate", False).flag()
-    if "time_limit" in entry and not isolate:
+        raise entry.fail("the name of a component: letters, digits and underscores only, no digit first; choose another name")
+    k = ComponentKeys
+    k.of(entry)
+    isolate = k.isolate.of(entry)
+    if k.time_limit.name in entry and not isolate:
         raise entry["time_limit"].fail("needs isolate = true: only a process of its own can be ended")
     return Component(
         name,
-        entry["source"].text(),
-        entry.get("parameters", {}).written(),
+        k.source.of(entry),
+        k.parameters.of(entry),
         entry.line,
         isolate,
-        entry.get("time_limit", "60 s").si("s"),
-        entry.get("rate", 1).count(1),
-        entry.get("every", 1).count(1),
-        entry.get("inputs", {}).written(),
+        k.time_limit.of(entry),
+        k.rate.of(entry),
+        k.every.of(entry),
+        k.inputs.of(entry),
     )
 
 
 def _connection(entry: Entry) -> Connection:
-    entry.keys({"from", "to"}, {"delayed"})
-    for key in ("from", "to"):
-        if "." not in entry[key].text():
-            raise entry[key].expected("component.port")
-    return Connection(entry["from"].value, entry["to"].value, entry.get("delayed", False).flag(), entry.line)
+    k = ConnectionKeys
+    for end in (k.source, k.target):
+        if "." not in end.of(entry):
+            raise end.entry(entry).expected("component.port")
+    return Connection(k.source.of(entry), k.target.of(entry), k.delayed.of(entry), entry.line)

@@ -179,7 +179,7 @@ class Entry:
         """A text that can be the name of a folder."""
         name = self.text()
         if name in (".", "..") or any(c in name for c in "/\\") or not name.isprintable():
-            raise self.fail(f"{name!r} cannot be the name of a folder, in which its results stand")
+            raise self.fail(f"{name!r} cannot be the name of a folder, in which its results stand; leave out / and \\")
         return name
 
     def flag(self) -> bool:

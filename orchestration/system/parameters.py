@@ -102,7 +102,7 @@ def expand(ports: Sequence[Port], values: Mapping[str, Any], causality: str = "p
             raise PlacedError(unknown(causality, name, whole), place)
         for element, v in found.items():
             if element in result:
-                raise PlacedError(f"{causality} {element!r} is given twice: by element and within its array", place)
+                raise PlacedError(f"{causality} {element!r} is given twice: by element and within its array; leave one of them out", place)
             result[element] = v
     return result
 

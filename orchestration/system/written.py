@@ -81,6 +81,7 @@ def _indices(name: str, whole: Any, depth: int) -> list[Key]:
     if len(shape) != depth:
         raise OrchestrationError(
             f"an element of {name!r} with {depth} {'index' if depth == 1 else 'indices'} is set, but {name} is given as {whole!r}"
+            "; set the whole array"
         )
     return [(name, *index) for index in np.ndindex(*shape)]
 

@@ -20,7 +20,7 @@ def read_npz(file: Path) -> Log:
         with np.load(file, allow_pickle=False) as archive:
             arrays = {n: archive[n] for n in archive.files}
     except (ValueError, OSError, KeyError, EOFError) as error:
-        raise LogError(f"{file}: not an npz file without pickled objects: {error}") from None
+        raise LogError(f"{file}: not an npz file without pickled objects: {error}; save the arrays with numpy.savez") from None
     return _columns(file, arrays)
 
 
@@ -34,7 +34,7 @@ def read_mat(file: Path) -> Log:
     except NotImplementedError:
         return read_hdf5(file)
     except (MatReadError, ValueError, TypeError, LookupError, OSError) as error:
-        raise LogError(f"{file}: not a MAT file: {error}") from None
+        raise LogError(f"{file}: not a MAT file: {error}; save the data anew, such as with save('log.mat', '-v7')") from None
     found = dict(_leaves("", {n: v for n, v in variables.items() if not n.startswith("__")}))
     objects = "__function_workspace__" in variables
     return _columns(file, found, "timeseries, tables and other objects of MATLAB cannot be read: save their numbers" if objects else "")
@@ -84,7 +84,7 @@ def read_hdf5(file: Path) -> Log:
         with h5py.File(file) as opened:
             walk("", opened)
     except (OSError, RuntimeError, KeyError) as error:
-        raise LogError(f"{file}: not an HDF5 file, or damaged: {error}") from None
+        raise LogError(f"{file}: not an HDF5 file, or damaged: {error}; save or copy it anew") from None
     return _columns(file, found)
 
 

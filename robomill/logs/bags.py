@@ -53,7 +53,7 @@ def read_bag(file: Path, stamps: str = "header") -> Log:
         except LogError:
             raise
         except Exception as error:  # rosbags raises many kinds for a damaged file
-            raise LogError(f"{file}: not a ROS bag, or damaged: {error}") from None
+            raise LogError(f"{file}: not a ROS bag, or damaged: {error}; copy it anew, or repair it with the tools of ROS") from None
 
     with opened() as reader:
         leaves: dict[str, _Leaf] = {}
@@ -80,7 +80,10 @@ def read_bag(file: Path, stamps: str = "header") -> Log:
             try:
                 found.append(_value(message, leaf))
             except (LookupError, ValueError):
-                raise LogError(f"{file}: message {k} of {leaf.topic} has no {name!r}, which the first one has") from None
+                raise LogError(
+                    f"{file}: message {k} of {leaf.topic} has no {name!r}, which the first one has"
+                    "; record the topic anew, or leave the field out"
+                ) from None
         return found
 
     def fetch(name: str) -> FloatArray:

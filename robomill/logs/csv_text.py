@@ -35,7 +35,7 @@ def read_csv(file: Path, form: CsvForm = CsvForm()) -> Log:
             numbered = [(number, row) for number, row in enumerate(reader, 1) if number > form.skip_rows and row]
     except (csv.Error, UnicodeDecodeError) as error:
         said = "UTF-8; set log.encoding, such as cp1252" if form.encoding == CsvForm.encoding else form.encoding
-        raise LogError(f"{file}: not a CSV file in {said}: {error}") from None
+        raise LogError(f"{file}: not a CSV file in {said}: {error}; say its encoding in [log]") from None
     except LookupError:
         raise LogError(f"{file}: unknown log.encoding {form.encoding!r}; expected utf-8, utf-16, cp1252, latin-1, ...") from None
     above = 1 + form.unit_row

@@ -69,20 +69,28 @@ def spans(
     end = high if cut.end is None else min(high, seconds(cut.end))
     if not begin < end - TICK:
         asked = " to ".join("..." if i is None else f"{seconds(i):.9g} s" for i in (cut.begin, cut.end))
-        raise LogError(f"{cut.place}: nothing is in the window {asked}; the log covers {low:.9g} s to {high:.9g} s")
+        raise LogError(
+            f"{cut.place}: nothing is in the window {asked}; the log covers {low:.9g} s to {high:.9g} s; choose from and to within that"
+        )
     if not cut.repeats:
         return [(begin, end)], ""
     if cut.period is not None:
         count = math.floor((end - begin) / cut.period + TICK)
         pieces = [(begin + k * cut.period, begin + (k + 1) * cut.period) for k in range(count)]
         if not pieces:
-            raise LogError(f"{cut.place}: the period of {cut.period:g} s is longer than the {end - begin:.9g} s that there are")
+            raise LogError(
+                f"{cut.place}: the period of {cut.period:g} s is longer than the {end - begin:.9g} s that there are"
+                "; choose a shorter period"
+            )
         rest = end - pieces[-1][1]
         left = f"the last {rest:.6g} s, which are no whole period" if rest > TICK else ""
     elif cut.at:
         times = [seconds(i) for i in cut.at]
         if outside := [t for t in times if not begin - TICK <= t < end - TICK]:
-            raise LogError(f"{cut.place}: at: {outside[0]:.9g} s is outside of the time that is imported, {begin:.9g} s to {end:.9g} s")
+            raise LogError(
+                f"{cut.place}: at: {outside[0]:.9g} s is outside of the time that is imported, {begin:.9g} s to {end:.9g} s"
+                "; choose times within that"
+            )
         if sorted(set(times)) != times:
             raise LogError(f"{cut.place}: at: the times must increase; found {', '.join(f'{t:.9g} s' for t in times)}")
         pieces, left = list(zip(times, [*times[1:], end], strict=True)), ""
@@ -102,7 +110,9 @@ def _of_length(cut: Cut, pieces: list[Span], left: str) -> tuple[list[Span], str
     long = [(b, b + cut.length) for b, e in pieces if e - b > cut.length - TICK]
     if not long:
         longest = max(e - b for b, e in pieces)
-        raise LogError(f"{cut.place}: no piece is as long as the length of {cut.length:g} s; the longest has {longest:.6g} s")
+        raise LogError(
+            f"{cut.place}: no piece is as long as the length of {cut.length:g} s; the longest has {longest:.6g} s; choose a shorter length"
+        )
     short = len(pieces) - len(long)
     return long, "; ".join(filter(None, (left, f"{short} pieces shorter than {cut.length:g} s" if short else "")))
 
@@ -116,7 +126,7 @@ def _marked(cut: Cut, marker: Marker, states: npt.NDArray[np.generic], t: FloatA
     if marker.value is not None:
         on = states == marker.value if isinstance(marker.value, str) != numbers else np.zeros(len(states), dtype=bool)
         if not on.any():
-            raise LogError(f"{what} never is {marker.value!r}; {_values(states)}")
+            raise LogError(f"{what} never is {marker.value!r}; {_values(states)}; choose a value that it has")
         edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(np.int8)))
         times = np.append(t, end)[edges]
         return [(float(b), float(e)) for b, e in times.reshape(-1, 2)]
@@ -127,7 +137,9 @@ def _marked(cut: Cut, marker: Marker, states: npt.NDArray[np.generic], t: FloatA
     begins = t[1:][edge]
     if not len(begins):
         through = "" if marker.level is None else f" through {marker.level:g}"
-        raise LogError(f"{what} never {marker.when}{through} in the time that is imported; {_values(states)}")
+        raise LogError(
+            f"{what} never {marker.when}{through} in the time that is imported; {_values(states)}; choose another level or marker"
+        )
     if marker.when == "changes":
         begins = np.append(t[:1], begins)
     return [(float(b), float(e)) for b, e in zip(begins, np.append(begins[1:], end), strict=True)]

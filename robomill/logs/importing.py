@@ -293,5 +293,6 @@ def _covered(mapping: LogMapping, series: Sequence[_Series]) -> Span:
     if end <= start:
         raise LogError(
             f"{mapping.file}: the signals have no time in common: the last begins at {start:.9g} s, the first ends at {end:.9g} s"
+            "; correct clocks and shifts, or leave signals out"
         )
     return start, end

@@ -74,7 +74,7 @@ def no_doubles(file: Path, names: Iterable[str]) -> None:
     listed = list(names)
     doubles = sorted({n for n in listed if listed.count(n) > 1})
     if doubles:
-        raise LogError(f"{file}: columns named twice: {available(doubles)}")
+        raise LogError(f"{file}: columns named twice: {available(doubles)}; give each column a name of its own")
 
 
 def missing_package(file: Path, what: str, package: str, extra: str, instead: str) -> LogError:

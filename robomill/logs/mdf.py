@@ -18,7 +18,7 @@ def read_mdf(file: Path) -> Log:
     try:
         mdf = MDF(file)
     except Exception as error:  # asammdf raises many kinds for a damaged file
-        raise LogError(f"{file}: not an MDF file: {error}") from None
+        raise LogError(f"{file}: not an MDF file: {error}; export the log anew as MDF 4") from None
     places: dict[str, tuple[int, int]] = {}
     masters: dict[str, str] = {}
     clocks: dict[int, str] = {}
@@ -41,7 +41,10 @@ def read_mdf(file: Path) -> Log:
             return np.asarray(mdf.get_master(group), dtype=np.float64)
         samples = mdf.get(group=group, index=index, raw=False).samples
         if samples.ndim != 1 or samples.dtype.kind not in "fiub":
-            raise LogError(f"{file}: column {name!r} holds no numbers but {samples.dtype} of shape {samples.shape}")
+            raise LogError(
+                f"{file}: column {name!r} holds no numbers but {samples.dtype} of shape {samples.shape}"
+                "; leave the signal out, or export it as numbers"
+            )
         return np.asarray(samples, dtype=np.float64)
 
     return Log(file, tuple(places), fetch, units, masters)

@@ -45,7 +45,7 @@ def format_of(file: Path) -> str | None:
 def read_log(file: Path, kind: str, form: CsvForm | None = None, stamps: str = "header") -> Log:
     """Open `file` as `kind` (one of `READERS`). LogError if it is not that or is damaged; `form` is for CSV, `stamps` for ROS bags."""
     if not file.exists() or (file.is_dir() and kind != "rosbag"):
-        raise LogError(f"no log file {file}")
+        raise LogError(f"no log file {file}; correct the path")
     if kind == "csv":
         return read_csv(file, form or CsvForm())
     if kind == "rosbag":

@@ -31,7 +31,7 @@ def read_rsi(file: Path) -> Log:
             packet = ElementTree.fromstring(match[0])
         except ElementTree.ParseError as error:
             line = content.count(b"\n", 0, match.start()) + 1
-            raise LogError(f"{file}: line {line}: a packet is not well-formed XML: {error}") from None
+            raise LogError(f"{file}: line {line}: a packet is not well-formed XML: {error}; correct or leave out that line") from None
         values = _numbers(packet)
         if packet.tag == "Rob":
             rows.append(values)

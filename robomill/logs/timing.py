@@ -38,7 +38,10 @@ class Timing:
             return Timing(clock, log, None, log.epoch)
         stated = log.units.get(clock.column, "")
         if clock.format is None and compatible(stated, "s") and unit_of(stated) != unit_of(clock.unit):
-            raise LogError(f"{log.file}: clock {clock.column!r}: wrong unit: the mapping says {clock.unit!r}, the log states {stated!r}")
+            raise LogError(
+                f"{log.file}: clock {clock.column!r}: wrong unit: the mapping says {clock.unit!r}, the log states {stated!r}"
+                "; correct the unit in the mapping"
+            )
         if clock.format is None:
             t, epoch = unit_of(clock.unit).factor * log[clock.column] + clock.offset, log.epoch
         else:
@@ -56,7 +59,10 @@ class Timing:
             return self.t
         own = sorted({of[n] for n in names if n in of})
         if len(own) != 1:
-            raise LogError(f"{self.log.file}: column {names[0]!r} has {rows} rows, the clock {self.clock.column!r} has {len(self.t)}")
+            raise LogError(
+                f"{self.log.file}: column {names[0]!r} has {rows} rows, the clock {self.clock.column!r} has {len(self.t)}"
+                "; give the clock of that group of columns"
+            )
         t = self.log[own[0]] + self.clock.offset
         _increasing(f"{self.log.file}: clock {own[0]!r}", t)
         return t
@@ -88,7 +94,7 @@ def _increasing(what: str, t: FloatArray) -> None:
     if len(t) <= 1:
         raise LogError(f"{what}: has {len(t)} rows; expected at least 2")
     if not np.all(np.isfinite(t)):
-        raise LogError(f"{what}: not a number in row {int(np.flatnonzero(~np.isfinite(t))[0]) + 1}")
+        raise LogError(f"{what}: not a number in row {int(np.flatnonzero(~np.isfinite(t))[0]) + 1}; cut the log there, or fill the gap")
     bad = np.flatnonzero(np.diff(t) <= 0.0)
     if len(bad):
         k = int(bad[0])
@@ -115,7 +121,10 @@ def _stamps(log: Log, column: str, form: str) -> npt.NDArray[np.int64]:
         try:
             stamps.append(_nanoseconds(parse(str(text))))
         except ValueError:
-            raise LogError(f"{log.file}: clock {column!r}, row {row}: {str(text)!r} is no date and time of the format {form!r}") from None
+            raise LogError(
+                f"{log.file}: clock {column!r}, row {row}: {str(text)!r} is no date and time of the format {form!r}"
+                "; correct format in [clock]"
+            ) from None
     return np.array(stamps, dtype=np.int64)
 
 

@@ -72,14 +72,19 @@ class Modes:
 
 
 @dataclass(frozen=True)
-class _ModeFile:
+class ModeFile:
     """A file of models/data/modes: one entry per mode."""
 
     name: str
+    """Name for people."""
     frequency: FloatArray = field(metadata=quantity("Hz", 0.0))
+    """Natural frequency of each mode."""
     damping: FloatArray = field(metadata=quantity("1", 0.0, 1.0))
+    """Damping ratio of each mode."""
     stiffness: FloatArray = field(metadata=quantity("N/m", 0.0))
+    """Modal stiffness of each mode."""
     direction: FloatArray = field(metadata=quantity("1", -1.0, 1.0))
+    """Direction of each mode in the tool frame: x, y, z."""
 
 
 def load_modes(name: str | Path) -> Modes:
@@ -88,7 +93,7 @@ def load_modes(name: str | Path) -> Modes:
     ValueError names file, field, what was found and what is expected.
     """
     path = Path(name)
-    found = load(_ModeFile, path if path.suffix == ".toml" else f"modes/{name}")
+    found = load(ModeFile, path if path.suffix == ".toml" else f"modes/{name}")
     n = len(found.frequency)
     if found.damping.shape != (n,) or found.stiffness.shape != (n,) or found.direction.shape != (n, AXES):
         raise ValueError(

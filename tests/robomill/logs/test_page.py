@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robomill.logs import mapping
 from robomill.logs.importing import import_log
+from robomill.logs.mapping import MappingKeys
 from robomill.orchestration.runs.run import Run
 from tests import ROOT
 from tests.robomill.logs.test_bags import written
@@ -91,6 +91,6 @@ def test_every_key_is_in_an_example() -> None:
         for table, value in tomllib.loads(text).items():
             for item in value if isinstance(value, list) else [value]:
                 given.setdefault(table, set()).update(item)
-    assert set(mapping.TOP) == given.keys()
-    for table, keys in {"log": mapping.LOG, "clock": mapping.CLOCK, "cut": mapping.CUT, "signal": ("port", *mapping.SIGNAL)}.items():
-        assert set(keys) == given[table], f"[{table}]"
+    assert MappingKeys.all().keys() == given.keys()
+    for table in ("log", "clock", "cut", "signal"):
+        assert MappingKeys.all()[table].kind.nested.all().keys() == given[table], f"[{table}]"
