@@ -25,6 +25,7 @@ ACTIONS = {
     "example": ("example_command", "run"),
     "run": ("commands", "run"),
     "build": ("commands", "build"),
+    "view": ("view_command", "run"),
     "check": ("commands", "check"),
     "plan": ("plan_command", "plan"),
     "compensate": ("compensate_command", "run"),
@@ -51,7 +52,7 @@ class _Parser(argparse.ArgumentParser):
 
 def parser() -> argparse.ArgumentParser:
     """All commands and their options."""
-    from robomill import blind_command, compensate_command, identify_command, place_command, rsi_command
+    from robomill import blind_command, compensate_command, identify_command, place_command, rsi_command, view_command
 
     main_parser = _Parser(
         "robomill", description=DESCRIPTION, epilog="Start with: robomill example groove, then robomill run scenarios/groove.toml"
@@ -95,6 +96,11 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--adopt", type=Path, metavar="FILE.ssv", help="with the effects that `robomill diagnose` found")
     run.add_argument("--no-pictures", action="store_true", help="skip the pictures")
     run.add_argument("--stl", action="store_true", help="write the machined part as part.stl beside each recording (cells with tri-dexels)")
+
+    view = _command(
+        commands, "view", "write runs as one HTML page: robot, part, deviation and force in space and time", "robomill view results/groove"
+    )
+    view_command.add_arguments(view)
 
     build = _command(commands, "build", "write every FMU", "robomill build --out dist")
     build.add_argument("--out", type=Path, default=Path("dist"), help="folder for the FMUs (default: dist)")
