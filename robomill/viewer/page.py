@@ -19,6 +19,7 @@ import numpy.typing as npt
 from matplotlib.colors import to_hex
 from scipy.spatial.transform import Rotation
 
+from robomill.models.model.declaration import FloatArray
 from robomill.viewer.chain import AXES, Tree, deflections, from_dh
 from robomill.viewer.recorded import Recorded, recordings
 from robomill.viewer.stock import cut_stock, patches
@@ -91,8 +92,13 @@ def view(folder: Path, file: Path, names: Sequence[str] | None = None, urdf: Pat
 
 
 def report_beside(folder: Path, file: Path) -> str | None:
-    """Way from the page to the report of a diagnosis that lies in the folder of the runs, in its `diagnosis`, or in the one beside it."""
-    places = (folder / "report.html", folder / "diagnosis" / "report.html", folder.parent / "diagnosis" / "report.html")
+    """Way from the page to the report of a diagnosis beside it, in the folder of the runs, in its `diagnosis`, or in that beside it."""
+    places = (
+        file.parent / "report.html",
+        folder / "report.html",
+        folder / "diagnosis" / "report.html",
+        folder.parent / "diagnosis" / "report.html",
+    )
     found = next((p for p in places if p.is_file()), None)
     return None if found is None else Path(os.path.relpath(found, file.parent)).as_posix()
 
@@ -164,8 +170,8 @@ def _other_robot(looks: tuple[Tree, int], tree: Tree, q: FloatArray) -> list[str
         []
         if shift <= SAME_MOTION
         else [
-            f"the sixth link of the URDF shifts by {1e3 * shift:.0f} mm against the flange of the run: it is another robot, or its joints have "
-            "other zeros or senses of rotation than axes A1..A6 of the controller"
+            f"the sixth link of the URDF shifts by {1e3 * shift:.0f} mm against the flange of the run: it is another robot, or its joints "
+            "have other zeros or senses of rotation than axes A1..A6 of the controller"
         ]
     )
 
@@ -201,7 +207,7 @@ def _html(scene: dict[str, Any], packed: Packed) -> str:
     parts = {
         "TITLE": escape(str(scene["title"])),
         "STYLE": text["view.css"],
-        "SCENE": json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("</", "<\\/"),
+        "SCENE": json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
         "DATA": packed.text(),
         "THREE": text["three/three.min.js"],
         "SCRIPT": text["view.js"],

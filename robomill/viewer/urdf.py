@@ -62,7 +62,9 @@ def read_urdf(file: Path) -> tuple[Tree, int]:
             turns = joint.get("type") in _MOVING
             axis = _axis(file, joint) if turns else None
             number[name] = len(frames)
-            frames.append(Frame(number[_end(file, joint, "parent", links)], _origin(file, joint), axis, joint.get("type") == "prismatic", row))
+            frames.append(
+                Frame(number[_end(file, joint, "parent", links)], _origin(file, joint), axis, joint.get("type") == "prismatic", row)
+            )
     bodies = [body for name, link in links.items() for body in _bodies(file, link, number[name])]
     if not bodies:
         raise UrdfError(f"{file}: no link has a <visual>; there is nothing to be seen")

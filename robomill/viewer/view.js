@@ -35,8 +35,8 @@
   materials.planned = new THREE.LineBasicMaterial({ depthTest: false, transparent: true });
   materials.real = new THREE.LineBasicMaterial({ depthTest: false, transparent: true });
   materials.floor = new THREE.LineBasicMaterial();
-  materials.force = new THREE.MeshBasicMaterial();
-  materials.part = new THREE.MeshLambertMaterial({ vertexColors: true, alphaTest: 0.5, flatShading: true, side: THREE.DoubleSide });
+  materials.force = new THREE.MeshBasicMaterial({ depthTest: false, transparent: true });
+  materials.part = new THREE.MeshLambertMaterial({ vertexColors: true, alphaTest: 0.02, flatShading: true, side: THREE.DoubleSide });
   const ramp = scene.map.map((c) => new THREE.Color(c));
   const shade = (share, out) => { // share -1..1
     const x = Math.min(Math.max(0.5 + 0.5 * share, 0), 1) * (ramp.length - 1), k = Math.min(Math.floor(x), ramp.length - 2);
@@ -98,11 +98,11 @@
     const w = nx + 4, h = ny + 4, size = part.high.map((x, i) => x - part.low[i]);
     const position = new Float32Array(3 * w * h), tint = new Float32Array(4 * w * h), inner = (i, n) => Math.min(Math.max(i - 2, 0), n - 1);
     const along = (i, n, k) => part.low[k] + size[k] * (i < 2 ? 0 : i > n + 1 ? 1 : (i - 1.5) / n);
-    const places = Array.from({ length: nx * ny }, () => []);
+    const places = Array.from({ length: nx * ny }, () => []), feet = Array.from({ length: nx * ny }, () => []);
     for (let y = 0; y < h; y++) for (let x = 0; x < w; x++) {
       const v = y * w + x, c = inner(y, ny) * nx + inner(x, nx), foot = x === 0 || y === 0 || x === w - 1 || y === h - 1;
       position.set([along(x, nx, 0), along(y, ny, 1), part.low[2]], 3 * v);
-      if (foot) tint.set([0.7, 0.7, 0.7, 1], 4 * v); else places[c].push(v);
+      (foot ? feet : places)[c].push(v);
     }
     const index = new Uint32Array(6 * (w - 1) * (h - 1));
     for (let y = 0, n = 0; y < h - 1; y++) for (let x = 0; x < w - 1; x++, n += 6) {
@@ -120,7 +120,9 @@
     const put = (c, value) => {
       levels[c] = value;
       const k = value === start[c] ? raw : cut, z = part.low[2] + size[2] * value / LEVELS;
-      for (const v of places[c]) { position[3 * v + 2] = z; tint[4 * v] = k.r; tint[4 * v + 1] = k.g; tint[4 * v + 2] = k.b; tint[4 * v + 3] = value > 1 ? 1 : 0; }
+      const there = value > 1 ? 1 : 0; // else it is cut through, or there never was anything
+      for (const v of places[c]) { position[3 * v + 2] = z; tint.set([k.r, k.g, k.b, there], 4 * v); }
+      for (const v of feet[c]) tint.set([raw.r, raw.g, raw.b, there], 4 * v);
     };
     return {
       mesh,
@@ -228,6 +230,7 @@
     }
     const full = ARROW * extent, arrow = new THREE.Group(), shaft = new THREE.Mesh(new THREE.CylinderGeometry(0.012 * full, 0.012 * full, 1, 12), materials.force);
     const point = new THREE.Mesh(new THREE.CylinderGeometry(0, 0.05 * full, HEAD * full, 16), materials.force);
+    shaft.renderOrder = point.renderOrder = 3;
     arrow.add(shaft, point);
     world.add(arrow);
 
@@ -308,7 +311,7 @@
   function look(where) {
     const run = runs.find((r) => r.wanted) ?? runs[0], p = run.place;
     const away = { cell: [1.9, -3.6, 1.3], part: [0.55, -1.3, 1.1], top: [0, -1e-3, 1.8] }[where];
-    const size = where === "cell" ? 1.05 * Math.max(1, Math.hypot(p.x, p.y, p.z) / 1.8) : 0.72 * run.extent, target = p.clone();
+    const size = where === "cell" ? 1.05 * Math.max(1, Math.hypot(p.x, p.y, p.z) / 1.8) : 0.6 * run.extent, target = p.clone();
     if (where === "cell") target.multiply(new THREE.Vector3(0.5, 0.5, 0.72));
     const d = new THREE.Vector3(...away).normalize().multiplyScalar(size / Math.tan(Math.PI * 35 / 360) / Math.min(1, Math.max(camera.aspect, 0.45)));
     eye.target.copy(target);
