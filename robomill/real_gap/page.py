@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from robomill.cell.palette import BLUE, ORANGE, RED
 from robomill.models.robot.dynamics import KR300_DYNAMICS
 from robomill.real_gap import conclusions
 from robomill.real_gap.estimation import Problem, low_pass, simulate
@@ -146,14 +147,15 @@ def draw(r: Result, folder: Path) -> list[Path]:
     files = []
     fig, axes = plt.subplots(3, 2, figsize=(11, 8.5), sharex=True)
     for i, ax in enumerate(axes.T.flat):
-        ax.plot(B.t, B.torque[:, i], color="0.8", lw=0.5, label="measured")
+        ax.plot(B.t, B.torque[:, i], color="0.65", lw=0.5, label="measured")
         ax.plot(B.t, low_pass(B.torque, 8.0)[:, i], "k", lw=1.0, label="measured, below 8 Hz")
-        ax.plot(B.t, before[:, i], "C3--", lw=1.0, label="rigid body")
-        ax.plot(B.t, low_pass(after, 8.0)[:, i], "C0", lw=1.2, label="with the effects found on A")
+        ax.plot(B.t, before[:, i], "--", color=RED, lw=1.0, label="rigid body")
+        ax.plot(B.t, low_pass(after, 8.0)[:, i], BLUE, lw=1.2, label="with the effects found on A")
         ax.fill_between(B.t, *ax.get_ylim(), where=B.standing[:, i], color="0.93", zorder=0)
         ax.set_title(f"A{i + 1}", loc="left", fontsize=9)
         ax.set_ylabel("motor torque, N m", fontsize=8)
-    axes[0, 0].legend(fontsize=7)
+    legend = axes[0, 0].legend(fontsize=7)
+    legend.legend_handles[0].set_linewidth(1.5)  # as thin as in the picture it could not be seen
     for ax in axes[-1]:
         ax.set_xlabel("time, s (shaded: the axis stands)", fontsize=8)
     files.append(_save(fig, folder / "real_gap_torque.png"))
@@ -165,8 +167,8 @@ def draw(r: Result, folder: Path) -> list[Path]:
     fig, axes = plt.subplots(3, 1, figsize=(9, 8), sharex=True)
     for i, ax in enumerate(axes):
         ax.plot(B.t, 1e6 * (B.q_raw[:, i] - B.q_link[:, i]), "k", lw=0.8, label="measured")
-        ax.plot(B.t, 1e6 * (B.q - full["q_link"])[:, i], "C0", lw=1.2, label=r.link_best + " (found on A)")
-        ax.plot(B.t, 1e6 * (B.q - no_lag["q_link"])[:, i], "C1", lw=1.0, label="its twist and offset alone")
+        ax.plot(B.t, 1e6 * (B.q - full["q_link"])[:, i], BLUE, lw=1.2, label=r.link_best + " (found on A)")
+        ax.plot(B.t, 1e6 * (B.q - no_lag["q_link"])[:, i], ORANGE, lw=1.0, label="its twist and offset alone")
         ax.set_title(f"A{i + 1}: motor minus link encoder", loc="left", fontsize=9)
         ax.set_ylabel("µrad", fontsize=8)
     axes[0].legend(fontsize=7)
@@ -177,7 +179,7 @@ def draw(r: Result, folder: Path) -> list[Path]:
     gap, left = r.closures.before, r.closures.after
     x = np.arange(6)
     for k, (rms, label) in enumerate(((gap.rms, "rigid body"), (left.rms, "after, moving"), (left.rms_all, "after, with standstill"))):
-        ax.bar(x + 0.27 * (k - 1), rms, 0.25, label=label, color=("C3", "C0", "0.6")[k])
+        ax.bar(x + 0.27 * (k - 1), rms, 0.25, label=label, color=(RED, BLUE, "0.6")[k])
     ax.set_xticks(x, [f"A{i + 1}" for i in range(6)])
     ax.set_ylabel("rms on B, N m at the motor")
     ax.legend(fontsize=8)

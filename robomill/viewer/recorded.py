@@ -174,8 +174,8 @@ def _recorded(name: str, run: Run) -> Recorded:
     if not posed:
         raise ResultsError(
             f"{run.folder}: no component has a tool pose: expected columns NAME.p_BT_B[1..3] (m) and NAME.quat_BT[1..4], as "
-            f"robot_compliance and path_interpolator give them; there are columns of {', '.join(run.components) or 'nothing'}; record these ports, or view "
-            "the run of a cell with a robot"
+            f"robot_compliance and path_interpolator give them; there are columns of "
+            f"{', '.join(run.components) or 'nothing'}; record these ports, or view the run of a cell with a robot"
         )
     planned = next((c for c in run.components if Path(str(sources.get(c, ""))).stem in PLANNED and f"{c}.p_BT_B" in run), None)
     real = [c for c in posed if c != planned]

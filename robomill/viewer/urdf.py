@@ -46,9 +46,10 @@ def read_urdf(file: Path) -> tuple[Tree, int]:
     ways = {name: _way(file, name, above, links) for name in links}
     moving = max(([j for j in way if j.get("type") in _MOVING] for way in ways.values()), key=len)
     if len(moving) < AXES:
+        found = ", ".join(str(j.get("name")) for j in moving) or "none"
         raise UrdfError(
-            f"{file}: at most {len(moving)} moving joints lie behind each other ({', '.join(str(j.get('name')) for j in moving) or 'none'}); "
-            f"expected {AXES}, of the types {', '.join(_MOVING)}"
+            f"{file}: at most {len(moving)} moving joints lie behind each other ({found}); expected {AXES} of the types "
+            f"{', '.join(_MOVING)}"
         )
     axes = moving[:AXES]
     frames: list[Frame] = []

@@ -87,7 +87,7 @@ def test_round_shapes(tmp_path: Path) -> None:
     [
         ("<robot name='kr'>", "<robot name='kr'", "is no XML: .*; expected a URDF file .xacro files are expanded"),
         ("robot", "sdf", "its root element is <sdf>; expected <robot>"),
-        ("type='revolute'", "type='fixed'", "at most 0 moving joints lie behind each other .none.; expected 6, of the types revolute"),
+        ("type='revolute'", "type='fixed'", "at most 0 moving joints lie behind each other .none.; expected 6 of the types revolute"),
         ("child link='link_3'", "child link='arm'", "joint 'joint_3' has the child 'arm'; links: base, link_1"),
         ("<axis xyz='0 0 -1'/>", "<axis xyz='0 0 0'/>", "axis of joint 'joint_1' is '0 0 0'; expected a direction"),
         ("<axis xyz='0 0 -1'/>", "<axis xyz='0 0 nan'/>", "axis of joint 'joint_1' is '0 0 nan'; expected 3 numbers"),
