@@ -30,7 +30,7 @@ DEPTHS = (1.0, 2.0, 3.0)
 """Millimetres: those of the step-depth experiment."""
 COLOURS = (GREEN, ORANGE, RED)
 STYLES = ({"color": "k", "ls": "-"}, {"color": BLUE, "ls": "--"}, {"color": PURPLE, "ls": ":", "lw": 2.0})
-"""Of the candidates A, B, C."""
+"""Lines of the candidates A, B, C."""
 TWIN = "B, 4 ms, 2 delays"
 SAMPLED: dict[str, tuple[Any, int]] = {
     "A, 4 ms, no delay": (A, 0),
@@ -130,6 +130,9 @@ def dampings() -> None:
         axes.text(loop_gain(depth), 1.02, f"{depth:.0f} mm", ha="center", color=colour)
     axes.axhline(0.0, color="0.5", linewidth=0.8)
     axes.set(ylim=(-0.6, 1.0), xlim=(GAINS[0], GAINS[-1]), xlabel="K, 1/s", ylabel="damping ratio")
+    marks = [20, 30, 50, 100, 200, 300]
+    axes.set_xticks(marks, [str(k) for k in marks])
+    axes.set_xticks([], minor=True)
     figure.legend(*axes.get_legend_handles_labels(), fontsize=8, loc="outside right center")
     figure.savefig(PICTURES / "rate_damping.png", dpi=110)
 

@@ -149,9 +149,15 @@ def _variant(r: Recorded, packed: Packed, looks: tuple[Tree, int] | None) -> tup
     else:
         notes.append("the run has no block (milling.block_size); no part is shown")
     variant["cutter"] = radius
+    if s is not None and q is None:
+        q = r.solved(s)
+        notes.append(
+            "no axis angles are recorded (drive.q_motor); "
+            + ("the arm is drawn rigid, as it holds the tool" if q is not None else "only the tool is shown")
+        )
     if s is None or q is None:
-        what = "no robot (robot_drive, robot_compliance)" if s is None else "no axis angles (drive.q_motor)"
-        notes.append(f"the run has {what}; only the tool is shown")
+        if s is None:
+            notes.append("the run has no robot (robot_drive, robot_compliance); only the tool is shown")
     else:
         tree = from_dh(s, q[0], radius)
         R = Rotation.from_quat(r.quat, scalar_first=True).as_matrix()

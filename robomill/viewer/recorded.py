@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from robomill.cell.scenario import Workpiece
 from robomill.joints import ROBOTS, geometry
 from robomill.models.model.declaration import FloatArray, Record
+from robomill.models.robot.kinematics import inverse, tool_pose
 from robomill.orchestration.errors import ResultsError, unknown
 from robomill.orchestration.runs.run import RUN, Run
 from robomill.orchestration.system.definition import Component
@@ -26,6 +27,10 @@ PLANNED = ("path_interpolator", "lead_through")
 """Components whose tool pose is the one that was asked for."""
 STANDING = 1e-4
 """Speed [m/s] of the planned tool up to which it stands: a deviation then has no direction along the feed."""
+SOLVED = 1e-6
+"""Distance [m] up to which angles hold the tool where it is: far below what is seen, far above roundoff."""
+_STARTS = ("q_ref", "q_link", "q", "q_motor")
+"""Inputs whose start values are axis angles."""
 _OFFLINE = "offline"
 """Folder of the run that the pilot force comes from; it mills nothing."""
 
@@ -94,6 +99,27 @@ class Recorded:
         tips, t = self.run[f"{self.tool}.p_BT_B"], self.run.t
         between = np.stack([np.interp(t, t[self.kept], tips[self.kept, i]) for i in range(3)], axis=1)
         return float(np.max(np.linalg.norm(tips - between, axis=1)))
+
+    def solved(self, s: Record) -> FloatArray | None:
+        """Axis angles [n, 6] rad of the robot `s` that hold the recorded tool rigidly, for runs without recorded ones.
+
+        By the inverse kinematics in closed form, each nearest to the one before, the first to the start values of the run. None where
+        the run has no start values, and where the robot has no closed form or does not reach a pose.
+        """
+        starts = self.run.info.get("inputs", {}).values()
+        near = next(([float(v[f"{p}[{i}]"]) for i in range(1, 7)] for v in starts for p in _STARTS if f"{p}[6]" in v), None)
+        if near is None:
+            return None
+        R = Rotation.from_quat(self.quat, scalar_first=True).as_matrix()
+        q, last, found_p, found_R = np.empty((len(R), 6)), np.array(near), np.zeros(3), np.zeros((3, 3))
+        for k, p in enumerate(self.p):
+            if inverse(s, p, R[k], last, q[k]) != 0:
+                return None
+            tool_pose(s, q[k], found_p, found_R)
+            if not np.allclose(found_p, p, rtol=0.0, atol=SOLVED):
+                return None
+            last = q[k]
+        return q
 
     def robot(self) -> Record | None:
         """Geometry of the robot that moved the tool; None where the run names none."""

@@ -9,6 +9,7 @@
   const ARROW = 0.4; // of the part's diagonal: length of the arrow at the largest force
   const HEAD = 0.22; // of the arrow: its point
   const LARGEST_FACTOR = 500;
+  const ARM = 0.9; // m: half the height of such robots, which the eye looks at
 
   let bytes;
   try {
@@ -311,8 +312,8 @@
   function look(where) {
     const run = runs.find((r) => r.wanted) ?? runs[0], p = run.place;
     const away = { cell: [1.9, -3.6, 1.3], part: [0.55, -1.3, 1.1], top: [0, -1e-3, 1.8] }[where];
-    const size = where === "cell" ? 1.05 * Math.max(1, Math.hypot(p.x, p.y, p.z) / 1.8) : 0.6 * run.extent, target = p.clone();
-    if (where === "cell") target.multiply(new THREE.Vector3(0.5, 0.5, 0.72));
+    const size = where === "cell" ? 1.15 * Math.max(1, Math.hypot(p.x, p.y, p.z) / 1.8) : 0.6 * run.extent, target = p.clone();
+    if (where === "cell") target.set(0.5 * p.x, 0.5 * p.y, Math.max(0.72 * p.z, ARM));
     const d = new THREE.Vector3(...away).normalize().multiplyScalar(size / Math.tan(Math.PI * 35 / 360) / Math.min(1, Math.max(camera.aspect, 0.45)));
     eye.target.copy(target);
     camera.position.copy(target).add(d);

@@ -25,6 +25,12 @@ from tests.tolerances import EXACT
 
 SINGLE = 1e-6
 """Relative: the page has single precision."""
+CUBIC_MM = 1e-3
+"""cm3: the page says what is cut with three digits."""
+WHOLE, HUNDREDTHS = 0.5 + 1e-6, 0.005 + 1e-6
+"""Half of the last digit that is shown, of newtons and millimetres, and single precision."""
+BETWEEN = 0.02
+"""mm: the tree bends to first order, and between samples its angles are interpolated, not the place of the tool."""
 MADE = ROOT / "robomill" / "viewer"
 
 
@@ -154,7 +160,7 @@ def test_a_browser_shows_what_was_recorded_at_every_time(page: Path, results: Pa
         at = int(np.searchsorted(r.run.t[r.kept].astype(np.float32), t, side="right")) - 1
         _agree(r, t, tip, text)
         gone = 1e6 * np.prod(stock.high[:2] - stock.low[:2]) * float(np.mean(heights(stock, 0) - heights(stock, at)))
-        assert float(removed) == pytest.approx(gone, rel=SINGLE, abs=1e-3)  # three digits
+        assert float(removed) == pytest.approx(gone, rel=SINGLE, abs=CUBIC_MM)
     assert shown[0] == shown[4]
     # magnified 500 times the tool is 500 times as far from where the axes put it: first order in a bending of millimetres
     moved = np.array(shown[5][1].split(), dtype=float) - np.array(shown[0][1].split(), dtype=float)
@@ -168,9 +174,8 @@ def _agree(r: Recorded, t: float, tip: str, text: str) -> None:
         assert columns is not None
         return np.array([np.interp(t, r.run.t[r.kept], c) for c in columns.T])
 
-    # mm: the tree bends to first order (0.3 mm of 1 m bend by 1e-7), angles are turned in between, not places
-    assert np.array(tip.split(), dtype=float) == pytest.approx(1e3 * at(r.p), rel=EXACT, abs=0.02)
+    assert np.array(tip.split(), dtype=float) == pytest.approx(1e3 * at(r.p), rel=EXACT, abs=BETWEEN)
     words = re.search(r"uncompensated (\d+) N · tool ([\d.]+) mm off · part up to ([\d.]+) mm", text)
     assert words is not None
-    assert float(words[1]) == pytest.approx(float(np.linalg.norm(at(r.f))), rel=EXACT, abs=0.5 + SINGLE)  # whole newtons
-    assert float(words[2]) == pytest.approx(1e3 * float(np.linalg.norm(at(r.across))), rel=EXACT, abs=0.005 + SINGLE)  # two digits
+    assert float(words[1]) == pytest.approx(float(np.linalg.norm(at(r.f))), rel=EXACT, abs=WHOLE)
+    assert float(words[2]) == pytest.approx(1e3 * float(np.linalg.norm(at(r.across))), rel=EXACT, abs=HUNDREDTHS)

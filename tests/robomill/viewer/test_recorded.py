@@ -12,9 +12,12 @@ from robomill.orchestration.errors import ResultsError
 from robomill.orchestration.runs.importing import write_run
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import PortData
-from robomill.viewer.recorded import SIDE_BY_SIDE, Recorded, recordings
+from robomill.viewer.chain import TIP, from_dh
+from robomill.viewer.recorded import SIDE_BY_SIDE, SOLVED, Recorded, recordings
 from tests.tolerances import ROUNDOFF
 
+BENDING = 0.01
+"""rad: bending of 2 mm is taken up by turns of an axis 0.5 m away at most, four times as much where others turn against it."""
 LENGTH = 0.01
 """m: what the planned tool moves in the made-up run."""
 
@@ -72,6 +75,21 @@ def test_what_is_lost_between_the_samples_is_known(results: Path) -> None:
     p = r.run["compliance.p_BT_B"]
     straight = p[0] + (r.run.t - r.run.t[0])[:, None] / np.ptp(r.run.t) * (p[-1] - p[0])
     assert few.lost == pytest.approx(np.linalg.norm(p - straight, axis=1).max(), rel=1000 * ROUNDOFF)
+
+
+def test_angles_that_are_not_recorded_are_solved(results: Path) -> None:
+    r = recordings(results, ["uncompensated"])[0][0]
+    few = replace(r, kept=r.kept[::20])
+    s = few.robot()
+    assert s is not None
+    q = few.solved(s)
+    assert q is not None
+    assert from_dh(s, q[0], 8e-3).poses(q)[:, TIP, :3, 3] == pytest.approx(few.p, rel=ROUNDOFF, abs=SOLVED)
+    assert np.abs(q - few.q).max() < BENDING
+    silent = replace(few, run=replace(r.run, info={k: v for k, v in r.run.info.items() if k != "inputs"}))
+    assert silent.solved(s) is None
+    away = replace(few, run=replace(r.run, columns={**r.run.columns, "compliance.p_BT_B[1]": 9.0 + r.run["compliance.p_BT_B"][:, 0]}))
+    assert away.solved(s) is None  # out of reach
 
 
 def test_of_many_runs_the_first_are_shown(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from robomill.cell.evaluation import evaluate
 from robomill.viewer.recorded import Recorded, recordings
 from robomill.viewer.stock import FINEST, LEVELS, STEP, Stock, cut_stock, patches
-from tests.tolerances import EXACT, discretisation
+from tests.tolerances import EXACT, ROUNDOFF, discretisation
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def test_the_colours_are_what_the_run_was_measured_at(shown: tuple[Recorded, Sto
     found, want = patches(r, workpiece), evaluate("", "", r.run, workpiece, 1.0).figures
     assert found is not None
     assert want.max_deviation_m is not None
-    assert np.abs(found.deviation).max() == pytest.approx(want.max_deviation_m, rel=1e-9)
+    assert np.abs(found.deviation).max() == pytest.approx(want.max_deviation_m, rel=ROUNDOFF)
     assert np.all(np.diff(found.time) >= 0.0)
     assert FINEST < found.size < 3e-3
     air = Recorded(r.name, r.run, r.tool, None, r.force, r.angles, r.kept)
