@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -85,7 +86,7 @@ def profiles(results: Sequence[Result], found: Sequence[FacedSurface]) -> Figure
     figure = Figure(figsize=(9, 4), layout="constrained")
     ax = figure.subplots()
     for i, (result, each) in enumerate(zip(results, found, strict=True)):
-        style = {"color": CYCLE[i % len(CYCLE)], "ls": STYLES[i % len(STYLES)]}
+        style: dict[str, Any] = {"color": CYCLE[i % len(CYCLE)], "ls": STYLES[i % len(STYLES)]}
         row = each.along(_lane(each))
         ax.plot(1e3 * each.x, -1e3 * row, lw=1.6, label=f"{result.title}: mean {1e3 * np.nanmean(row):+.2f} mm", **style)
     ax.axhline(0.0, color="k", lw=0.5)
