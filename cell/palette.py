@@ -7,8 +7,8 @@ from __future__ import annotations
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PURPLE, SKY = "#CC79A7", "#56B4E9"
-GREY = "#6E6E6E"
-"""What stands for no measure taken: uncompensated, as measured."""
+GREY = "#404040"
+"""What is uncompensated; dark, because a medium grey and the green are one colour to who sees no red."""
 SHADE = "0.90"
 """Areas behind curves."""
 CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY)
