@@ -40,8 +40,7 @@ def passes(scenario: LearningScenario, result: Learnt) -> Figure:
     bottom = figure.add_subplot(grid[1, :])
     radius = result.variant.settings.tip_radius
     for view in views:
-        if not np.array_equal(scenario.nominal, scenario.real):
-            view.plot(*(1e3 * scenario.nominal.T), color="0.6", ls=":", lw=1.2, label="edge as drawn")
+        view.plot(*(1e3 * scenario.nominal.T), color="0.8", lw=5.0, label="edge as drawn")  # a band: the true one lies on it
         view.plot(*(1e3 * scenario.real.T), color="black", label="true edge")
         view.plot(*(1e3 * result.guiding.position[:, :2].T), "s--", color=RED, markersize=3, linewidth=0.8, label="guiding points")
         for n, p in enumerate(result.passes):

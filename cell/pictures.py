@@ -37,6 +37,8 @@ FEEDING = 1e-3
 """Speed [m/s] from beyond which the tool is fed, and correction and feed are drawn as arrows: slower, it stops at a corner."""
 STRIP = 2.0
 """Length over width of a path from above from which on it is drawn below the curves, not beside them."""
+DARKEST = 1.6
+"""Depth at which a nominal part would be black, over its largest: a part of one depth is grey, not black."""
 NOTE: dict[str, Any] = {"boxstyle": "round", "fc": "white", "alpha": 0.8}
 COLOURS = {"uncompensated": GREY, "cartesian": BLUE, "axis": ORANGE, "cartesian_pilot": GREEN}
 
@@ -74,7 +76,7 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece, nominal: bool = Fa
     columns = 1 if alone else 3 if nominal else 2
     rows = -(-shown // columns)
     size = np.array(workpiece.size[:2]) * 1e3
-    width = 8.0 if alone else 6.4
+    width = 8.0 if alone else 4.6 if nominal else 6.4
     figure = Figure(
         figsize=(width * columns + 1.2, max((0.72 * width * size[1] / size[0] + 0.9) * rows, LEAST_HEIGHT)), layout="constrained"
     )
@@ -110,7 +112,15 @@ def _surface(ax: Axes, result: Result, workpiece: Workpiece, norm: TwoSlopeNorm,
 def _heights(ax: Axes, result: Result, workpiece: Workpiece) -> None:
     """The nominal part, with its depths."""
     cut = cut_height_map(result.nominal, workpiece.size, RELIEF)
-    image = ax.pcolormesh(1e3 * cut.x, 1e3 * cut.y, 1e3 * cut.height, cmap="Greys_r", shading="nearest", rasterized=True)
+    image = ax.pcolormesh(
+        1e3 * cut.x,
+        1e3 * cut.y,
+        1e3 * cut.height,
+        cmap="Greys_r",
+        vmin=DARKEST * 1e3 * cut.height.min(),
+        shading="nearest",
+        rasterized=True,
+    )
     half = 0.5e3 * np.array(workpiece.size[:2])
     ax.set(aspect="equal", xlim=(-half[0], half[0]), ylim=(-half[1], half[1]), xlabel="x in mm", ylabel="y in mm")
     ax.set_title("nominal part\n(grey: z in mm)", fontsize=10)
