@@ -37,4 +37,4 @@ def draw(placing: Placing, file: Path) -> Path:
 
 def _point(ax: Axes, values: np.ndarray, pair: tuple[str, str], marker: str, colour: str, label: str) -> None:
     x, y = (_SCALE[v] * values[VARIABLES.index(v)] for v in pair)
-    ax.plot(x, y, marker, color=colour, mec="black", mew=0.8, ms=13, ls="", label=label)
+    ax.plot(x, y, marker, color=colour, mec="black", mew=0.8, ms=13, ls="", clip_on=False, zorder=5, label=label)
