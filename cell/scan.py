@@ -88,7 +88,9 @@ def profiles(results: Sequence[Result], found: Sequence[FacedSurface]) -> Figure
     for i, (result, each) in enumerate(zip(results, found, strict=True)):
         style: dict[str, Any] = {"color": CYCLE[i % len(CYCLE)], "ls": STYLES[i % len(STYLES)]}
         row = each.along(_lane(each))
-        ax.plot(1e3 * each.x, -1e3 * row, lw=max(3.0 - 0.5 * i, 1.0), label=f"{result.title}: mean {1e3 * np.nanmean(row):+.2f} mm", **style)
+        ax.plot(
+            1e3 * each.x, -1e3 * row, lw=max(3.0 - 0.5 * i, 1.0), label=f"{result.title}: mean {1e3 * np.nanmean(row):+.2f} mm", **style
+        )
     ax.axhline(0.0, color="k", lw=0.5)
     ax.set(xlabel="x in mm", ylabel="surface above programmed plane in mm", title="Laser scan of the finished surface")
     ax.legend(fontsize=8)
