@@ -9,9 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from robomill.cell.compensation import Compensation
+from robomill.cell.palette import BLUE, GREEN, GREY
 from robomill.cell.pictures import surfaces
 
-_BEFORE, _AFTER = "tab:gray", "tab:green"
+_BEFORE, _AFTER = GREY, GREEN
 
 
 def draw_all(result: Compensation, folder: Path) -> list[Path]:
@@ -34,6 +35,8 @@ def path(result: Compensation) -> Figure:
     grid = figure.add_gridspec(4, 2, height_ratios=[1, 1, 1, 1.1])
     axes = [figure.add_subplot(grid[0, :])]
     axes += [figure.add_subplot(grid[i, :], sharex=axes[0]) for i in (1, 2)]
+    for ax in axes[:2]:
+        ax.tick_params(labelbottom=False)
     way = result.path.along
     air = ~result.before.cut
     for ax, i, name in zip(axes, range(3), "xyz", strict=True):
@@ -55,8 +58,8 @@ def path(result: Compensation) -> Figure:
 def _iterations(ax: Axes, result: Compensation) -> None:
     numbers = [i.number for i in result.iterations]
     ax.semilogy(numbers, [1e3 * i.rms_m for i in result.iterations], "o-", color=_AFTER, label="tool tip, rms")
-    ax.semilogy(numbers, [1e3 * i.left_m for i in result.iterations], "s--", color="tab:blue", label="its smoothed part")
-    ax.set(xlabel="iteration", ylabel="mm", xticks=numbers, title="What each iteration leaves, with its contraction")
+    ax.semilogy(numbers, [1e3 * i.left_m for i in result.iterations], "s--", color=BLUE, label="its smoothed part")
+    ax.set(xlabel="iteration", ylabel="rms in mm", xticks=numbers, title="What each iteration leaves, with its contraction")
     low, high = ax.get_ylim()
     ax.set_ylim(low / 1.5, high)
     for i in result.iterations:

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from robomill.cell.palette import BLUE, GREEN, ORANGE, PURPLE, RED, SKY
 from robomill.cell.path_learning import LearningScenario, Learnt
 from robomill.models.components.surface_contact import signed_distances
 
-COLOURS = ("tab:orange", "tab:blue", "tab:green", "tab:purple", "tab:brown")
+COLOURS = (ORANGE, SKY, GREEN, PURPLE)
 """One per pass; they begin anew where there are more."""
 DETAIL = 15.0
 """Half the width [mm] of the detail of a contour that is drawn as a whole."""
@@ -39,13 +40,13 @@ def passes(scenario: LearningScenario, result: Learnt) -> Figure:
     bottom = figure.add_subplot(grid[1, :])
     radius = result.variant.settings.tip_radius
     for view in views:
-        view.plot(*(1e3 * scenario.nominal.T), color="lightgray", label="edge as drawn")
+        view.plot(*(1e3 * scenario.nominal.T), color="0.8", lw=5.0, label="edge as drawn")  # a band: the true one lies on it
         view.plot(*(1e3 * scenario.real.T), color="black", label="true edge")
-        view.plot(*(1e3 * result.guiding.position[:, :2].T), "rs--", markersize=3, linewidth=0.8, label="guiding points")
+        view.plot(*(1e3 * result.guiding.position[:, :2].T), "s--", color=RED, markersize=3, linewidth=0.8, label="guiding points")
         for n, p in enumerate(result.passes):
-            text = f"pass {n + 1}, as recorded"
+            text = f"pass {n + 1} as recorded; below, with F/k: {1e3 * p.figures['smoothed_rms_m']:.3f} mm rms"
             view.plot(*(1e3 * p.position[:, :2].T), color=COLOURS[n % len(COLOURS)], linewidth=0.8, label=text)
-        view.plot(*(1e3 * result.program.position[:, :2].T), "b.", markersize=4, label=f"program, {len(result.program)} points")
+        view.plot(*(1e3 * result.program.position[:, :2].T), ".", color=BLUE, markersize=5, label=f"program, {len(result.program)} points")
         view.set(xlabel="x in the part frame, mm", ylabel="y, mm")
         if closed:
             view.set_aspect("equal")
@@ -56,11 +57,9 @@ def passes(scenario: LearningScenario, result: Learnt) -> Figure:
         colour = COLOURS[n % len(COLOURS)]
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p.learnt.position, axis=0), axis=1))])
         error = signed_distances(scenario.real, p.learnt.position[:, :2]) - radius
-        text = f"pass {n + 1}: {1e3 * p.figures['smoothed_rms_m']:.3f} mm rms"
-        bottom.plot(1e3 * way, 1e3 * error, color=colour, linewidth=0.8, label=text)
+        bottom.plot(1e3 * way, 1e3 * error, color=colour, linewidth=0.8)
     figure.suptitle(f"{scenario.title}: {result.variant.title}")
-    whole.legend(fontsize=8)
+    figure.legend(*whole.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=3)
     bottom.set(xlabel="way along the learnt path, mm", ylabel="learnt with F/k minus true, mm")
     bottom.grid(alpha=0.3)
-    bottom.legend(fontsize=8)
     return figure

@@ -62,16 +62,20 @@ def cut_part(run: Run, workpiece: Workpiece, poses: str = "compliance", spacing:
     ValueError where a line of dexels has more walls than there is room for.
     """
     part = raw_part(run, workpiece, spacing)
-    R_BP = Rotation.from_euler("ZYX", workpiece.abc)
-    tip = R_BP.inv().apply(run[f"{poses}.p_BT_B"] - np.asarray(workpiece.position))
-    turn = Rotation.from_quat(run[f"{poses}.quat_BT"], scalar_first=True)
-    axis = -(R_BP.inv() * turn).as_matrix()[:, :, 0]
-    radius, corner, reach = _tools(run)
-    part.cut(tip, axis, radius, corner, reach, run["path.spindle_speed"] > 0.0)
+    radius, corner, reach = tools(run)
+    part.cut(*tool_motion(run, workpiece, poses), radius, corner, reach, run["path.spindle_speed"] > 0.0)
     return part
 
 
-def _tools(run: Run) -> tuple[FloatArray, FloatArray, float]:
+def tool_motion(run: Run, workpiece: Workpiece, poses: str) -> tuple[FloatArray, FloatArray]:
+    """Tip (n, 3) [m] and axis from tip to spindle (n, 3) in P, as the component `poses` of the run says."""
+    R_BP = Rotation.from_euler("ZYX", workpiece.abc)
+    tip = R_BP.inv().apply(run[f"{poses}.p_BT_B"] - np.asarray(workpiece.position))
+    turn = Rotation.from_quat(run[f"{poses}.quat_BT"], scalar_first=True)
+    return tip, -(R_BP.inv() * turn).as_matrix()[:, :, 0]
+
+
+def tools(run: Run) -> tuple[FloatArray, FloatArray, float]:
     """Radius and corner radius [m] of the cutter at each sample (n,), and the longest cutting edge [m]."""
     n = len(run)
     radius = np.full(n, 0.5 * float(_parameter(run, "diameter")))

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -15,6 +14,7 @@ from matplotlib.figure import Figure
 
 from robomill.cell import part_picture
 from robomill.cell.evaluation import Cut, Result, cutting
+from robomill.cell.palette import BLUE, CYCLE, GREEN, GREY, ORANGE, RED, SHADE, SKY, STYLES
 from robomill.cell.part import is_tridexel
 from robomill.cell.scenario import Scenario, Workpiece
 from robomill.models.metrology.height_map import cut_height_map
@@ -36,8 +36,12 @@ NO_WAY = 1e-9
 """Way [m] of the tool between two samples up to which it stands, and has no side."""
 FEEDING = 1e-3
 """Speed [m/s] from beyond which the tool is fed, and correction and feed are drawn as arrows: slower, it stops at a corner."""
+STRIP = 2.0
+"""Length over width of a path from above from which on it is drawn below the curves, not beside them."""
+DARKEST = 1.6
+"""Depth at which a nominal part would be black, over its largest: a part of one depth is grey, not black."""
 NOTE: dict[str, Any] = {"boxstyle": "round", "fc": "white", "alpha": 0.8}
-COLOURS = {"uncompensated": "tab:gray", "cartesian": "tab:blue", "axis": "tab:orange", "cartesian_pilot": "tab:green"}
+COLOURS = {"uncompensated": GREY, "cartesian": BLUE, "axis": ORANGE, "cartesian_pilot": GREEN}
 
 
 def draw_all(scenario: Scenario, results: Sequence[Result], folder: Path) -> list[Path]:
@@ -73,7 +77,7 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece, nominal: bool = Fa
     columns = 1 if alone else 3 if nominal else 2
     rows = -(-shown // columns)
     size = np.array(workpiece.size[:2]) * 1e3
-    width = 8.0 if alone else 6.4
+    width = 8.0 if alone else 4.6 if nominal else 6.4
     figure = Picture(
         figsize=(width * columns + 1.2, max((0.72 * width * size[1] / size[0] + 0.9) * rows, LEAST_HEIGHT)), layout="constrained"
     )
@@ -89,7 +93,7 @@ def surfaces(results: Sequence[Result], workpiece: Workpiece, nominal: bool = Fa
     bar = figure.colorbar(ScalarMappable(norm, MAP), ax=list(axes[:shown]), shrink=0.8)
     key = "red: material left, blue: gouged; walls folded outwards;\nyellow: beside an edge, not counted; crosses: at least so much"
     if nominal:
-        key = "red: material left, blue: gouged\nwalls folded outwards; yellow: beside\nan edge, not counted; crosses: at least so much"
+        key = "red: material left, blue: gouged; walls folded\noutwards; yellow: beside an edge, not counted;\ncrosses: at least so much"
     bar.set_label("deviation along the surface normal in mm\n(" + key + ")", fontsize=8 if nominal else None)
     return figure
 
@@ -109,7 +113,15 @@ def _surface(ax: Axes, result: Result, workpiece: Workpiece, norm: TwoSlopeNorm,
 def _heights(ax: Axes, result: Result, workpiece: Workpiece) -> None:
     """The nominal part, with its depths."""
     cut = cut_height_map(result.nominal, workpiece.size, RELIEF)
-    image = ax.pcolormesh(1e3 * cut.x, 1e3 * cut.y, 1e3 * cut.height, cmap="Greys_r", shading="nearest", rasterized=True)
+    image = ax.pcolormesh(
+        1e3 * cut.x,
+        1e3 * cut.y,
+        1e3 * cut.height,
+        cmap="Greys_r",
+        vmin=DARKEST * 1e3 * cut.height.min(),
+        shading="nearest",
+        rasterized=True,
+    )
     half = 0.5e3 * np.array(workpiece.size[:2])
     ax.set(aspect="equal", xlim=(-half[0], half[0]), ylim=(-half[1], half[1]), xlabel="x in mm", ylabel="y in mm")
     ax.set_title("nominal part\n(grey: z in mm)", fontsize=10)
@@ -151,10 +163,10 @@ def _deviation(ax: Axes, s: SurfaceDeviation, norm: TwoSlopeNorm, dot: float) ->
 def _shade(ax: Axes, cuts: Sequence[Cut], span: float = 0.0) -> None:
     """Grey where the cutter is engaged; darker where it enters and leaves."""
     for i, cut in enumerate(cuts):
-        ax.axvspan(cut.start, cut.end, color="0.93", zorder=0, label="engaged" if i == 0 else None)
+        ax.axvspan(cut.start, cut.end, color=SHADE, zorder=0, label="engaged" if i == 0 else None)
         if span > 0.0 and cut.end - cut.start > 2 * span:
-            ax.axvspan(cut.start, cut.start + span, color="tab:green", alpha=0.15, zorder=0, label="entry" if i == 0 else None)
-            ax.axvspan(cut.end - span, cut.end, color="tab:red", alpha=0.15, zorder=0, label="exit" if i == 0 else None)
+            ax.axvspan(cut.start, cut.start + span, color=SKY, alpha=0.35, zorder=0, label="entry" if i == 0 else None)
+            ax.axvspan(cut.end - span, cut.end, color=ORANGE, alpha=0.3, zorder=0, label="exit" if i == 0 else None)
 
 
 def deviations(results: Sequence[Result], workpiece: Workpiece) -> Figure:
@@ -167,16 +179,17 @@ def deviations(results: Sequence[Result], workpiece: Workpiece) -> Figure:
     )
     for ax in (sideways, upwards):
         _shade(ax, first.cuts, 0.5 * span)
-    for r in results:
+    for i, r in enumerate(results):
         side, up = _across(r)
+        style: dict[str, Any] = {"color": COLOURS.get(r.name, CYCLE[i % len(CYCLE)]), "ls": STYLES[i % len(STYLES)]}
         # outside the cuts the tool is in the air and its deviation leaves no trace
         in_cut = np.any([(r.run.t >= c.start) & (r.run.t <= c.end) for c in r.cuts], axis=0) if r.cuts else np.zeros(len(r.run), bool)
         for ax, values in ((sideways, side), (upwards, up)):
-            ax.plot(r.run.t, np.where(in_cut, 1e3 * values, np.nan), color=COLOURS.get(r.name), label=r.title, lw=1.2)
-            ax.plot(r.run.t, 1e3 * values, color=COLOURS.get(r.name), lw=0.6, alpha=0.3)
+            ax.plot(r.run.t, np.where(in_cut, 1e3 * values, np.nan), label=r.title, lw=1.4, **style)
+            ax.plot(r.run.t, 1e3 * values, lw=0.6, alpha=0.3, **style)
     sideways.set(ylabel="to the left of the feed in mm", title="Deviation of the tool tip from the planned path")
     upwards.set(ylabel="along the tool axis (up) in mm", xlabel="time in s")
-    sideways.legend(fontsize=8, ncols=4, loc="lower center")
+    figure.legend(*sideways.get_legend_handles_labels(), fontsize=8, ncols=4, loc="outside lower center")
     if first.cuts:
         upwards.set_xlim(first.cuts[0].start - 0.5, first.cuts[-1].end + 0.5)
     for ax in (sideways, upwards):
@@ -205,18 +218,18 @@ def forces(result: Result) -> Figure:
     ax = figure.subplots()
     _shade(ax, result.cuts)
     size = {
-        "cutting force (mean of the step)": (run["milling.f_T_B"], "0.6", 0.7),
-        "measured, compensated and filtered": (run["sensor.f_T_T"], "tab:blue", 1.3),
-        "pilot (offline, ahead by the lead time)": (run["path.f_pilot_B"], "tab:orange", 1.1),
-        "used by the controller": (run["controller.f_used_B"], "tab:red", 1.1),
+        "cutting force (mean of the step)": (run["milling.f_T_B"], "0.6", 2.2, "-"),
+        "measured, compensated and filtered": (run["sensor.f_T_T"], BLUE, 1.4, "-"),
+        "pilot (offline, ahead by the lead time)": (run["path.f_pilot_B"], ORANGE, 1.2, "-"),
+        "used by the controller": (run["controller.f_used_B"], RED, 1.2, "--"),
     }
-    for label, (force, colour, width) in size.items():
-        ax.plot(run.t, np.linalg.norm(force, axis=1), color=colour, lw=width, label=label)
-    blend = ax.twinx()
+    for label, (force, colour, width, style) in size.items():
+        ax.plot(run.t, np.linalg.norm(force, axis=1), color=colour, lw=width, ls=style, label=label)
     if np.any(run["controller.pilot_blend"] > 0.0):
-        blend.fill_between(run.t, run["controller.pilot_blend"], color="tab:red", alpha=0.12, lw=0)
-        ax.fill_between([], [], color="tab:red", alpha=0.12, lw=0, label="pilot blend (right axis)")
-    blend.set(ylim=(0, 1), ylabel="pilot blend")
+        blend = ax.twinx()
+        blend.fill_between(run.t, run["controller.pilot_blend"], color=RED, alpha=0.12, lw=0)
+        ax.fill_between([], [], color=RED, alpha=0.12, lw=0, label="pilot blend (right axis)")
+        blend.set(ylim=(0, 1), ylabel="pilot blend, 0 to 1")
     ax.set(xlabel="time in s", ylabel="force magnitude in N", title=f"Force signals: {result.title}")
     if result.cuts:
         ax.set_xlim(result.cuts[0].start - 0.5, result.cuts[-1].end + 0.5)
@@ -227,29 +240,34 @@ def forces(result: Result) -> Figure:
 def projection(result: Result) -> Figure:
     """Correction before and after the projection normal to the feed (Fig. 4), in base coordinates and as arrows from above."""
     run = result.run
-    figure = Figure(figsize=(11, 6), layout="constrained")
-    grid: Any = figure.subplot_mosaic([["x", "top"], ["y", "top"], ["z", "top"]], sharex=False, width_ratios=[3, 2])
+    p, v = run["path.p_BT_B"], run["path.v_BT_B"]
     r, r_v = run["controller.r_B"], run["controller.r_v_B"]
+    feeding = np.flatnonzero(cutting(run) & (_speed(run) > FEEDING))
+    chosen = feeding[:: max(1, len(feeding) // 60)]
+    tips = np.vstack([p[chosen, :2], p[chosen, :2] + 0.25 * v[chosen, :2], p[chosen, :2] + 10.0 * r[chosen, :2]])
+    (left, right), (low, high) = (_range(tips[:, i]) if len(chosen) > 0 else (-1.0, 1.0) for i in range(2))
+    figure = Figure(figsize=(11, 6), layout="constrained")
+    grid: Any
+    if right - left > STRIP * (high - low):
+        grid = figure.subplot_mosaic([["x"], ["y"], ["z"], ["top"], ["key"]], height_ratios=[1, 1, 1, 1.3, 0.15])
+    else:
+        grid = figure.subplot_mosaic([["x", "top"], ["y", "top"], ["z", "key"]], width_ratios=[6, 5])
     for i, axis in enumerate("xyz"):
         ax = grid[axis]
         _shade(ax, result.cuts)
-        ax.plot(run.t, 1e3 * r[:, i], color="tab:green", lw=1.0, label="before")
-        ax.plot(run.t, 1e3 * r_v[:, i], color="tab:red", lw=1.0, label="after")
+        ax.plot(run.t, 1e3 * r[:, i], color=GREEN, lw=2.2, label="before")
+        ax.plot(run.t, 1e3 * r_v[:, i], color=RED, lw=1.2, ls="--", label="after")
         ax.set_ylabel(f"{axis} in mm")
         if result.cuts:
             ax.set_xlim(result.cuts[0].start - 0.5, result.cuts[-1].end + 0.5)
     grid["x"].set_title(f"Correction before and after the projection: {result.title}", fontsize=10)
-    grid["x"].legend(fontsize=8)
     grid["z"].set_xlabel("time in s")
     ax = grid["top"]
-    p, v = run["path.p_BT_B"], run["path.v_BT_B"]
-    feeding = np.flatnonzero(cutting(run) & (_speed(run) > FEEDING))
-    chosen = feeding[:: max(1, len(feeding) // 60)]
     ax.plot(1e3 * p[feeding, 0], 1e3 * p[feeding, 1], ".", color="0.8", ms=1)
     for vectors, colour, label, scale in (
-        (v, "tab:blue", "feed", 0.25),
-        (r, "tab:green", "correction x 10", 10),
-        (r_v, "tab:red", "projected x 10", 10),
+        (v, BLUE, "feed", 0.25),
+        (r, GREEN, "correction x 10", 10),
+        (r_v, RED, "projected x 10", 10),
     ):
         ax.quiver(
             *(1e3 * p[chosen, :2].T),
@@ -261,16 +279,16 @@ def projection(result: Result) -> Figure:
             width=0.004,
             label=label,
         )
-    ax.set(aspect="equal", xlabel="x of the base in mm", ylabel="y of the base in mm", title="from above")
-    if len(chosen) > 0:
-        tips = np.vstack([p[chosen, :2], p[chosen, :2] + 0.25 * v[chosen, :2], p[chosen, :2] + 10.0 * r[chosen, :2]])
-        for limits, low, high in ((ax.set_xlim, *_range(tips[:, 0])), (ax.set_ylim, *_range(tips[:, 1]))):
-            limits(1e3 * low, 1e3 * high)
-    figure.legend(*ax.get_legend_handles_labels(), fontsize=8, loc="outside lower right", ncols=3)
+    ax.set(xlabel="x of the base in mm", ylabel="y of the base in mm", title="from above")
+    ax.set(xlim=(1e3 * left, 1e3 * right), ylim=(1e3 * low, 1e3 * high))
+    ax.set_aspect("equal")
+    handles, labels = (a + b for a, b in zip(grid["x"].get_legend_handles_labels(), ax.get_legend_handles_labels(), strict=True))
+    grid["key"].axis("off")
+    grid["key"].legend(handles, labels, fontsize=8, loc="center", ncols=6 if right - left > STRIP * (high - low) else 2)
     return figure
 
 
-def _range(values: FloatArray, least: float = 0.04) -> tuple[float, float]:
+def _range(values: FloatArray, least: float = 0.02) -> tuple[float, float]:
     """Bounds [m] that hold the values with room around them; a path straight along an axis gets `least` of width."""
     middle, half = 0.5 * (values.min() + values.max()), 0.5 * (values.max() - values.min())
     half = max(1.15 * half, 0.5 * least)
@@ -283,18 +301,19 @@ def load_cases(magnitudes: dict[str, FloatArray], titles: dict[str, str], paper:
     ax = figure.subplots()
     n = len(magnitudes)
     width = 0.8 / n
-    colours = mpl.colormaps["tab10"].colors  # type: ignore[attr-defined]  # a listed colour map has colours
     for i, (name, size) in enumerate(magnitudes.items()):
         cases = np.arange(1, len(size) + 1)
         ax.bar(
             cases + (i - 0.5 * (n - 1)) * width,
             1e3 * size,
             width,
-            color=colours[i],
+            color=CYCLE[i % len(CYCLE)],
             label=f"{titles[name]} (mean {1e3 * size.mean():.2f} mm)",
         )
         if name in paper:
-            ax.axhline(1e3 * paper[name], color=colours[i], ls="--", lw=1.0, label=f"mean in the paper: {1e3 * paper[name]:.2f} mm")
+            ax.axhline(
+                1e3 * paper[name], color=CYCLE[i % len(CYCLE)], ls="--", lw=1.0, label=f"mean in the paper: {1e3 * paper[name]:.2f} mm"
+            )
     for start, text in ((1, "load in +x"), (21, "load in +y"), (41, "load in -z")):
         ax.axvline(start - 0.5, color="k", lw=0.6)
         ax.text(start, 0.99, text, va="top", fontsize=9, transform=ax.get_xaxis_transform())

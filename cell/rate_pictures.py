@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from robomill.cell.palette import BLUE, CYCLE, RED, STYLES
 from robomill.cell.removal_rate import RateResult, RateScenario
 
-GREY = "0.93"
-"""Behind burs and beside the depth."""
+DEPTH = "0.87"
+"""The area of the depth of cut."""
 
 
 def draw_all(scenario: RateScenario, results: Sequence[RateResult], folder: Path) -> list[Path]:
@@ -34,20 +35,21 @@ def force_and_feed(scenario: RateScenario, result: RateResult) -> Figure:
     run = result.run
     figure = Figure(figsize=(9, 5.5), layout="constrained")
     force, feed = figure.subplots(2, 1, sharex=True)
-    force.plot(run.t, run["process.force_measured"], color="0.75", lw=0.6, label="as measured")
-    force.plot(run.t, run["process.force"], color="tab:blue", lw=1.1, label="process force")
+    force.plot(run.t, run["process.force_measured"], color="0.55", lw=0.7, label="as measured")
+    force.plot(run.t, run["process.force"], color=BLUE, lw=1.1, label="process force")
     _levels(force, scenario, result.reference)
     depth = force.twinx()
-    depth.fill_between(run.t, 1e3 * run["process.depth"], color=GREY, lw=0, zorder=0)
+    depth.fill_between(run.t, 1e3 * run["process.depth"], color=DEPTH, lw=0, zorder=0)
+    force.fill_between([], [], color=DEPTH, lw=0, label="depth of cut (right axis)")
     depth.set(ylabel="depth of cut in mm", ylim=(0.0, 4e3 * float(run["process.depth"].max()) or 1.0))
     force.set_zorder(depth.get_zorder() + 1)
     force.patch.set_visible(False)
     force.set(ylabel="cutting force in N", title=f"{scenario.title}\n{result.variant.title}", ylim=(0.0, None))
-    force.legend(fontsize=8, loc="lower right")
-    feed.plot(run.t, 1e3 * run["robot.feed_command"], color="0.6", lw=0.8, label="commanded")
-    feed.plot(run.t, 1e3 * run["robot.feed"], color="tab:red", lw=1.1, label="actual")
+    feed.plot(run.t, 1e3 * run["robot.feed_command"], color="0.55", lw=0.9, label="feed commanded")
+    feed.plot(run.t, 1e3 * run["robot.feed"], color=RED, lw=1.1, label="feed actual")
     feed.set(xlabel="time in s", ylabel="feed in mm/s", ylim=(0.0, None))
-    feed.legend(fontsize=8, loc="lower left")
+    handles, labels = (a + b for a, b in zip(force.get_legend_handles_labels(), feed.get_legend_handles_labels(), strict=True))
+    figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncols=4)
     return figure
 
 
@@ -55,16 +57,19 @@ def over_way(scenario: RateScenario, results: Sequence[RateResult]) -> Figure:
     """Force of all variants over the way along the path, above the depth of cut."""
     figure = Figure(figsize=(9, 5.5), layout="constrained")
     force, depth = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
-    for result in results:
+    for i, result in enumerate(results):
         run = result.run
+        style = {"color": CYCLE[i % len(CYCLE)], "ls": STYLES[i % len(STYLES)]}
         label = f"{result.variant.title}: {result.figures['duration_s']:.2f} s, peak {result.figures['peak_force_n']:.0f} N"
-        force.plot(1e3 * run["process.distance"], run["process.force"], lw=1.0, label=label)
+        force.plot(1e3 * run["process.distance"], run["process.force"], lw=1.0, label=label, **style)
     _levels(force, scenario, results[0].reference)
     force.set(ylabel="cutting force in N", title=scenario.title, ylim=(0.0, None))
     figure.legend(fontsize=8, loc="outside lower center", ncols=2)
     way, deep = 1e3 * scenario.profile[:, 0], 1e3 * scenario.profile[:, 1]
     depth.fill_between(way, deep, color="0.8", lw=0)
-    depth.set(xlabel="way along the path in mm", ylabel="depth in mm", xlim=(float(np.min(way)), float(np.max(way))), ylim=(0.0, None))
+    depth.set(
+        xlabel="way along the path in mm", ylabel="depth of\ncut in mm", xlim=(float(np.min(way)), float(np.max(way))), ylim=(0.0, None)
+    )
     return figure
 
 
@@ -73,4 +78,4 @@ def _levels(ax: Axes, scenario: RateScenario, reference: float | None) -> None:
     if reference is not None:
         ax.axhline(reference, color="k", ls=":", lw=1.0, label=f"reference {reference:.0f} N")
     if scenario.limit is not None:
-        ax.axhline(scenario.limit, color="tab:red", ls="--", lw=1.0, label=f"limit {scenario.limit:.0f} N")
+        ax.axhline(scenario.limit, color=RED, ls="--", lw=1.0, label=f"limit {scenario.limit:.0f} N")

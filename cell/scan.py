@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from robomill.cell.evaluation import Figures, Result
+from robomill.cell.palette import CYCLE, STYLES
 from robomill.cell.scenario import Scenario
 from robomill.models.metrology.faced_surface import FacedSurface, beside_openings, faced_surface
 from robomill.orchestration.runs.run import Run
@@ -88,9 +89,12 @@ def profiles(results: Sequence[Result], found: Sequence[FacedSurface]) -> Figure
 
     figure = Figure(figsize=(9, 4), layout="constrained")
     ax = figure.subplots()
-    for result, each in zip(results, found, strict=True):
+    for i, (result, each) in enumerate(zip(results, found, strict=True)):
+        style: dict[str, Any] = {"color": CYCLE[i % len(CYCLE)], "ls": STYLES[i % len(STYLES)]}
         row = each.along(_lane(each))
-        ax.plot(1e3 * each.x, -1e3 * row, lw=1.3, label=f"{result.title}: mean {1e3 * np.nanmean(row):+.2f} mm")
+        ax.plot(
+            1e3 * each.x, -1e3 * row, lw=max(3.0 - 0.5 * i, 1.0), label=f"{result.title}: mean {1e3 * np.nanmean(row):+.2f} mm", **style
+        )
     ax.axhline(0.0, color="k", lw=0.5)
     ax.set(xlabel="x in mm", ylabel="surface above programmed plane in mm", title="Laser scan of the finished surface")
     ax.legend(fontsize=8)
@@ -114,9 +118,9 @@ def maps(results: Sequence[Result], found: Sequence[FacedSurface]) -> Figure:
     figure = Figure(figsize=(9, 0.6 + 2.6 * len(found)), layout="constrained")
     axes = np.atleast_1d(figure.subplots(len(found), 1, sharex=True))
     for ax, result, each in zip(axes, results, found, strict=True):
-        drawn = ax.contourf(1e3 * each.x, 1e3 * each.y, 1e3 * each.error, levels=levels, cmap="turbo")
+        drawn = ax.contourf(1e3 * each.x, 1e3 * each.y, 1e3 * each.error, levels=levels, cmap="cividis")
         ax.set(aspect="equal", ylabel="y in mm")
         ax.set_title(f"{result.title}: touches at {1e3 * each.touch:+.2f}, clean at {1e3 * each.clean:+.2f} mm", fontsize=10)
     axes[-1].set_xlabel("x in mm")
-    figure.colorbar(drawn, ax=list(axes), shrink=0.8).set_label("surface error in mm, + too deep")
+    figure.colorbar(drawn, ax=list(axes), shrink=0.8).set_label("surface error in mm, + too deep (white: nothing scanned)")
     return figure

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from robomill.cell.palette import CYCLE, GREEN, RED
 from robomill.cell.stability import Cell, LineStability, lobes_at
 from robomill.models.model.declaration import FloatArray
 
@@ -38,13 +39,14 @@ def draw_lobes(cell: Cell, lines: Sequence[LineStability], speeds: tuple[float, 
         found = lobes_at(cell, line.cut, line.q, n)
         depth = np.where(np.isfinite(found.depth), found.depth, np.nan) * 1e3
         lowest.append(np.nanmin(depth) if np.any(np.isfinite(depth)) else 0.0)
-        axes.plot(n * RPM, depth, color=f"C{i}", lw=1.4, label=f"limit at line {line.line}")
+        wide = 3.2 - 0.8 * i  # lobes that lie on each other are seen all
+        axes.plot(n * RPM, depth, color=CYCLE[i], lw=wide, label=f"limit at line {line.line}")
         if cell.machine is not None and cell.spindle is not None:
             alone = lobes_at(cell, line.cut, line.q, n, True).depth * 1e3
             axes.plot(
-                n * RPM, np.where(np.isfinite(alone), alone, np.nan), "--", color=f"C{i}", lw=1.0, label=f"robot alone, line {line.line}"
+                n * RPM, np.where(np.isfinite(alone), alone, np.nan), "--", color=CYCLE[i], lw=wide, label=f"robot alone, line {line.line}"
             )
-    for stable, marker, colour in ((True, "o", "tab:green"), (False, "X", "tab:red")):
+    for stable, marker, colour in ((True, "o", GREEN), (False, "X", RED)):
         of = [x for x in lines if x.stable == stable]
         if of:
             label = f"planned, {'stable' if stable else 'unstable'} ({len(of)})"
@@ -77,13 +79,13 @@ def draw_map(x: FloatArray, y: FloatArray, margin: FloatArray, line: LineStabili
     shown = np.ma.masked_invalid(margin)
     mesh = axes.pcolormesh(x, y, shown, cmap="viridis", shading="nearest")
     if shown.count() and float(shown.min()) < 1.0 < float(shown.max()):
-        axes.contour(x, y, np.where(np.isfinite(margin), margin, np.nan), levels=[1.0], colors="tab:red")
+        axes.contour(x, y, np.where(np.isfinite(margin), margin, np.nan), levels=[1.0], colors=RED)
     axes.plot(*place, "o", ms=9, mfc="none", mec="white", mew=2, label=f"planned: line {line.line}")
     axes.set_xlabel("x of the base, m")
     axes.set_ylabel("y of the base, m")
     axes.set_aspect("equal")
     axes.set_title(
-        f"robot alone: limit over planned {1e3 * line.depth:.2f} mm at {line.spindle_speed * RPM:.0f} rev/min; grey: out of reach",
+        f"robot alone: margin at {1e3 * line.depth:.2f} mm at {line.spindle_speed * RPM:.0f} rev/min; grey: out of reach",
         loc="left",
         fontsize=9,
     )
@@ -91,6 +93,6 @@ def draw_map(x: FloatArray, y: FloatArray, margin: FloatArray, line: LineStabili
     legend.get_frame().set_facecolor("0.35")
     for text in legend.get_texts():
         text.set_color("white")
-    figure.colorbar(mesh, ax=axes, label="margin")
+    figure.colorbar(mesh, ax=axes, label="margin: limit over planned depth")
     figure.savefig(file, dpi=110)
     return file

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from robomill.cell import milling, scan
 from robomill.cell.evaluation import Result, evaluate
+from robomill.cell.palette import BLUE, ORANGE
 from robomill.cell.scenario import Scenario, Variant, load_scenario
 
 ROOT = Path(__file__).parents[1]
@@ -59,9 +60,9 @@ def main() -> None:
         before, after = directions(Path(place))
         figure = Figure(figsize=(8, 4), layout="constrained")
         ax = figure.subplots()
-        ax.plot(DIRECTIONS, before, "o-", label="position control")
-        ax.plot(DIRECTIONS, after, "s-", label="deformation compensation")
-        ax.plot(list(FACTS), list(FACTS.values()), "kx", label="FACTS10 10.1")
+        ax.plot(DIRECTIONS, before, "o-", color=BLUE, label="position control")
+        ax.plot(DIRECTIONS, after, "s-", color=ORANGE, label="deformation compensation")
+        ax.plot(list(FACTS), list(FACTS.values()), "kx", label="independent calculation")
         ax.axhline(0.0, color="k", lw=0.5)
         ax.set(xlabel="direction of feed from x of the robot base in deg", ylabel="overcut in mm", xticks=list(DIRECTIONS))
         ax.legend()

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from robomill.cell.palette import BLUE, ORANGE
 from robomill.models.components.spindle_holder import HOLDER
 from robomill.models.model.declaration import FloatArray, Model, Record, record
 from robomill.models.robot.kinematics import Robot, Tool, inverse, load_robot, load_tool, robot_variables, tool_pose
@@ -178,13 +179,13 @@ def draw_budget(rows: list[Share]) -> None:
         (("known_pose", "mean at one known pose"), ("work_space", "anywhere in the work space")),
         strict=True,
     ):
-        for direction, offset, colour, label in ((1, -0.2, "tab:blue", "feed (tangential)"), (0, 0.2, "tab:orange", "radial")):
+        for direction, offset, colour, label in ((1, -0.2, BLUE, "feed (tangential)"), (0, 0.2, ORANGE, "radial")):
             values = [MM * getattr(r, name)[direction] for r in shown]
             bars = axes.barh(at + offset, values, height=0.38, color=colour, label=label)
             axes.bar_label(bars, [f"{v:.3f}" if v else "" for v in values], padding=3, fontsize=8, bbox=WHITE)
         axes.set_title(title)
         axes.set_yticks(at, [r.cause for r in shown])
-        axes.set_xlabel("left after compensation, 2 sd [mm]")
+        axes.set_xlabel("left after compensation, 2 sd, in mm")
         axes.axvline(0.02, color="0.4", linestyle=":", label="paper 001: 0.02 mm", zorder=0)
     axes.invert_yaxis()
     axes.set_xlim(0.0, 0.15)
@@ -198,16 +199,17 @@ def draw_orientation(maps: dict[float, FloatArray]) -> None:
     panels = figure.subplots(1, 3, sharey=True)
     top = MM * max(float(np.nanmax(maps[a])) for a in (55.0, 90.0))
     for axes, values, title, limits, colours in (
-        (panels[0], MM * maps[55.0], "55 deg: displacement [mm]", (0.0, top), "viridis"),
-        (panels[1], MM * maps[90.0], "90 deg: displacement [mm]", (0.0, top), "viridis"),
-        (panels[2], maps[55.0] / maps[90.0], "ratio 55 / 90 deg", (0.65, 0.85), "magma"),
+        (panels[0], MM * maps[55.0], "55 deg: displacement in mm", (0.0, top), "viridis"),
+        (panels[1], MM * maps[90.0], "90 deg: displacement in mm", (0.0, top), "viridis"),
+        (panels[2], maps[55.0] / maps[90.0], "ratio 55 / 90 deg", (0.65, 0.85), "cividis"),
     ):
         image = axes.pcolormesh(X, Z, values.T, vmin=limits[0], vmax=limits[1], cmap=colours, shading="nearest")
         figure.colorbar(image, ax=axes)
         axes.set_title(title)
-        axes.set_xlabel("x of the TCP [m]")
+        axes.set_xlabel("x of the TCP in m")
         axes.set_facecolor("0.9")
-    panels[0].set_ylabel("z of the TCP [m]")
+    panels[0].set_ylabel("z of the TCP in m")
+    figure.suptitle("Spindle at 55 and 90 degrees; grey: out of reach", fontsize=10)
     figure.savefig(PICTURES / "spindle_orientation.png", dpi=110)
 
 

@@ -10,6 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from robomill.cell import palette
+from robomill.cell.palette import BLUE, GREEN, ORANGE, PURPLE, RED
 from robomill.models.calibration.rate_loop import (
     B_UNDELAYED,
     CANDIDATES,
@@ -26,7 +28,9 @@ from robomill.models.calibration.rate_loop import (
 PICTURES = Path(__file__).parent / "pictures"
 DEPTHS = (1.0, 2.0, 3.0)
 """Millimetres: those of the step-depth experiment."""
-COLOURS = ("tab:green", "tab:orange", "tab:red")
+COLOURS = (GREEN, ORANGE, RED)
+STYLES = ({"color": "k", "ls": "-"}, {"color": BLUE, "ls": "--"}, {"color": PURPLE, "ls": ":", "lw": 2.0})
+"""Lines of the candidates A, B, C."""
 TWIN = "B, 4 ms, 2 delays"
 SAMPLED: dict[str, tuple[Any, int]] = {
     "A, 4 ms, no delay": (A, 0),
@@ -62,10 +66,10 @@ def root_loci() -> None:
     """Closed-loop poles over the gain: the candidates in the s plane, the loop of the twin in the z plane."""
     figure = Figure(figsize=(11, 5), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for (name, dynamics), style in zip(CANDIDATES.items(), ("k-", "b--", "m:"), strict=True):
+    for (name, dynamics), style in zip(CANDIDATES.items(), STYLES, strict=True):
         loci = control.root_locus_map(continuous_loop(dynamics, 1.0), gains=LOCUS).loci
-        left.plot(loci.real, loci.imag, style, linewidth=1.0)
-        left.plot([], [], style, label=name)
+        left.plot(loci.real, loci.imag, **style)
+        left.plot([], [], label=name, **style)
     for depth, colour in zip(DEPTHS, COLOURS, strict=True):
         poles = control.feedback(continuous_loop(A, loop_gain(depth)), 1).poles()
         left.plot(poles.real, poles.imag, "o", color=colour, label=f"A at {depth:.0f} mm, K = {loop_gain(depth):.1f}")
@@ -92,18 +96,18 @@ def steps() -> None:
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     for axes, depth, duration in zip(figure.subplots(1, len(DEPTHS)), DEPTHS, DURATIONS, strict=True):
         t = np.arange(0.0, duration, 1e-3)
-        for (name, dynamics), style in zip(CANDIDATES.items(), ("k-", "b--", "m:"), strict=True):
+        for (name, dynamics), style in zip(CANDIDATES.items(), STYLES, strict=True):
             response = control.step_response(control.feedback(continuous_loop(dynamics, loop_gain(depth)), 1), t)
-            axes.plot(1e3 * t, response.outputs, style, linewidth=1.0, label=f"{name}, continuous")
+            axes.plot(1e3 * t, response.outputs, label=f"{name}, continuous", **style)
         cycles = np.arange(0.0, duration, CYCLE)
         response = control.step_response(control.feedback(sampled_loop(B_UNDELAYED, loop_gain(depth), 2), 1), cycles)
-        axes.step(1e3 * cycles, response.outputs, "tab:red", where="post", linewidth=1.0, label=TWIN)
-        axes.set(xlabel="t, ms", title=f"{depth:.0f} mm, K = {loop_gain(depth):.1f} 1/s")
+        axes.step(1e3 * cycles, response.outputs, color=RED, where="post", linewidth=1.0, zorder=1.5, label=TWIN)
+        axes.set(xlabel="time in ms", title=f"{depth:.0f} mm, K = {loop_gain(depth):.1f} 1/s")
         axes.grid(alpha=0.3)
-    figure.axes[0].set_ylabel("F' / F_r'")
+    figure.axes[0].set_ylabel("force over its reference")
     for axes in figure.axes[:2]:
         axes.set_ylim(-0.5, 2.2)
-    figure.axes[0].legend(fontsize=8)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=4)
     figure.savefig(PICTURES / "rate_steps.png", dpi=110)
 
 
@@ -112,12 +116,13 @@ def dampings() -> None:
     figure = Figure(figsize=(8, 5), layout="constrained")
     axes: Axes = figure.subplots()
     axes.semilogx(GAINS, [damping(continuous_loop(A, k)) for k in GAINS], "k-", label="A, continuous")
-    for name, (dynamics, delays) in SAMPLED.items():
+    for i, (name, (dynamics, delays)) in enumerate(SAMPLED.items()):
         axes.semilogx(
             GAINS,
             [damping(sampled_loop(dynamics, k, delays)) for k in GAINS],
             "-" if name == TWIN else "--" if dynamics is A else ":",
-            linewidth=2.0 if name == TWIN else 1.0,
+            color=palette.CYCLE[i % len(palette.CYCLE)],
+            linewidth=3.0 if name == TWIN else 1.4,
             label=name,
         )
     for depth, colour in zip(DEPTHS, COLOURS, strict=True):
@@ -125,7 +130,10 @@ def dampings() -> None:
         axes.text(loop_gain(depth), 1.02, f"{depth:.0f} mm", ha="center", color=colour)
     axes.axhline(0.0, color="0.5", linewidth=0.8)
     axes.set(ylim=(-0.6, 1.0), xlim=(GAINS[0], GAINS[-1]), xlabel="K, 1/s", ylabel="damping ratio")
-    axes.legend(fontsize=8, loc="upper right")
+    marks = [20, 30, 50, 100, 200, 300]
+    axes.set_xticks(marks, [str(k) for k in marks])
+    axes.set_xticks([], minor=True)
+    figure.legend(*axes.get_legend_handles_labels(), fontsize=8, loc="outside right center")
     figure.savefig(PICTURES / "rate_damping.png", dpi=110)
 
 

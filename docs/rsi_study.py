@@ -13,6 +13,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
+from robomill.cell.palette import BLUE, GREEN, ORANGE, PURPLE, RED
 from robomill.cell.rsi.partner import Partner, rob_telegram
 from robomill.cell.rsi.settings import load_link
 from robomill.models.model.declaration import FloatArray
@@ -70,8 +71,10 @@ FAILURES: dict[str, Callable[[int], bytes | None]] = {
 
 figure, view = plt.subplots(figsize=(8.0, 3.6), layout="constrained")
 t = 4.0 * (np.arange(CYCLES) - FAILS)
-for (name, text), style in zip(FAILURES.items(), ("k-", "C0--", "C1-", "C2--", "C3-.", "C4-"), strict=True):
-    view.step(t, sent(text), style, where="post", label=name)
+for (name, text), (colour, style) in zip(
+    FAILURES.items(), (("k", "-"), (BLUE, "--"), (ORANGE, "-"), (GREEN, "--"), (RED, "-."), (PURPLE, "-")), strict=True
+):
+    view.step(t, sent(text), color=colour, ls=style, where="post", label=name)
 view.set_xlim(-100.0, 400.0)
 view.set_ylim(bottom=0.0)
 view.set_xlabel("time after the failure, ms")

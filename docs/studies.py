@@ -16,6 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from robomill import run
 from robomill.cell import milling
 from robomill.cell.evaluation import Result, evaluate
+from robomill.cell.palette import BLUE, GREEN, ORANGE, RED
 from robomill.cell.scenario import Scenario, load_scenario
 from robomill.models.model.declaration import FloatArray
 from robomill.orchestration.errors import OrchestrationError
@@ -84,14 +85,15 @@ def lead_time(folder: Path) -> None:
         print("{:7.0f} | {:16.2f} | {:11.0f}".format(*row))
     figure = Figure(figsize=(8, 4), layout="constrained")
     ax = figure.subplots()
-    ax.plot(table[:, 0], table[:, 1], "o-", color="tab:blue")
+    ax.plot(table[:, 0], table[:, 1], "o-", color=BLUE, label="largest deviation")
     ax.set(xlabel="lead time of the pilot force in ms", ylabel="largest deviation in mm", ylim=(0, None))
-    ax.axhline(0.3, color="tab:blue", ls=":", label="paper: 0.3 mm")
-    ax.legend(loc="lower left")
+    ax.axhline(0.3, color=BLUE, ls=":", label="paper: 0.3 mm")
     other = ax.twinx()
-    other.plot(table[:, 0], table[:, 2], "s-", color="tab:red")
-    other.axhspan(-12, 12, color="tab:red", alpha=0.12)
-    other.set_ylabel("reaction (t50) in ms; band: three cycles", color="tab:red")
+    other.plot(table[:, 0], table[:, 2], "s-", color=RED, label="reaction (right axis)")
+    other.axhspan(-12, 12, color=RED, alpha=0.12, label="three cycles about none (right axis)")
+    other.set_ylabel("reaction (t50) in ms", color=RED)
+    handles, labels = (a + b for a, b in zip(ax.get_legend_handles_labels(), other.get_legend_handles_labels(), strict=True))
+    figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncols=4)
     figure.savefig(FIGURES / "lead_time.png", dpi=120)
 
 
@@ -163,13 +165,15 @@ def convergence(folder: Path) -> None:
     table = np.array(rows)
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     ax = figure.subplots()
-    ax.loglog(table[:, 0], table[:, 3], "o-", label="Jacobi - Gauss-Seidel")
-    ax.loglog(table[:, 0], table[:, 1], "s--", label="Jacobi - finest")
-    ax.loglog(table[:-1, 0], table[:-1, 2], "^--", label="Gauss-Seidel - finest")
+    ax.loglog(table[:, 0], table[:, 3], "o-", color=BLUE, label="Jacobi - Gauss-Seidel")
+    ax.loglog(table[:, 0], table[:, 1], "s--", color=ORANGE, label="Jacobi - finest")
+    ax.loglog(table[:-1, 0], table[:-1, 2], "^--", color=GREEN, label="Gauss-Seidel - finest")
     ax.loglog(table[:, 0], table[0, 3] * table[:, 0] / table[0, 0], "k:", label="first order")
     ax.set(
         xlabel="communication step in ms", ylabel="largest difference of the deflection in um", title="Force <-> deflection in the groove"
     )
+    ax.set_xticks(table[:, 0], [f"{h:g}" for h in table[:, 0]])
+    ax.set_xticks([], minor=True)
     ax.legend()
     ax.grid(which="both", alpha=0.3)
     figure.savefig(FIGURES / "convergence.png", dpi=120)

@@ -241,6 +241,9 @@ def _diagnosis() -> str:
 
 def _blind() -> str:
     """Files of `robomill blind`."""
-    lead = "`robomill blind` makes a benchmark, runs a diagnosis on it and scores it. [The blind benchmark](../../maintainers/blind.md) explains it."
+    lead = (
+        "`robomill blind` makes a benchmark, runs a diagnosis on it and scores it. "
+        "[The blind benchmark](../../maintainers/blind.md) explains it."
+    )
     named = ((Request, "request.json"), (Benchmark, "benchmark.json"), (Truth, "sealed/NNNN.json"), (Score, "score.json"))
     return page("Files of the blind benchmark", lead, *(s for cls, name in named for s in json_sections(cls, name)))

@@ -28,6 +28,7 @@ ACTIONS = {
     "run": ("commands", "run"),
     "sweep": ("sweep_command", "run"),
     "build": ("commands", "build"),
+    "view": ("view_command", "run"),
     "check": ("commands", "check"),
     "plan": ("plan_command", "plan"),
     "compensate": ("compensate_command", "run"),
@@ -69,6 +70,7 @@ class Parser(argparse.ArgumentParser):
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
+        """Usage and text to standard error, then SystemExit with status 2 and the text as its cause."""
         self.print_usage(sys.stderr)
         print(f"{self.prog}: error: {message}", file=sys.stderr)
         raise SystemExit(2) from ValueError(message)
@@ -131,6 +133,11 @@ def parser() -> argparse.ArgumentParser:
         'robomill sweep scenarios/groove.toml --set "milling.tool_wear=0,0.2,0.4" --variant cartesian',
     )
     sweep.add_when_used("sweep_command", "add_arguments")
+
+    view = _command(
+        commands, "view", "write runs as one HTML page: robot, part, deviation and force in space and time", "robomill view results/groove"
+    )
+    view.add_when_used("view_command", "add_arguments")
 
     build = _command(commands, "build", "write the components as FMUs, and systems as SSP packages", "robomill build --out dist")
     build.add_argument("--out", type=Path, default=Path("dist"), help="folder for the FMUs (default: dist)")

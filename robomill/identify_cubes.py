@@ -35,6 +35,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
+from robomill.cell.palette import BLUE, GREEN, RED
 from robomill.identify_report import columns, finite, keep
 from robomill.logs.reading import SUFFIXES, read_log
 from robomill.measured_set import MeasuredSetError
@@ -363,19 +364,19 @@ def draw(result: dict[str, Any]) -> Figure:
     figure = Figure(figsize=(9.5, 5.4 if compared else 3.4), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1 + compared, 1, sharex=True))
     at = np.arange(len(springs))
-    for n, (way, color) in enumerate(zip(WAYS, ("0.55", "tab:blue", "tab:green"), strict=True)):
+    for n, (way, color) in enumerate(zip(WAYS, ("0.55", BLUE, GREEN), strict=True)):
         spread = [s["relative_deviations"][way] for s in springs]
         panels[0].bar(
             at + 0.27 * (n - 1), [100 * v if v is not None and v < UNKNOWN else 0.0 for v in spread], 0.27, color=color, label=way
         )
-    panels[0].axhline(100 * VAGUE, color="tab:red", lw=0.8, ls="--", label=f"{100 * VAGUE:.0f} %")
+    panels[0].axhline(100 * VAGUE, color=RED, lw=0.8, ls="--", label=f"{100 * VAGUE:.0f} %")
     panels[0].set(ylabel="standard deviation in %", title=f"{result['robot']}: {result['loads']} loads")
     panels[0].legend(fontsize=8, ncols=4)
     if compared:
         known = [(i, s) for i, s in enumerate(springs) if s["stiffness_nm_per_rad"] and s["finding"] != "not determined"]
         ratio = [s["stiffness_nm_per_rad"] / s["compared_nm_per_rad"] for _, s in known]
         bars = [2.0 * s["relative_deviation"] * r for (_, s), r in zip(known, ratio, strict=True)]
-        panels[1].errorbar([i for i, _ in known], ratio, bars, fmt="o", ms=4, capsize=3, color="tab:blue")
+        panels[1].errorbar([i for i, _ in known], ratio, bars, fmt="o", ms=4, capsize=3, color=BLUE)
         panels[1].axhline(1.0, color="0.5", lw=0.8)
         panels[1].set_ylabel("identified / given,\n+- two standard deviations")
     panels[-1].set_xticks(at, [s["name"] for s in springs], rotation=60, ha="right", fontsize=8)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from robomill.cell.palette import BLUE, RED
 from robomill.identify_report import finite, keep
 from robomill.measured_set import MeasuredSetError, Quantity, read_measured, read_signals, says
 from robomill.models.calibration.load_cycle import CONFIDENCE, CycleFit, GapFit, Slope, fit_cycle, fit_gap
@@ -219,7 +220,7 @@ def draw_cycle(loops: Loops, fit: CycleFit) -> Figure:
     ax.plot(
         1e3 * (middle + x), fit.whole.value * x, color="k", ls="--", lw=1.0, label=f"whole cycle {1e-5 * fit.whole.value:.2f}e5 N m/rad"
     )
-    for slope, colour, name in ((fit.loading_end, "tab:blue", "loading end"), (fit.unloading_start, "tab:red", "unloading start")):
+    for slope, colour, name in ((fit.loading_end, BLUE, "loading end"), (fit.unloading_start, RED, "unloading start")):
         reach = min(0.45 * fit.twist, 0.7 * fit.amplitude / slope.value)
         away = np.array([0.0, -reach])
         ax.plot(
@@ -239,15 +240,16 @@ def draw_gap(loops: Loops, fit: GapFit) -> Figure:
     """The small loop, and what it is without its spring, with the gap."""
     figure = Figure(figsize=(9.0, 4.2), layout="constrained")
     loop, step = figure.subplots(1, 2)
-    loop.plot(1e6 * loops.angle, loops.torque, color="0.5", lw=0.9)
+    loop.plot(1e6 * loops.angle, loops.torque, color="0.5", lw=0.9, label="measured")
+    loop.legend(fontsize=8, loc="upper left")
     loop.set(xlabel="angle in urad", ylabel="torque in N m", title=f"{loops.name}: small cycle")
     rest = loops.angle - loops.torque / fit.slope
     rest = rest - 0.5 * (np.median(rest[loops.torque > 0.0]) + np.median(rest[loops.torque < 0.0]))
-    step.plot(loops.torque, 1e6 * rest, ".", color="0.6", ms=2.0, label="angle without the spring")
+    step.plot(loops.torque, 1e6 * rest, ".", color="0.4", ms=3.0, label="angle without the spring")
     low, high = (0.5e6 * x for x in fit.interval)
     for sign in (1.0, -1.0):
-        step.axhspan(min(sign * low, sign * high), max(sign * low, sign * high), color="tab:red", alpha=0.25, lw=0.0)
-        step.axhline(sign * 0.5e6 * fit.gap, color="tab:red", lw=1.0, label=f"gap {1e6 * fit.gap:.1f} urad" if sign > 0.0 else None)
+        step.axhspan(min(sign * low, sign * high), max(sign * low, sign * high), color=RED, alpha=0.25, lw=0.0)
+        step.axhline(sign * 0.5e6 * fit.gap, color=RED, lw=1.0, label=f"gap {1e6 * fit.gap:.1f} urad" if sign > 0.0 else None)
     step.set(
         xlabel="torque in N m", ylabel="angle in urad", title=f"{2.0 * low:.1f} to {2.0 * high:.1f} urad with {100 * CONFIDENCE:.0f} %"
     )

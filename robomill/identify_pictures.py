@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
+from robomill.cell.palette import BLUE, RED
 from robomill.models.calibration.hammer import Response
 from robomill.models.calibration.modal_fit import ModalFit
 from robomill.models.calibration.mode_shapes import ModeShapes
@@ -22,6 +24,8 @@ BAR = 0.4
 X, Y, Z = range(3)
 PHASES = np.cos(np.linspace(0.0, np.pi, 5))
 COLUMNS = 3
+_PARTS = (("k", 1.0, "still"), (BLUE, 1.8, "ends of the vibration"), ("0.7", 1.0, "between them"))
+"""Colour, width and name of the lines of a mode."""
 
 
 def draw_responses(responses: Sequence[Response], fit: ModalFit) -> Figure:
@@ -30,11 +34,11 @@ def draw_responses(responses: Sequence[Response], fit: ModalFit) -> Figure:
     axes = np.reshape(figure.subplots(2, len(responses), sharex=True, height_ratios=[3, 1], squeeze=False), (2, -1))
     for n, (r, fitted) in enumerate(zip(responses, fit.fitted, strict=True)):
         d, (above, below) = r.direction, axes[:, n]
-        above.semilogy(r.frequency, np.abs(r.inertance[:, d]), color="0.6", lw=1.6, label="measured")
-        above.semilogy(r.frequency, np.abs(fitted[:, d]), color="tab:blue", lw=1.0, label="rational fit")
+        above.semilogy(r.frequency, np.abs(r.inertance[:, d]), color="0.6", lw=2.4, label="measured")
+        above.semilogy(r.frequency, np.abs(fitted[:, d]), color=BLUE, lw=1.0, label="rational fit")
         for m in fit.modes:
             if m.frequency < SHOWN:
-                above.axvline(m.frequency, color="tab:red", lw=0.6, ls=":", label="modes" if m is fit.modes[0] else None)
+                above.axvline(m.frequency, color=RED, lw=1.0, ls=":", label="modes" if m is fit.modes[0] else None)
         name = "xyz"[d]
         above.set(title=f"H_{name}{name}, {r.blows} blows of {r.peak:.0f} N", xlim=(0.0, SHOWN))
         below.plot(r.frequency, r.coherence[:, d], color="0.3", lw=0.8)
@@ -58,6 +62,8 @@ def draw_shapes(shapes: ModeShapes, chosen: Sequence[int], titles: Sequence[str]
     for ax, mode, title in zip(panels, chosen, titles, strict=False):
         _shape(ax, shapes.points, shapes.motion[mode], shapes.turn[mode])
         ax.set_title(title, fontsize=9)
+    lines = [Line2D([], [], color=c, lw=w, label=text) for c, w, text in _PARTS]
+    figure.legend(handles=lines, fontsize=8, loc="outside lower center", ncols=len(lines))
     return figure
 
 
@@ -79,8 +85,9 @@ def _shape(ax: Axes, points: FloatArray, motion: FloatArray, turn: FloatArray) -
                 ax.plot(ends[:, across], ends[:, up], color=colour, lw=width)
 
     for part in PHASES:
-        draw(part, *(("0.8", 1.0) if abs(part) < 1.0 - 1e-9 else ("tab:blue", 1.8)))
-    draw(0.0, "k", 1.0)
+        between, ends = _PARTS[2][:2], _PARTS[1][:2]
+        draw(part, *(between if abs(part) < 1.0 - 1e-9 else ends))
+    draw(0.0, *_PARTS[0][:2])
     reach = 0.5 * float(np.ptp(points[:, [X, Y]], axis=0).max()) + LARGEST + 0.1
     middle = [0.5 * float(points[:, k].min() + points[:, k].max()) for k in (across, up)]
     ax.set(xlim=(middle[0] - reach, middle[0] + reach), ylim=(middle[1] - 0.55 * reach, middle[1] + 0.55 * reach), aspect="equal")

@@ -13,6 +13,7 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
+from robomill.cell.palette import BLUE, ORANGE
 from robomill.measured_set import MeasuredSet, MeasuredSetError, Quantity, read_measured
 
 if TYPE_CHECKING:
@@ -184,13 +185,13 @@ def _plot(file: Path, forces: FloatArray, shown: FloatArray) -> None:
     figure = Figure(figsize=(9, 5), layout="constrained")
     above, below = figure.subplots(2, 3, sharex="col")
     for i, name in enumerate(("x", "y", "z (axial)")):
-        above[i].plot(forces[:, i], shown[:, i], ".", markersize=2, color="tab:blue", rasterized=True)
+        above[i].plot(forces[:, i], shown[:, i], ".", markersize=2, color=BLUE, rasterized=True)
         above[i].set_title(f"force along {name}")
-        below[i].plot(forces[:, i], shown[:, i] - forces[:, i], ".", markersize=2, color="tab:orange", rasterized=True)
+        below[i].plot(forces[:, i], shown[:, i] - forces[:, i], ".", markersize=2, color=ORANGE, rasterized=True)
         below[i].axhline(0.0, color="0.5", linewidth=0.8)
-        below[i].set_xlabel("dynamometer [N]")
-    above[0].set_ylabel("spindle holder [N]")
-    below[0].set_ylabel("difference [N]")
+        below[i].set_xlabel("dynamometer in N")
+    above[0].set_ylabel("spindle holder in N")
+    below[0].set_ylabel("difference in N")
     figure.savefig(file, dpi=110)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from robomill.cell.palette import BLUE
 from robomill.identify_report import columns, finite, keep
 from robomill.measured_set import MeasuredSet, MeasuredSetError, Quantity, read_measured
 from robomill.models.calibration.stations import Stations, stations
@@ -109,7 +110,7 @@ def draw(measured: MeasuredSet, found: Stations) -> Figure:
     at = np.arange(1, len(found.q) + 1)
     for axis, ax in enumerate(axes):
         ax.bar(at + 0.2, 1e-6 * found.drives_only[:, axis], 0.38, color="white", ec="0.4", lw=0.8, label="drives alone")
-        ax.bar(at + 0.2, 1e-6 * found.with_tilt[:, axis], 0.38, color="tab:blue", label="with tilt axes")
+        ax.bar(at + 0.2, 1e-6 * found.with_tilt[:, axis], 0.38, color=BLUE, label="with tilt axes")
         ax.bar(at - 0.2, 1e-6 * found.measured[:, axis], 0.38, color="0.45", label="measured")
         share = float(found.share[:, axis].mean())
         ax.set(xlabel="station", title=f"{'xyz'[axis]}: tilt axes leave {share:.2f}", xticks=at)

@@ -32,11 +32,7 @@ def read_stl(file: str | Path, unit: float = 1e-3) -> FloatArray:
     explains. FileNotFoundError if there is none.
     """
     path = Path(file)
-    if not path.is_file():
-        raise FileNotFoundError(f"no STL file {path}")
-    triangles = _facets(path) * unit
-    if not np.all(np.isfinite(triangles)):
-        raise StlError(f"{path}: has coordinates that are not finite; export the solid anew")
+    triangles = read_triangles(path) * unit
     extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
         others = {"millimetres": 1e-3, "inches": 0.0254, "metres": 1.0, "micrometres": 1e-6}
@@ -53,8 +49,20 @@ def read_stl(file: str | Path, unit: float = 1e-3) -> FloatArray:
     return triangles
 
 
-def _facets(path: Path) -> FloatArray:
-    """Triangles (n, 3, 3) as they are written."""
+def read_triangles(path: Path) -> FloatArray:
+    """Triangles (n, 3, 3) of an STL file as they are written, closed or not: in its unit.
+
+    StlError: no STL, ends early, or not finite. FileNotFoundError if there is none.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"no STL file {path}")
+    triangles = _triangles(path)
+    if not np.all(np.isfinite(triangles)):
+        raise StlError(f"{path}: has coordinates that are not finite; export the solid anew")
+    return triangles
+
+
+def _triangles(path: Path) -> FloatArray:
     data = path.read_bytes()
     if len(data) >= _HEAD + _COUNT:
         count = int.from_bytes(data[_HEAD : _HEAD + _COUNT], "little")

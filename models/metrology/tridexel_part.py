@@ -100,6 +100,13 @@ class Part:
         result: FloatArray = lengths * self.tick * np.array(areas)
         return result
 
+    def tops(self) -> FloatArray:
+        """Upper end of the material on each line along z, float64[ny, nx] m in P; NaN where there is none."""
+        tops = np.zeros((int(self.cells[1]), int(self.cells[0])))
+        compiled(_tops)(self.pool, self.cells, self.segments, tops)
+        result: FloatArray = np.where(tops > 0.0, self.origin[2] + self.tick * tops, np.nan)
+        return result
+
     def surface(self) -> FloatArray:
         """The closed surface as triangles (n, 3, 3) [m] in P, facing outwards; empty if there is no material."""
         corners, triangles = self.mesh()
@@ -288,6 +295,14 @@ def _lengths(pool: IntArray, cells: IntArray, segments: int, lengths: FloatArray
             for i in range(room):
                 word = pool[at + i]
                 lengths[k] += (word & tridexels.LOWER) - (word >> 32)
+
+
+def _tops(pool: IntArray, cells: IntArray, segments: int, tops: FloatArray) -> None:
+    for y in range(cells[1]):
+        for x in range(cells[0]):
+            at, room = tridexels.block(pool, tridexels.word_of(tridexels.line_of(cells, 2, x, y, 0), segments), segments)
+            for i in range(room):
+                tops[y, x] = max(tops[y, x], float(pool[at + i] & tridexels.LOWER))
 
 
 def _inside(pool: IntArray, cells: IntArray, pitch: FloatArray, tick: float, segments: int, inside: npt.NDArray[np.uint8]) -> None:

@@ -7,8 +7,9 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
-from robomill.cell import pictures
+from robomill.cell import palette, pictures
 from robomill.cell.evaluation import Cut, Result
 
 
@@ -70,3 +71,32 @@ def test_the_pilot_blend_is_in_the_legend_where_there_is_one(pilot: bool) -> Non
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert ("pilot blend (right axis)" in labels) is pilot
     assert all(ax.get_legend() is None for ax in figure.axes)  # it would hide entry or exit
+
+
+@pytest.mark.parametrize("pilot", [True, False])
+def test_there_is_no_axis_that_nothing_is_drawn_on(pilot: bool) -> None:
+    for figure in (pictures.forces(cast(Result, _Result(pilot))), pictures.projection(cast(Result, _Result(pilot)))):
+        assert all(ax.has_data() for ax in figure.axes if ax.axison)
+    assert len(pictures.forces(cast(Result, _Result(pilot))).axes) == 1 + pilot  # the right axis is that of the blend
+
+
+def test_what_the_legend_names_is_drawn_and_hides_nothing() -> None:
+    figure = pictures.projection(cast(Result, _Result()))
+    figure.canvas.draw()
+    (legend,) = [ax.get_legend() for ax in figure.axes if ax.get_legend() is not None]
+    named = {text.get_text() for text in legend.get_texts()}
+    assert named == {"engaged", "before", "after", "feed", "correction x 10", "projected x 10"}
+    box = legend.get_window_extent()
+    assert not any(ax.get_window_extent().overlaps(box) for ax in figure.axes if ax.axison)
+
+
+def test_curves_of_all_variants_differ_in_colour_and_in_style() -> None:
+    names = ("uncompensated", "cartesian", "axis", "cartesian_pilot")
+    colours = [pictures.COLOURS[name] for name in names]
+    assert len(set(colours)) == len(names)
+    assert len(set(palette.STYLES)) == len(names)
+    # to eyes whose red and green are one signal, weighted as in luminance, the four still differ by a tenth of the range
+    seen = np.array([to_rgb(c) for c in colours])
+    seen[:, :2] = seen[:, :2] @ [[0.3, 0.3], [0.7, 0.7]]
+    apart = np.linalg.norm(seen[:, None] - seen[None], axis=2)[np.triu_indices(len(names), 1)]
+    assert apart.min() > 0.1

@@ -46,7 +46,7 @@ def edit(file: Path, old: str, new: str) -> None:
     file.write_text(text.replace(old, new, 1))
 
 
-@pytest.mark.parametrize("command", ["run", "build", "check", "plan"])
+@pytest.mark.parametrize("command", ["run", "view", "build", "check", "plan"])
 def test_every_command_has_help_with_an_example(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([command, "--help"])
