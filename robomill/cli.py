@@ -115,6 +115,10 @@ def parser() -> argparse.ArgumentParser:
     build.add_argument(
         "--platform", action="append", choices=("linux64", "win64", "darwin64"), help="native only; may be repeated (default: linux64)"
     )
+    build.add_argument(
+        "--scalars", action="store_true", help="FMI 3, native: a variable for each element of an array, for importers without arrays"
+    )
+    build.add_argument("--sources", action="store_true", help="native: with C sources, for importers that compile")
     build.add_argument("--component", action="append", metavar="NAME", help="only this component; may be repeated")
     build.add_argument("--ssp", type=Path, metavar="FILE", help="also write this system, or this scenario in all its variants, as SSP 1.0")
     build.add_argument("--variant", action="append", metavar="NAME", help="with --ssp: only this variant; may be repeated")

@@ -27,8 +27,8 @@ from robomill.cell.scenario import Scenario, ScenarioError, load_scenario
 from robomill.diagnosis.outcome import adopt
 from robomill.example_command import examples
 from robomill.fmus.components import COMPONENTS, component
-from robomill.fmus.documentation import reference_files
 from robomill.fmus.python.builder import build as build_python
+from robomill.fmus.reference import reference_files
 from robomill.models.components.recording import replay_model
 from robomill.models.metrology.stl import write_stl
 from robomill.models.model.declaration import Model
@@ -468,10 +468,21 @@ def _build(models: Sequence[Model], options: Namespace, report: milling.Progress
             # the folder itself is where `run --fmus` and the packages, which know no FMI 3, look
             folder = options.out / f"fmi{fmi}" if fmi != DEFAULT_FMI and len(versions) > 1 else options.out
             platforms = tuple(options.platform or ["linux64"])
-            built += build_all(models, folder, fmi=fmi, platforms=platforms, reference=lambda m: reference_files(m.name), done=done)
+            built += build_all(
+                models,
+                folder,
+                fmi=fmi,
+                platforms=platforms,
+                arrays=not options.scalars,
+                sources=options.sources,
+                reference=lambda m: reference_files(m.name),
+                done=done,
+            )
         return built
-    if versions != [DEFAULT_FMI] or options.platform:
-        raise ValueError("--fmi 3 and --platform go with --backend native; Python FMUs are FMI 2 for linux64 and win64")
+    if versions != [DEFAULT_FMI] or options.platform or options.scalars or options.sources:
+        raise ValueError(
+            "--fmi 3, --platform, --scalars and --sources go with --backend native; Python FMUs are FMI 2 for linux64 and win64"
+        )
     for model in models:
         done(build_python(model, options.out))
     return files

@@ -11,7 +11,7 @@ import pytest
 
 from robomill.conformance import CHECKS, Result, check_fmu
 from robomill.fmus.components import NAMES, component
-from robomill.fmus.documentation import reference_files
+from robomill.fmus.reference import reference_files
 from robomill.fmus.native.builder import build
 
 NOT_APPLICABLE = {

@@ -20,9 +20,9 @@ from fmpy.validation import validate_fmu
 
 from robomill.fmus.components import NAMES
 from robomill.fmus.interface import Interface
-from robomill.fmus.native.fmi3 import terminals
 from robomill.fmus.native.lower import NativeBuildError
 from robomill.fmus.native.targets import PLATFORMS
+from robomill.fmus.terminals import terminals
 from tests.fmus import demo, native_runs
 
 ALL = ("demo", *NAMES)
