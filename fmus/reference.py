@@ -148,4 +148,5 @@ def _page(interface: Interface, arrays: bool, steps: int, values: Mapping[str, A
         notes.append("The elements of an array stand in one column, separated by blanks, in C order.")
     items = "".join(f"<li>{note}</li>" for note in notes)
     title = f"{escape(name)}: reference experiment"
-    return f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title></head><body><h1>{title}</h1><ul>{items}</ul></body></html>\n'
+    head = f'<head><meta charset="utf-8"><title>{title}</title></head>'
+    return f'<!DOCTYPE html>\n<html lang="en">{head}<body><h1>{title}</h1><ul>{items}</ul></body></html>\n'

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 from robomill.fmus.interface import Interface
@@ -49,7 +49,10 @@ def terminals(interface: Interface) -> Iterator[Terminal]:
 
 
 def terminals_and_icons(interface: Interface, arrays: bool) -> bytes:
-    """The file as UTF-8; with `arrays` an array is one variable, else its elements are. Terminals of the same name fit each other: members match by name."""
+    """The file as UTF-8; with `arrays` an array is one variable, else its elements are.
+
+    Terminals of the same name fit each other: members match by name.
+    """
     root = Element("fmiTerminalsAndIcons", fmiVersion="3.0")  # of the FMI that defines this file, also in an FMU of FMI 2.0
     corners = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}
     graphics = SubElement(root, "GraphicalRepresentation")
@@ -69,13 +72,11 @@ def terminals_and_icons(interface: Interface, arrays: bool) -> bytes:
     return xml_file(root)
 
 
-def terminal_files(interface: Interface, fmi: Literal[2, 3], arrays: bool) -> dict[str, bytes]:
-    """terminalsAndIcons/ of the archive: the description, the icon as PNG and as SVG; in FMI 2.0 also model.png, its own icon."""
+def terminal_files(interface: Interface, arrays: bool) -> dict[str, bytes]:
+    """terminalsAndIcons/ of the archive: the description, the icon as PNG and as SVG."""
     name = interface.model.name if (ICONS / f"{interface.model.name}.png").is_file() else _DEFAULT
-    image = (ICONS / f"{name}.png").read_bytes()
-    files = {
+    return {
         "terminalsAndIcons/terminalsAndIcons.xml": terminals_and_icons(interface, arrays),
-        "terminalsAndIcons/icon.png": image,
+        "terminalsAndIcons/icon.png": (ICONS / f"{name}.png").read_bytes(),
         "terminalsAndIcons/icon.svg": (ICONS / f"{name}.svg").read_bytes().replace(b"\r\n", b"\n"),
     }
-    return files | ({"model.png": image} if fmi == 2 else {})

@@ -26,6 +26,7 @@ ACTIONS = {
     "run": ("commands", "run"),
     "build": ("commands", "build"),
     "check": ("commands", "check"),
+    "verify": ("verify_command", "run"),
     "plan": ("plan_command", "plan"),
     "compensate": ("compensate_command", "run"),
     "place": ("place_command", "run"),
@@ -127,8 +128,18 @@ def parser() -> argparse.ArgumentParser:
         "--as", dest="recorded_as", metavar="NAME", help="name of the component in the recorded run, where it differs (path, drive, ...)"
     )
 
+    build.add_argument(
+        "--sign", type=Path, metavar="KEY.pem", help="also write all that was built as one archive, signed with this Ed25519 private key"
+    )
+
     check = _command(commands, "check", "check FMUs, ours or not: validity, conformance, repeatability", "robomill check dist/*.fmu")
     check.add_argument("fmus", type=Path, nargs="+", metavar="FMU", help="co-simulation FMUs of FMI 2.0 or 3.0")
+
+    verify = _command(
+        commands, "verify", "check a release archive against its signature", "robomill verify dist/robomill-0.1.0.zip --key public.pem"
+    )
+    verify.add_argument("archive", type=Path, help="archive of robomill build --sign")
+    verify.add_argument("--key", type=Path, required=True, metavar="PUBLIC.pem", help="Ed25519 public key of its maker")
 
     plan = _command(commands, "plan", "plan a program and say what it does", "robomill plan scenarios/groove.ngc")
     _plan_arguments(plan)

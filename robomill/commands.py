@@ -27,8 +27,10 @@ from robomill.cell.scenario import Scenario, ScenarioError, load_scenario
 from robomill.diagnosis.outcome import adopt
 from robomill.example_command import examples
 from robomill.fmus.components import COMPONENTS, component
+from robomill.fmus.provenance import release
 from robomill.fmus.python.builder import build as build_python
 from robomill.fmus.reference import reference_files
+from robomill.fmus.signed import private_key, write_signed
 from robomill.models.components.recording import replay_model
 from robomill.models.metrology.stl import write_stl
 from robomill.models.model.declaration import Model
@@ -429,6 +431,7 @@ def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
 
 def build(options: Namespace) -> int:
     """`robomill build`: FMUs of all or some components, a replay FMU of one of them, or whole systems as SSP packages."""
+    key = None if options.sign is None else private_key(options.sign)
     packages: list[System] = []
     if options.ssp is not None:
         packages = ssp.systems(options.ssp, options.out / "tables" / options.ssp.stem, options.variant)
@@ -442,10 +445,15 @@ def build(options: Namespace) -> int:
     with progress_bar(options.json) as report:
         files = _build(models, options, report)
         written = ssp.write(packages, options.out, options.out, report)
+    signed: list[Path] = []
+    if key is not None:
+        signed = [options.out / f"robomill-{release()}.zip"]
+        write_signed(signed[0], {f.relative_to(options.out).as_posix(): f.read_bytes() for f in (*files, *written)}, key)
     if options.json:
-        print(json.dumps({"fmus": [str(f) for f in files], "packages": [str(f) for f in written]}))
+        told = {"fmus": files, "packages": written, **({"archive": signed} if signed else {})}
+        print(json.dumps({what: [str(f) for f in found] for what, found in told.items()}))
     else:
-        for f in (*files, *written):
+        for f in (*files, *written, *signed):
             print(f"{f}  {f.stat().st_size / 1024:.0f} kB")
     return 0
 

@@ -35,6 +35,7 @@ from robomill.fmus.terminals import terminal_files
 from robomill.models.model.declaration import Model
 
 SHIM = Path(__file__).parent / "shim"
+FMI_3 = 3
 NOTES = (
     "Needs nothing but the C library of the system: no Python, no Numba.",
     "After an error (fmi2Error, fmi3Error; the text goes to the log) the instance can be reset, restored to an earlier state or freed.",
@@ -73,6 +74,7 @@ class _Form:
     """What the FMUs of a build have in common."""
 
     fmi: Literal[2, 3]
+    """Version of FMI."""
     platforms: tuple[str, ...]
     arrays: bool
     sources: bool
@@ -86,7 +88,7 @@ def _build(
     reference: Mapping[str, bytes],
     lowering: Lowering,
 ) -> Path:
-    fmi, arrays = form.fmi, form.arrays and form.fmi == 3
+    fmi, arrays = form.fmi, form.arrays and form.fmi == FMI_3
     if fmi not in (2, 3):
         raise NativeBuildError(f"FMI version {fmi!r}: expected 2 or 3")
     unknown = sorted(set(form.platforms) - set(PLATFORMS))
@@ -105,10 +107,11 @@ def _build(
     options = _options(model, lowered, token, f"robomill {release()} (native, {linker})")
     content: dict[str, bytes] = {**licences()}
     content["documentation/index.html"] = index_html(interface, "native backend", NOTES, page, f"{fmi}.0").encode()
-    content |= terminal_files(interface, fmi, arrays)
+    content |= terminal_files(interface, arrays)
     content |= {f"resources/tables/{name}.npy": _npy(rows) for name, rows in model.default_tables.items()}
     match fmi:
         case 2:
+            content["model.png"] = content["terminalsAndIcons/icon.png"]  # where FMI 2.0 has its icon
             content["modelDescription.xml"] = model_description_2(interface, options, COMPILED if form.sources else ())
             for platform, slices in linked.items():
                 library = fat(slices) if len(slices) > 1 else next(iter(slices.values()))
@@ -120,7 +123,7 @@ def _build(
                     content[f"binaries/{tuple_}/{model.name}{PLATFORMS[platform].suffix}"] = library
     if form.sources:
         content |= source_files(model.name, lowered.code, sources)
-        if fmi == 3:
+        if fmi == FMI_3:
             content["sources/buildDescription.xml"] = build_description(model.name)
     made_of = {"model.ll": lowered.code.encode(), **sources}
     origin = Origin(model.name, "native", f"{fmi}.0", platforms, _materials(linker), made_of)
@@ -160,7 +163,6 @@ def build_all(
     `reference` gives the reference experiment of a model; `done` is called with each path. The first
     NativeBuildError is raised after those that were under way are finished.
     """
-
     form = _Form(fmi, tuple(platforms), arrays, sources)
 
     def one(model: Model) -> Path:

@@ -7,6 +7,7 @@ that of the LLVM code, one operation a line, so a compiler that contracts nothin
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Callable, Iterator
@@ -246,8 +247,7 @@ class _Function:
                 return _double(text)
             case "i1":
                 return {"true": "1", "false": "0"}.get(text, text)
-        bits = int(of[1:])
-        return f"UINT64_C({int(text) % 2**64})" if bits == 64 else f"({TYPES[of]}){int(text) % 2**bits}u"
+        return f"UINT64_C({int(text) % 2**64})" if of == "i64" else f"({TYPES[of]}){int(text) % 2 ** int(of[1:])}u"
 
     def _address(self, text: str) -> str:
         if text == "null":
@@ -501,8 +501,8 @@ def _joined(lines: list[str]) -> Iterator[str]:
 def _double(text: str) -> str:
     """A C constant with the same bits: hexadecimal, or an expression for infinity and NaN."""
     value: float = struct.unpack(">d", int(text, 16).to_bytes(8, "big"))[0] if text.startswith("0x") else float(text)
-    if value != value:
+    if math.isnan(value):
         return "NAN"
-    if value in (float("inf"), float("-inf")):
+    if math.isinf(value):
         return "INFINITY" if value > 0 else "-INFINITY"
     return value.hex()

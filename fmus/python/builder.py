@@ -117,7 +117,8 @@ def build(model: Model, destination: str | Path, *, page: str | None = None, ref
     interface = Interface(model)
     sources, init = _sources(model)
     binaries = _binaries()
-    content: dict[str, bytes] = {**terminal_files(interface, 2, arrays=False), **licences(), **_pythonfmu_licence()}
+    content: dict[str, bytes] = {**terminal_files(interface, arrays=False), **licences(), **_pythonfmu_licence()}
+    content["model.png"] = content["terminalsAndIcons/icon.png"]
     content["documentation/index.html"] = index_html(interface, "Python backend", NOTES, page).encode()
     experiment, described = experiment_files(interface, False, reference_files(model.name) if reference is None else reference)
     content |= experiment
