@@ -44,7 +44,9 @@ def verify(file: Path, key: Path) -> list[str]:
 
     public = _public(key)
     if not zipfile.is_zipfile(file):
-        raise SignatureError(f"{file}: {'not a zip archive' if file.is_file() else 'no such file'}; expected one of `robomill build --sign`")
+        raise SignatureError(
+            f"{file}: {'not a zip archive' if file.is_file() else 'no such file'}; expected one of `robomill build --sign`"
+        )
     with zipfile.ZipFile(file) as opened:
         names = opened.namelist()
         twice = sorted({n for n in names if names.count(n) > 1})

@@ -136,14 +136,12 @@ def _build(
 def _materials(linker: str) -> tuple[Material, ...]:
     """What the libraries were made with, and what they need; `linker` is name and version."""
     name, _, its_version = linker.partition(" ")
-    made = (material("numba", "BSD-2-Clause", "excluded"), material("llvmlite", "BSD-2-Clause", "excluded"))
+    made = [material("numba", "BSD-2-Clause", "excluded"), material("llvmlite", "BSD-2-Clause", "excluded")]
     if name == "zig":
-        made += (
-            Material("ziglang", its_version, "MIT", "excluded", "application"),
-            Material("zig compiler runtime", its_version, "MIT", "required", from_pypi=False),
-        )
+        made.append(Material("ziglang", its_version, "MIT", "excluded", "application"))
+        made.append(Material("zig compiler runtime", its_version, "MIT", "required", from_pypi=False))
     else:
-        made += (Material(name, its_version, "", "excluded", "application", from_pypi=False),)
+        made.append(Material(name, its_version, "", "excluded", "application", from_pypi=False))
     return (*made, Material("C library of the system", "", "", "required", from_pypi=False))
 
 
