@@ -274,7 +274,7 @@ class _Function:
             return
         if opcode in _INFIX or opcode in _SIGNED_INFIX:
             self._binary(name, opcode, operands)
-        elif method is None:
+        elif method is None or operands.startswith("atomic "):
             raise NativeBuildError(f"no C code for the instruction {line!r}")
         else:
             method(name, operands)
