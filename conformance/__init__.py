@@ -10,7 +10,7 @@ in a new process, outside of this repository, which may crash or hang without ha
 The checks (`battery`) are the same for both versions of FMI; `fmi2` and `fmi3` know how the calls look.
 
 Inputs are the start values, moved a little; or those of the FMU's reference results, if it carries
-documentation/reference/in.csv and out.csv (first column t, then one column per variable or element of an array;
+documentation/reference/in.csv and out.csv (first column the time, then one per variable or element of an array, or an array in one;
 row k of in.csv holds from t_k on, row k of out.csv are the outputs at t_k) and parameters.json (texts in it
 are names of files beside it).
 """

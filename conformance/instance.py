@@ -7,6 +7,7 @@ import ctypes
 import itertools
 import json
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -131,13 +132,28 @@ class Fmu:
 
 
 def _columns(file: Path, names: Sequence[str]) -> list[list[float]]:
+    """Values of the elements `names` by row: each in a column of its own, or an array in one, its elements separated by blanks."""
     with file.open(encoding="utf-8", newline="") as stream:
-        rows = list(csv.reader(stream))
-    missing = [n for n in names if n not in rows[0]]
+        head, *rows = csv.reader(stream)
+    places: list[tuple[int, int]] = []
+    """(column, position within it)."""
+    taken: Counter[str] = Counter()
+    for name in names:
+        array = name.partition("[")[0]
+        column = name if name in head else array
+        if column in head:
+            places.append((head.index(column), taken[column]))
+            taken[column] += 1
+    missing = [n for n in names if n not in head and n.partition("[")[0] not in head]
     if missing:
         raise ValueError(f"{file.name}: no column {some(missing)}")
-    positions = [rows[0].index(n) for n in names]
-    return [[float(row[i]) for i in positions] for row in rows[1:]]
+    values = [[[float(x) for x in text.split()] for text in row] for row in rows]
+    for array, count in taken.items():
+        wrong = next((k for k, row in enumerate(values) if len(row[head.index(array)]) != count), None)
+        if wrong is not None:
+            found = len(values[wrong][head.index(array)])
+            raise ValueError(f"{file.name}, row {wrong + 2}: {array} has {found} values; expected {count}, separated by blanks")
+    return [[row[i][k] for i, k in places] for row in values]
 
 
 def some(names: Sequence[str], limit: int = 4) -> str:

@@ -102,12 +102,6 @@ def _number(value: float, v: Variable) -> str:
     return text + (f" ({from_si(value, v.display_unit):.6g} {v.display_unit})" if v.display_unit else "")
 
 
-def reference_files(name: str) -> dict[str, bytes]:
-    """Inputs, outputs, parameters and tables of the golden results of a component; empty where there are none."""
-    folder = FILES / "tests" / "golden" / name
-    return {f.name: f.read_bytes() for f in sorted(folder.glob("*")) if f.suffix in (".csv", ".json", ".npy")}
-
-
 def licences() -> dict[str, bytes]:
     """Licence files: that of this project and those of what a backend adds."""
     return {"documentation/licenses/license.txt": licence()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement
 
 from robomill.fmus.interface import Interface, Port
@@ -23,11 +23,11 @@ from robomill.fmus.model_description import (
 _TAGS = {"real": "Real", "integer": "Integer", "boolean": "Boolean", "string": "String"}
 
 
-def model_description_2(interface: Interface, options: Options) -> bytes:
-    """The file as UTF-8: no dates, nothing of this machine, so equal models give equal files."""
+def model_description_2(interface: Interface, options: Options, sources: Sequence[str] = ()) -> bytes:
+    """The file as UTF-8: no dates, nothing of this machine, so equal models give equal files. `sources`: C files that make it."""
     root = root_element(interface, options, "2.0", "guid")
     root.set("numberOfEventIndicators", "0")
-    SubElement(
+    simulation = SubElement(
         root,
         "CoSimulation",
         modelIdentifier=options.identifier,
@@ -42,6 +42,10 @@ def model_description_2(interface: Interface, options: Options) -> bytes:
         canSerializeFMUstate="true",
         providesDirectionalDerivative="false",
     )
+    if sources:
+        files = SubElement(simulation, "SourceFiles")
+        for name in sources:
+            SubElement(files, "File", name=name)
     unit_definitions(root, interface)
     log_categories(root, LOG_CATEGORIES)
     default_experiment(root, options)

@@ -30,6 +30,7 @@ ACTIONS = {
     "build": ("commands", "build"),
     "view": ("view_command", "run"),
     "check": ("commands", "check"),
+    "verify": ("verify_command", "run"),
     "plan": ("plan_command", "plan"),
     "compensate": ("compensate_command", "run"),
     "place": ("place_command", "run"),
@@ -158,6 +159,10 @@ def parser() -> argparse.ArgumentParser:
     build.add_argument(
         "--platform", action="append", choices=("linux64", "win64", "darwin64"), help="native only; may be repeated (default: linux64)"
     )
+    build.add_argument(
+        "--scalars", action="store_true", help="FMI 3, native: a variable for each element of an array, for importers without arrays"
+    )
+    build.add_argument("--sources", action="store_true", help="native: with C sources, for importers that compile")
     build.add_argument("--component", action="append", metavar="NAME", help="only this component; may be repeated")
     build.add_argument("--ssp", type=Path, metavar="FILE", help="also write this system, or this scenario in all its variants, as SSP 1.0")
     build.add_argument("--variant", action="append", metavar="NAME", help="with --ssp: only this variant; may be repeated")
@@ -166,8 +171,18 @@ def parser() -> argparse.ArgumentParser:
         "--as", dest="recorded_as", metavar="NAME", help="name of the component in the recorded run, where it differs (path, drive, ...)"
     )
 
+    build.add_argument(
+        "--sign", type=Path, metavar="KEY.pem", help="also write all that was built as one archive, signed with this Ed25519 private key"
+    )
+
     check = _command(commands, "check", "check FMUs, ours or not: validity, conformance, repeatability", "robomill check dist/*.fmu")
     check.add_argument("fmus", type=Path, nargs="+", metavar="FMU", help="co-simulation FMUs of FMI 2.0 or 3.0")
+
+    verify = _command(
+        commands, "verify", "check a release archive against its signature", "robomill verify dist/robomill-0.1.0.zip --key public.pem"
+    )
+    verify.add_argument("archive", type=Path, help="archive of robomill build --sign")
+    verify.add_argument("--key", type=Path, required=True, metavar="PUBLIC.pem", help="Ed25519 public key of its maker")
 
     plan = _command(
         commands,

@@ -350,7 +350,10 @@ def build(options: Namespace) -> int:
     """`robomill build`: FMUs of all or some components, a replay FMU of one of them, or whole systems as SSP packages."""
     from robomill.cell import package as ssp
     from robomill.fmus.components import COMPONENTS, component
+    from robomill.fmus.provenance import release
+    from robomill.fmus.signed import private_key, write_signed
 
+    key = None if options.sign is None else private_key(options.sign)
     packages: list[System] = []
     if options.ssp is not None:
         packages = ssp.systems(options.ssp, options.out / "tables" / options.ssp.stem, options.variant)
@@ -364,18 +367,23 @@ def build(options: Namespace) -> int:
     with progress_bar(options.json) as report:
         files = _build(models, options, report)
         written = ssp.write(packages, options.out, options.out, report)
+    signed: list[Path] = []
+    if key is not None:
+        signed = [options.out / f"robomill-{release()}.zip"]
+        write_signed(signed[0], {f.relative_to(options.out).as_posix(): f.read_bytes() for f in (*files, *written)}, key)
     if options.json:
-        print(json.dumps({"fmus": [str(f) for f in files], "packages": [str(f) for f in written]}))
+        told = {"fmus": files, "packages": written, **({"archive": signed} if signed else {})}
+        print(json.dumps({what: [str(f) for f in found] for what, found in told.items()}))
     else:
-        for f in (*files, *written):
+        for f in (*files, *written, *signed):
             print(f"{f}  {f.stat().st_size / 1024:.0f} kB")
     return 0
 
 
 def _build(models: Sequence[Model], options: Namespace, report: milling.Progress) -> list[Path]:
     """FMUs of all models with the backend and for the FMI versions that were asked for."""
-    from robomill.fmus.documentation import reference_files
     from robomill.fmus.python.builder import build as build_python
+    from robomill.fmus.reference import reference_files
 
     versions = sorted(set(options.fmi or [DEFAULT_FMI]))
     report("build", 0, len(models) * len(versions))
@@ -393,10 +401,21 @@ def _build(models: Sequence[Model], options: Namespace, report: milling.Progress
             # the folder itself is where `run --fmus` and the packages, which know no FMI 3, look
             folder = options.out / f"fmi{fmi}" if fmi != DEFAULT_FMI and len(versions) > 1 else options.out
             platforms = tuple(options.platform or ["linux64"])
-            built += build_all(models, folder, fmi=fmi, platforms=platforms, reference=lambda m: reference_files(m.name), done=done)
+            built += build_all(
+                models,
+                folder,
+                fmi=fmi,
+                platforms=platforms,
+                arrays=not options.scalars,
+                sources=options.sources,
+                reference=lambda m: reference_files(m.name),
+                done=done,
+            )
         return built
-    if versions != [DEFAULT_FMI] or options.platform:
-        raise ValueError("--fmi 3 and --platform go with --backend native; Python FMUs are FMI 2 for linux64 and win64")
+    if versions != [DEFAULT_FMI] or options.platform or options.scalars or options.sources:
+        raise ValueError(
+            "--fmi 3, --platform, --scalars and --sources go with --backend native; Python FMUs are FMI 2 for linux64 and win64"
+        )
     for model in models:
         done(build_python(model, options.out))
     return files

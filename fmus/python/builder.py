@@ -1,6 +1,6 @@
 """Builds the Python FMU of a model: pythonfmu's library, our own slave, model description and packaging.
 
-The archive holds modelDescription.xml, binaries/, documentation/, model.png and in resources/
+The archive holds modelDescription.xml, binaries/, documentation/, terminalsAndIcons/, extra/, model.png and in resources/
 
     slavemodule.txt                     names the entry point for the library
     slave_<hash>.py                     entry point: loads the package below
@@ -18,7 +18,7 @@ import hashlib
 import io
 import json
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, distribution, version
+from importlib.metadata import distribution, version
 from pathlib import Path, PurePosixPath
 from uuid import UUID
 
@@ -26,10 +26,13 @@ import numpy as np
 
 from robomill.fmus import archive, probe
 from robomill.fmus.components import home
-from robomill.fmus.documentation import index_html, licences, reference_files
+from robomill.fmus.documentation import index_html, licences
 from robomill.fmus.fmi2 import model_description_2
 from robomill.fmus.interface import Interface
 from robomill.fmus.model_description import Options
+from robomill.fmus.provenance import Origin, material, provenance_files, release
+from robomill.fmus.reference import experiment_files, manifest_files, reference_files
+from robomill.fmus.terminals import terminal_files
 from robomill.models.components.recording import ReplayModel
 from robomill.models.model.cache import source_files
 from robomill.models.model.calls import check_kernels
@@ -37,7 +40,6 @@ from robomill.models.model.declaration import FloatArray, Model
 from robomill.models.model.parameters import DATA
 
 PLATFORMS = {"linux64": "libpythonfmu-export.so", "win64": "pythonfmu-export.dll"}
-ICON = Path(__file__).parents[1] / "icon.png"
 RUNTIME = "robomill.fmus.python.slave"
 _INSTALLER = "robomill.fmus.python.install"
 
@@ -105,8 +107,8 @@ def build(model: Model, destination: str | Path, *, page: str | None = None, ref
     """Write the FMU of `model` and return its path.
 
     `destination` is a file (`.fmu`) or a folder, where it is named after the model. `page` is the
-    Markdown for its documentation (docs/components/<name>.md if not given), `reference` files for
-    documentation/reference (in.csv, out.csv; the golden results if not given). Equal sources give equal bytes.
+    Markdown for its documentation (docs/components/<name>.md if not given), `reference` the reference
+    experiment (as `fmus.reference.reference_files` gives it; the golden results if not given). Equal sources give equal bytes.
     ValueError if the model's sources cannot be bundled, FileNotFoundError if pythonfmu is incomplete.
     """
     target = Path(destination)
@@ -115,16 +117,17 @@ def build(model: Model, destination: str | Path, *, page: str | None = None, ref
     interface = Interface(model)
     sources, init = _sources(model)
     binaries = _binaries()
-    content: dict[str, bytes] = {"model.png": ICON.read_bytes(), **licences(), **_pythonfmu_licence()}
+    content: dict[str, bytes] = {**terminal_files(interface, arrays=False), **licences(), **_pythonfmu_licence()}
+    content["model.png"] = content["terminalsAndIcons/icon.png"]
     content["documentation/index.html"] = index_html(interface, "Python backend", NOTES, page).encode()
-    files = reference_files(model.name) if reference is None else reference
-    content |= {f"documentation/reference/{name}": data for name, data in files.items()}
+    experiment, described = experiment_files(interface, False, reference_files(model.name) if reference is None else reference)
+    content |= experiment
     content |= {f"resources/tables/{name}.npy": _npy(table.rows) for name, table in model.built_in.items()}
     options = Options(
         identifier=model.name,
         guid="",
-        tool=f"robomill {_version()} (pythonfmu {version('pythonfmu')})",
-        version=_version(),
+        tool=f"robomill {release()} (pythonfmu {version('pythonfmu')})",
+        version=release(),
         variable_step=probe.accepts_other_steps(interface),
         initial_dependencies=probe.initial_dependencies(interface),
     )
@@ -142,7 +145,11 @@ def build(model: Model, destination: str | Path, *, page: str | None = None, ref
     bundled = {name.partition("/")[0].removesuffix(".py") for name in sources}
     for name, data in {**sources, "__init__.py": init.replace("{package}", package).encode()}.items():
         content[f"{home}/{name}"] = _renamed(name, data, package, bundled) if name.endswith(".py") else data
-    archive.write(target, content)
+    needed = (material("pythonfmu", "MIT", "required"), material("numpy", "BSD-3-Clause", "required"))
+    materials = (*needed, material("numba", "BSD-2-Clause", "optional"))
+    origin = Origin(model.name, "python", "2.0", tuple(PLATFORMS), materials, {**sources, "__init__.py": init.encode()})
+    provenance, stated = provenance_files(origin, content)
+    archive.write(target, {**content, **provenance, **manifest_files([*described, *stated])})
     return target
 
 
@@ -211,10 +218,3 @@ def _npy(rows: FloatArray) -> bytes:
     stream = io.BytesIO()
     np.save(stream, np.ascontiguousarray(rows, dtype="<f8"))
     return stream.getvalue()
-
-
-def _version() -> str:
-    try:
-        return version("robomill")
-    except PackageNotFoundError:
-        return "unreleased"

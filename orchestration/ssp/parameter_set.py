@@ -1,4 +1,4 @@
-"""Parameter sets (SSV, SSP 1.0): the one writer, and the one reader of their values."""
+"""Parameter sets (SSV): the one writer, and the one reader of their values."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+
 from robomill.orchestration.ssp.files import Files, child, literal, xml_text
 
 NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+COMMON = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 ROOT = "ParameterSet"
 TYPES = {"real": "Real", "integer": "Integer", "boolean": "Boolean", "string": "String"}
 """Type of a parameter set by type of a port."""
@@ -33,11 +36,20 @@ class Given:
 
 
 def parameter_set(name: str, values: Mapping[str, tuple[str, Any]]) -> bytes:
-    """The file of a parameter set: type of the port and value, by name of the parameter."""
-    root = Element("ssv:ParameterSet", {"xmlns:ssv": NAMESPACE, "version": "1.0", "name": name})
+    """The file of a parameter set: type of the port and value, by name of the parameter.
+
+    It is of SSP 1.0, or, where a value is an array, of SSP 2.0, which has arrays.
+    """
+    arrays = any(isinstance(value, np.ndarray) for _, value in values.values())
+    attributes = {"xmlns:ssv": NAMESPACE, "version": "2.0" if arrays else "1.0", "name": name}
+    root = Element("ssv:ParameterSet", attributes | ({"xmlns:ssc": COMMON} if arrays else {}))
     parameters = SubElement(root, "ssv:Parameters")
     for key, (kind, value) in values.items():
-        SubElement(SubElement(parameters, "ssv:Parameter", name=key), f"ssv:{TYPES[kind]}", value=literal(value))
+        parameter = SubElement(parameters, "ssv:Parameter", name=key)
+        array = value if isinstance(value, np.ndarray) else np.array([value], dtype=object)
+        SubElement(parameter, f"ssv:{TYPES[kind]}", value=" ".join(literal(v) for v in array.ravel().tolist()))
+        for size in array.shape if array is value else ():
+            SubElement(parameter, "ssc:Dimension", size=str(size))
     return xml_text(root)
 
 

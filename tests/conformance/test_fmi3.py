@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -228,10 +229,18 @@ def test_reference_results_name_elements(tmp_path: Path) -> None:
     outputs |= {f"out_{kind}": 4 if kind == "Float32" else 3 for kind in c_fmu3.NARROW}
     start = {name: 0.0 if name[0] in "yl" else x for name, x in outputs.items()}
 
-    def table(*rows: dict[str, float]) -> str:
+    def table(*rows: Mapping[str, float | str]) -> str:
         stream = io.StringIO()
         csv.writer(stream).writerows([["t", *rows[0]], *(["0", *row.values()] for row in rows)])
         return stream.getvalue()
+
+    def in_one_column(values: dict[str, float]) -> dict[str, str]:
+        """Arrays as FMPy and fmusim read them: the elements in one column, separated by blanks."""
+        found: dict[str, str] = {}
+        for name, value in values.items():
+            array = name.partition("[")[0]
+            found[array] = f"{found[array]} {value}" if array in found else str(value)
+        return found
 
     def reference(last: float) -> Result:
         carrying = tmp_path / f"{last}.fmu"
@@ -244,6 +253,20 @@ def test_reference_results_name_elements(tmp_path: Path) -> None:
     assert reference(0.024).outcome == "passed"
     assert reference(0.025).outcome == "failed"
     assert "y[2,3] differs first at step 1: 0.025 and 0.024" in reference(0.025).detail
+
+    whole = [in_one_column(values) for values in (inputs, start, outputs)]
+
+    def of_arrays(rows: list[dict[str, str]]) -> list[Result]:
+        carrying = tmp_path / "arrays.fmu"
+        carrying.write_bytes(file.read_bytes())
+        with zipfile.ZipFile(carrying, "a") as archive:
+            archive.writestr("documentation/reference/in.csv", table(*rows[:1]))
+            archive.writestr("documentation/reference/out.csv", table(*rows[1:]))
+        return check_fmu(carrying)
+
+    assert {r.check: r for r in of_arrays(whole)}["reference results"].outcome == "passed"
+    short = [whole[0], whole[1] | {"y": "0.0 0.0"}, whole[2]]
+    assert "out.csv, row 2: y has 2 values; expected 6, separated by blanks" in of_arrays(short)[-1].detail
 
 
 def test_an_fmu_for_another_platform(tmp_path: Path) -> None:

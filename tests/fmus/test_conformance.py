@@ -11,8 +11,8 @@ import pytest
 
 from robomill.conformance import CHECKS, Result, check_fmu
 from robomill.fmus.components import NAMES, component
-from robomill.fmus.documentation import reference_files
 from robomill.fmus.native.builder import build
+from robomill.fmus.reference import reference_files
 
 NOT_APPLICABLE = {
     "milling_force": {"dependencies"},

@@ -362,7 +362,9 @@ class TestBuild:
 
     def test_fmi_3_is_native(self, tmp_path, monkeypatch, capsys):
         monkeypatch.chdir(tmp_path)
-        assert "--fmi 3 and --platform go with --backend native" in refused(capsys, "build", "--fmi", "2", "--fmi", "3")
+        assert "--fmi 3, --platform, --scalars and --sources go with --backend native" in refused(
+            capsys, "build", "--fmi", "2", "--fmi", "3"
+        )
         assert not list(tmp_path.rglob("*.fmu"))
 
 

@@ -19,6 +19,11 @@ enum { CP_UTF8 = 65001 };
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
+/* In a source-code FMU, names begin with that of the component (prefix.h). */
+#ifndef FULL_NAME
+#define FULL_NAME(NAME) NAME
+#endif
+
 enum { OK, WARNING, DISCARD, ERROR };  /* the same numbers in FMI 2.0 and 3.0 */
 
 typedef void Logger2(void *environment, const char *instance, int status, const char *category, const char *format, ...);
@@ -501,11 +506,14 @@ static int find_table(const Instance *I, uint32_t reference, uint32_t *index) {
     return no_variable(I, reference, V ? V->name : "", V ? V->kind : -1, STRING);
 }
 
+/* In FMI 3.0: one element of an array, for descriptions in which it is a variable of its own (fmus/native/fmi3.py has the same number). */
+#define ELEMENT 0x40000000u
+
 /* Outputs read during initialisation follow the inputs and parameters set so far. */
 static int refresh(Instance *I, const uint32_t references[], size_t n) {
     if (I->stale && !I->running)
         for (size_t i = 0; i < n; i++)
-            if (references[i] < OWNED && VARIABLES[OWNER[references[i]]].causality == OUTPUT)
+            if ((references[i] & ~ELEMENT) < OWNED && VARIABLES[OWNER[references[i] & ~ELEMENT]].causality == OUTPUT)
                 return initialise(I);
     return OK;
 }
@@ -677,10 +685,10 @@ static int deserialise(const Instance *I, const void *bytes, size_t size, State 
 
 /* The FMI 2.0 face */
 
-EXPORT const char *fmi2GetTypesPlatform(void) { return "default"; }
-EXPORT const char *fmi2GetVersion(void) { return "2.0"; }
+EXPORT const char *FULL_NAME(fmi2GetTypesPlatform)(void) { return "default"; }
+EXPORT const char *FULL_NAME(fmi2GetVersion)(void) { return "2.0"; }
 
-EXPORT Instance *fmi2Instantiate(const char *name, int type, const char *guid, const char *where, const Callbacks2 *callbacks, int visible, int logging) {
+EXPORT Instance *FULL_NAME(fmi2Instantiate)(const char *name, int type, const char *guid, const char *where, const Callbacks2 *callbacks, int visible, int logging) {
     (void)visible, (void)logging;
     if (type != 1) {
         callbacks->logger(callbacks->environment, name, ERROR, "logStatusError", "%s: this FMU is for co-simulation", name);
@@ -688,23 +696,23 @@ EXPORT Instance *fmi2Instantiate(const char *name, int type, const char *guid, c
     }
     return create(name, guid, where, callbacks->logger, NULL, callbacks->environment);
 }
-EXPORT void fmi2FreeInstance(Instance *I) { destroy(I); }
-EXPORT int fmi2SetDebugLogging(Instance *I, int on, size_t n, const char *const categories[]) {
+EXPORT void FULL_NAME(fmi2FreeInstance)(Instance *I) { destroy(I); }
+EXPORT int FULL_NAME(fmi2SetDebugLogging)(Instance *I, int on, size_t n, const char *const categories[]) {
     return (void)I, (void)on, (void)n, (void)categories, OK;  /* only errors are logged, and always */
 }
-EXPORT int fmi2SetupExperiment(Instance *I, int defined, double tolerance, double start, int stop_defined, double stop) {
+EXPORT int FULL_NAME(fmi2SetupExperiment)(Instance *I, int defined, double tolerance, double start, int stop_defined, double stop) {
     (void)defined, (void)tolerance, (void)stop_defined, (void)stop;
     *time_of(I) = start;
     return OK;
 }
-EXPORT int fmi2EnterInitializationMode(Instance *I) { return (void)I, OK; }
-EXPORT int fmi2ExitInitializationMode(Instance *I) { return exit_initialisation(I); }
-EXPORT int fmi2Terminate(Instance *I) { return (void)I, OK; }
-EXPORT int fmi2Reset(Instance *I) { return reset(I); }
-EXPORT int fmi2DoStep(Instance *I, double t, double h, int no_set_state) { return (void)no_set_state, step(I, t, h); }
+EXPORT int FULL_NAME(fmi2EnterInitializationMode)(Instance *I) { return (void)I, OK; }
+EXPORT int FULL_NAME(fmi2ExitInitializationMode)(Instance *I) { return exit_initialisation(I); }
+EXPORT int FULL_NAME(fmi2Terminate)(Instance *I) { return (void)I, OK; }
+EXPORT int FULL_NAME(fmi2Reset)(Instance *I) { return reset(I); }
+EXPORT int FULL_NAME(fmi2DoStep)(Instance *I, double t, double h, int no_set_state) { return (void)no_set_state, step(I, t, h); }
 
 #define ACCESS2(NAME, TYPE, KIND, FIELD, STORED) \
-    EXPORT int fmi2Get##NAME(Instance *I, const uint32_t references[], size_t n, TYPE values[]) { \
+    EXPORT int FULL_NAME(fmi2Get##NAME)(Instance *I, const uint32_t references[], size_t n, TYPE values[]) { \
         TRY(refresh(I, references, n)); \
         for (size_t i = 0; i < n; i++) { \
             if (!find(I, references[i], KIND, false)) \
@@ -713,7 +721,7 @@ EXPORT int fmi2DoStep(Instance *I, double t, double h, int no_set_state) { retur
         } \
         return OK; \
     } \
-    EXPORT int fmi2Set##NAME(Instance *I, const uint32_t references[], size_t n, const TYPE values[]) { \
+    EXPORT int FULL_NAME(fmi2Set##NAME)(Instance *I, const uint32_t references[], size_t n, const TYPE values[]) { \
         for (size_t i = 0; i < n; i++) { \
             const Variable *V = find(I, references[i], KIND, false); \
             if (!V) \
@@ -727,51 +735,51 @@ ACCESS2(Real, double, REAL, real, value)
 ACCESS2(Integer, int, INTEGER, integer, value)
 ACCESS2(Boolean, int, BOOLEAN, integer, value != 0)
 
-EXPORT int fmi2GetString(Instance *I, const uint32_t references[], size_t n, const char *values[]) { return get_strings(I, references, n, values); }
-EXPORT int fmi2SetString(Instance *I, const uint32_t references[], size_t n, const char *const values[]) {
+EXPORT int FULL_NAME(fmi2GetString)(Instance *I, const uint32_t references[], size_t n, const char *values[]) { return get_strings(I, references, n, values); }
+EXPORT int FULL_NAME(fmi2SetString)(Instance *I, const uint32_t references[], size_t n, const char *const values[]) {
     return set_strings(I, references, n, values);
 }
 
 #define STATES(GET, SET, FREE, SIZE, SERIALISE, DESERIALISE) \
-    EXPORT int GET(Instance *I, State **state) { return get_state(I, state); } \
-    EXPORT int SET(Instance *I, const State *state) { return set_state(I, state); } \
-    EXPORT int FREE(Instance *I, State **state) { return (void)I, free_state(state); } \
-    EXPORT int SIZE(Instance *I, const State *state, size_t *size) { return (void)I, *size = (size_t)state->size, OK; } \
-    EXPORT int SERIALISE(Instance *I, const State *state, void *bytes, size_t size) { return serialise(I, state, bytes, size); } \
-    EXPORT int DESERIALISE(Instance *I, const void *bytes, size_t size, State **state) { return deserialise(I, bytes, size, state); }
+    EXPORT int FULL_NAME(GET)(Instance *I, State **state) { return get_state(I, state); } \
+    EXPORT int FULL_NAME(SET)(Instance *I, const State *state) { return set_state(I, state); } \
+    EXPORT int FULL_NAME(FREE)(Instance *I, State **state) { return (void)I, free_state(state); } \
+    EXPORT int FULL_NAME(SIZE)(Instance *I, const State *state, size_t *size) { return (void)I, *size = (size_t)state->size, OK; } \
+    EXPORT int FULL_NAME(SERIALISE)(Instance *I, const State *state, void *bytes, size_t size) { return serialise(I, state, bytes, size); } \
+    EXPORT int FULL_NAME(DESERIALISE)(Instance *I, const void *bytes, size_t size, State **state) { return deserialise(I, bytes, size, state); }
 STATES(fmi2GetFMUstate, fmi2SetFMUstate, fmi2FreeFMUstate, fmi2SerializedFMUstateSize, fmi2SerializeFMUstate, fmi2DeSerializeFMUstate)
 STATES(fmi3GetFMUState, fmi3SetFMUState, fmi3FreeFMUState, fmi3SerializedFMUStateSize, fmi3SerializeFMUState, fmi3DeserializeFMUState)
 
 /* Functions that must be there and that the model description says are not provided. Their further arguments are not looked at. */
-#define MISSING(NAME) EXPORT int NAME(Instance *I) { FAIL(I, #NAME " is not provided: no derivatives, events, clocks or asynchronous steps"); }
+#define MISSING(NAME) EXPORT int FULL_NAME(NAME)(Instance *I) { FAIL(I, #NAME " is not provided: no derivatives, events, clocks or asynchronous steps"); }
 MISSING(fmi2GetDirectionalDerivative) MISSING(fmi2SetRealInputDerivatives) MISSING(fmi2GetRealOutputDerivatives) MISSING(fmi2CancelStep)
 MISSING(fmi2GetStatus) MISSING(fmi2GetRealStatus) MISSING(fmi2GetIntegerStatus) MISSING(fmi2GetBooleanStatus) MISSING(fmi2GetStringStatus)
 
 /* The FMI 3.0 face */
 
-EXPORT const char *fmi3GetVersion(void) { return "3.0"; }
+EXPORT const char *FULL_NAME(fmi3GetVersion)(void) { return "3.0"; }
 
-EXPORT Instance *fmi3InstantiateCoSimulation(
+EXPORT Instance *FULL_NAME(fmi3InstantiateCoSimulation)(
     const char *name, const char *token, const char *where, bool visible, bool logging, bool events, bool early_return,
     const uint32_t intermediate[], size_t n, void *environment, Logger3 *logger, void *update) {
     (void)visible, (void)logging, (void)events, (void)early_return, (void)intermediate, (void)n, (void)update;
     return create(name, token, where, NULL, logger, environment);
 }
-EXPORT Instance *fmi3InstantiateModelExchange(void) { return NULL; }
-EXPORT Instance *fmi3InstantiateScheduledExecution(void) { return NULL; }
-EXPORT void fmi3FreeInstance(Instance *I) { destroy(I); }
-EXPORT int fmi3SetDebugLogging(Instance *I, bool on, size_t n, const char *const categories[]) {
+EXPORT Instance *FULL_NAME(fmi3InstantiateModelExchange)(void) { return NULL; }
+EXPORT Instance *FULL_NAME(fmi3InstantiateScheduledExecution)(void) { return NULL; }
+EXPORT void FULL_NAME(fmi3FreeInstance)(Instance *I) { destroy(I); }
+EXPORT int FULL_NAME(fmi3SetDebugLogging)(Instance *I, bool on, size_t n, const char *const categories[]) {
     return (void)I, (void)on, (void)n, (void)categories, OK;
 }
-EXPORT int fmi3EnterInitializationMode(Instance *I, bool defined, double tolerance, double start, bool stop_defined, double stop) {
+EXPORT int FULL_NAME(fmi3EnterInitializationMode)(Instance *I, bool defined, double tolerance, double start, bool stop_defined, double stop) {
     (void)defined, (void)tolerance, (void)stop_defined, (void)stop;
     *time_of(I) = start;
     return OK;
 }
-EXPORT int fmi3ExitInitializationMode(Instance *I) { return exit_initialisation(I); }
-EXPORT int fmi3Terminate(Instance *I) { return (void)I, OK; }
-EXPORT int fmi3Reset(Instance *I) { return reset(I); }
-EXPORT int fmi3DoStep(Instance *I, double t, double h, bool no_set_state, bool *event, bool *terminate, bool *early, double *reached) {
+EXPORT int FULL_NAME(fmi3ExitInitializationMode)(Instance *I) { return exit_initialisation(I); }
+EXPORT int FULL_NAME(fmi3Terminate)(Instance *I) { return (void)I, OK; }
+EXPORT int FULL_NAME(fmi3Reset)(Instance *I) { return reset(I); }
+EXPORT int FULL_NAME(fmi3DoStep)(Instance *I, double t, double h, bool no_set_state, bool *event, bool *terminate, bool *early, double *reached) {
     (void)no_set_state;
     *event = *terminate = *early = false;
     *reached = t;
@@ -785,30 +793,34 @@ static int wrong_count(const Instance *I, size_t found, size_t expected) {
 }
 
 #define ACCESS3(NAME, TYPE, KIND, FIELD) \
-    EXPORT int fmi3Get##NAME(Instance *I, const uint32_t references[], size_t n, TYPE values[], size_t room) { \
+    EXPORT int FULL_NAME(fmi3Get##NAME)(Instance *I, const uint32_t references[], size_t n, TYPE values[], size_t room) { \
         size_t at = 0; \
         TRY(refresh(I, references, n)); \
         for (size_t i = 0; i < n; i++) { \
-            const Variable *V = find(I, references[i], KIND, true); \
+            uint32_t word = references[i] & ~ELEMENT, element = references[i] & ELEMENT; \
+            const Variable *V = find(I, word, KIND, !element); \
             if (!V) \
                 return ERROR; \
-            if (V->count > room - at) \
-                return wrong_count(I, room, at + V->count); \
-            for (uint32_t k = 0; k < V->count; k++) \
-                values[at++] = (TYPE)I->record[references[i] + k].FIELD; \
+            uint32_t count = element ? 1 : V->count; \
+            if (count > room - at) \
+                return wrong_count(I, room, at + count); \
+            for (uint32_t k = 0; k < count; k++) \
+                values[at++] = (TYPE)I->record[word + k].FIELD; \
         } \
         return at == room ? OK : wrong_count(I, room, at); \
     } \
-    EXPORT int fmi3Set##NAME(Instance *I, const uint32_t references[], size_t n, const TYPE values[], size_t room) { \
+    EXPORT int FULL_NAME(fmi3Set##NAME)(Instance *I, const uint32_t references[], size_t n, const TYPE values[], size_t room) { \
         size_t at = 0; \
         for (size_t i = 0; i < n; i++) { \
-            const Variable *V = find(I, references[i], KIND, true); \
+            uint32_t word = references[i] & ~ELEMENT, element = references[i] & ELEMENT; \
+            const Variable *V = find(I, word, KIND, !element); \
             if (!V) \
                 return ERROR; \
-            if (V->count > room - at) \
-                return wrong_count(I, room, at + V->count); \
-            for (uint32_t k = 0; k < V->count; k++) \
-                TRY(set(I, V, references[i] + k, (Word){.FIELD = values[at++]})); \
+            uint32_t count = element ? 1 : V->count; \
+            if (count > room - at) \
+                return wrong_count(I, room, at + count); \
+            for (uint32_t k = 0; k < count; k++) \
+                TRY(set(I, V, word + k, (Word){.FIELD = values[at++]})); \
         } \
         return at == room ? OK : wrong_count(I, room, at); \
     }
@@ -816,10 +828,10 @@ ACCESS3(Float64, double, REAL, real)
 ACCESS3(Int64, int64_t, INTEGER, integer)
 ACCESS3(Boolean, bool, BOOLEAN, integer)
 
-EXPORT int fmi3GetString(Instance *I, const uint32_t references[], size_t n, const char *values[], size_t room) {
+EXPORT int FULL_NAME(fmi3GetString)(Instance *I, const uint32_t references[], size_t n, const char *values[], size_t room) {
     return n == room ? get_strings(I, references, n, values) : wrong_count(I, room, n);
 }
-EXPORT int fmi3SetString(Instance *I, const uint32_t references[], size_t n, const char *const values[], size_t room) {
+EXPORT int FULL_NAME(fmi3SetString)(Instance *I, const uint32_t references[], size_t n, const char *const values[], size_t room) {
     return n == room ? set_strings(I, references, n, values) : wrong_count(I, room, n);
 }
 

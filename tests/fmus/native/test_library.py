@@ -20,9 +20,9 @@ from fmpy.validation import validate_fmu
 
 from robomill.fmus.components import NAMES
 from robomill.fmus.interface import Interface
-from robomill.fmus.native.fmi3 import terminals
 from robomill.fmus.native.lower import NativeBuildError
 from robomill.fmus.native.targets import PLATFORMS
+from robomill.fmus.terminals import terminals
 from tests.fmus import demo, native_runs
 
 ALL = ("demo", *NAMES)
@@ -86,12 +86,14 @@ def test_fmpy_finds_no_problem(name: str, fmi: Literal[2, 3], built_native: Call
 
 def test_contents(built_native: Callable[..., Path]) -> None:
     common = {"modelDescription.xml", "documentation/index.html", "documentation/licenses/license.txt", "resources/tables/curve.npy"}
+    common |= {f"terminalsAndIcons/{name}" for name in ("terminalsAndIcons.xml", "icon.png", "icon.svg")}
+    common |= {f"extra/com.github.robomill/{name}" for name in ("provenance.json", "sbom.cdx.json")}
+    common |= {"extra/org.fmi-standard.fmi-ls-ref/fmi-ls-manifest.xml"}
     with zipfile.ZipFile(built_native("demo")) as archive:
         assert set(archive.namelist()) == common | {"model.png", "binaries/linux64/demo.so"}
         assert b"FMI 2.0 co-simulation FMU (native backend)" in archive.read("documentation/index.html")
     with zipfile.ZipFile(built_native("demo", 3)) as archive:
-        icons = {"terminalsAndIcons/terminalsAndIcons.xml", "terminalsAndIcons/icon.png"}
-        assert set(archive.namelist()) == common | icons | {"binaries/x86_64-linux/demo.so"}
+        assert set(archive.namelist()) == common | {"binaries/x86_64-linux/demo.so"}
         assert b"FMI 3.0 co-simulation FMU (native backend)" in archive.read("documentation/index.html")
 
 
