@@ -12,6 +12,7 @@
     inputs = {m_T_B = ["2 N.m", 0, 0]}  # start values of inputs, which open inputs keep
     isolate = false                     # true: an FMU in its own process (orchestration/slaves/isolation.py)
     time_limit = "60 s"                 # of wall clock for one call, if isolated
+    correction = "form_drive.json"      # corrects signals of this component: a form or an FMU (orchestration/slaves/corrected.py)
     rate = 1                            # steps in each step of the system; or every = n: one step in n (orchestration/slaves/multirate.py)
 
     [[connections]]
@@ -58,7 +59,7 @@ _TEXTS, _CHOICES, _FLAGS = (
     ("require_connected", "check_ranges"),
 )
 _OTHER = {"stop", "labels", "connections", "recording", "iteration"}
-_COMPONENT = {"parameters", "inputs", "isolate", "time_limit", "rate", "every"}
+_COMPONENT = {"parameters", "inputs", "isolate", "time_limit", "rate", "every", "correction"}
 MAX_CHUNK = 100_000
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -81,6 +82,8 @@ class Component:
     """Steps of the system for each of which it makes one, over all of them."""
     inputs: Mapping[str, Any] = field(default_factory=dict)
     """Start values of inputs, as written: what open ones keep, and delayed ones have until the first step."""
+    correction: str | None = None
+    """Where the component comes from that corrects signals of this one (see `orchestration.slaves.corrected`); None: there is none."""
 
 
 @dataclass(frozen=True)
@@ -202,6 +205,11 @@ class System:
         old = self.component(component)
         return replace(self, components=tuple(replace(c, source=source) if c is old else c for c in self.components))
 
+    def with_correction(self, component: str, source: str | None) -> System:
+        """System in which the component from `source` corrects signals of one component; None: nothing does."""
+        old = self.component(component)
+        return replace(self, components=tuple(replace(c, correction=source) if c is old else c for c in self.components))
+
     def with_parameters(self, component: str, parameters: Mapping[str, Any]) -> System:
         """System with some parameters of one component set anew: numbers in the unit of the port, or as a file has them."""
         try:
@@ -273,6 +281,7 @@ def _component(name: str, entry: Entry) -> Component:
         entry.get("rate", 1).count(1),
         entry.get("every", 1).count(1),
         entry.get("inputs", {}).written(),
+        entry["correction"].text() if "correction" in entry else None,
     )
 
 
