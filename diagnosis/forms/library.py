@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,6 +32,10 @@ TEXTS: Mapping[str, str] = {
 }
 POWERS: Mapping[str, int] = {"value": 1, "size": 1, "signed_square": 2, "square": 2, "cube": 3}
 """Powers of the unit of the variable in that of the factor; the others have none."""
+
+
+OF_ONE = ("value", "sign", "size", "signed_square", "square", "cube", "root")
+"""Kinds of the terms of one variable."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +83,11 @@ class Term:
         return made
 
 
-def library(found: Sequence[Mapping[Variable, FloatArray]], index: str, longest: float) -> list[Term]:
+def library(found: Sequence[Mapping[Variable, FloatArray]], index: str, longest: float, others: Collection[str] = OF_ONE) -> list[Term]:
     """All terms for a port with this index, from the variables that are there in every condition; `longest` run [s].
 
-    Products are those of variables of the same index (and of scalars): a port of an array of joints is about one joint first.
+    Products are those of variables of the same index (and of scalars): a port of an array of joints is about one joint first. Of variables
+    with another index there are only the kinds in `others`.
     """
     shared = [v for v in found[0] if all(v in other for other in found)]
     sizes = {v: max(float(np.abs(known[v]).max()) for known in found) for v in shared}
@@ -91,7 +96,7 @@ def library(found: Sequence[Mapping[Variable, FloatArray]], index: str, longest:
         if v.name == TIME:
             terms += [Term((Factor("value", v),)), *(Term((Factor("decay", v, part * longest),)) for part in DECAYS)]
             continue
-        for kind in ("value", "sign", "size", "signed_square", "square", "cube", "root"):
+        for kind in OF_ONE if v.index in ("", index) else others:
             if kind in ("size", "signed_square", "sign", "root") and _one_sign(found, v):
                 continue  # the same as a value, a square, or a constant
             shape = {"sign": SLIDES * sizes[v], "root": sizes[v]}.get(kind, 1.0)

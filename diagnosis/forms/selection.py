@@ -9,7 +9,7 @@ is one number: the correlation of what is left from sample to sample.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,8 @@ COLLINEAR = 1e-8
 """Part of its squares that must be left of a term beside those that are there: less is roundoff."""
 DRAWS, PIECES = 400, 24
 """How often the bootstrap draws blocks of time, and into how many the rows are cut."""
+MEMORY = 0.3
+"""Memory [s] of the noise, at most: with a longer one the noise takes what is the law's (DIAGNOSIS2, lesson 1)."""
 BAND = 0.2
 """Correlation of the whitened residual from sample to sample from which samples are averaged in pairs (DIAGNOSIS2, lesson 2)."""
 
@@ -39,8 +41,12 @@ class Rows:
     y: FloatArray
     X: FloatArray
     series: Labels
+    condition: Labels
+    """Number of the condition, from 0."""
     position: FloatArray
     """Where in its series a row is, 0..1."""
+    step: float
+    """Time between rows [s]."""
 
     def paired(self) -> Rows:
         """Means of pairs of neighbours."""
@@ -53,7 +59,7 @@ class Rows:
         def mean(x: FloatArray) -> FloatArray:
             return np.asarray(x[order].reshape(-1, 2, *x.shape[1:]).mean(axis=1))
 
-        return Rows(mean(self.y), mean(self.X), self.series[order][::2], mean(self.position))
+        return Rows(mean(self.y), mean(self.X), self.series[order][::2], self.condition[order][::2], mean(self.position), 2.0 * self.step)
 
     def whitened(self, rho: float) -> Rows:
         """Without what goes on from one sample to the next: x_k - rho x_{k-1}; the first of each series is scaled alike."""
@@ -65,20 +71,18 @@ class Rows:
             e[first] = np.sqrt(1.0 - rho * rho) * x[first]
             return e
 
-        return Rows(white(self.y), white(self.X), self.series, self.position)
+        return replace(self, y=white(self.y), X=white(self.X))
 
     def memory(self, left: FloatArray) -> float:
-        """Correlation of what is left [n] from sample to sample, 0..0.99."""
+        """Correlation of what is left [n] from sample to sample, from 0 to that of MEMORY."""
         inside = np.diff(self.series) == 0
         total = float((left**2).sum())
-        return min(max(float((left[1:] * left[:-1])[inside].sum()) / total, 0.0), 0.99) if total > 0.0 else 0.0
+        return min(max(float((left[1:] * left[:-1])[inside].sum()) / total, 0.0), np.exp(-self.step / MEMORY)) if total > 0.0 else 0.0
 
     def parts(self, count: int) -> Labels:
-        """Which of `count` blocks of time each row is in: blocks of the rows as they stand, series by series of equal share in time."""
-        conditions = len(np.unique(self.series))
-        each = max(1, round(count / max(1, conditions)))
-        inside = np.minimum((self.position * each).astype(np.intp), each - 1)
-        return np.asarray((self.series * each + inside) % count if conditions * each > count else self.series * each + inside)
+        """Which block of time each row is in: at least `count` of them, as many in each condition; channels of a condition go together."""
+        each = -(-count // (int(self.condition.max()) + 1))
+        return np.asarray(self.condition * each + np.minimum((self.position * each).astype(np.intp), each - 1))
 
 
 class Products:
@@ -152,22 +156,25 @@ class Chosen:
     rho: float
     rows: Rows
     """Averaged to the band that the noise allows, not whitened."""
+    pairs: int
+    """How often neighbours were averaged for that."""
     errors: FloatArray
+    """Squares left in each left-out fold, of whitened rows."""
 
 
 def choose(rows: Rows) -> Chosen:
     """The terms, in a band and with a memory of the noise that fit what they leave."""
-    rho = 0.0
+    rho, pairs = 0.0, 0
     while True:
         for _ in range(2):  # the noise is known when the terms are, and the other way round
             terms, closure, errors = _chosen(rows.whitened(rho))
-            left = rows.y - rows.X[:, terms] @ _least_squares(rows, terms)
+            left = rows.y - rows.X[:, terms] @ fitted(rows, terms)
             rho = rows.memory(left)
         white = rows.whitened(rho)
-        again = white.memory(white.y - white.X[:, terms] @ _least_squares(white, terms))
-        if again < BAND or len(rows.y) < 2 * FOLDS * MOST:
-            return Chosen(terms, closure, rho, rows, errors)
-        rows = rows.paired()
+        again = white.memory(white.y - white.X[:, terms] @ fitted(white, terms))
+        if again < BAND or len(rows.y) < 4 * FOLDS * MOST or 4.0 * rows.step > MEMORY:
+            return Chosen(terms, closure, rho, rows, pairs, errors)
+        rows, pairs = rows.paired(), pairs + 1
 
 
 def _chosen(white: Rows) -> tuple[list[int], float, FloatArray]:
@@ -195,8 +202,9 @@ def pruned(products: Products, terms: list[int]) -> list[int]:
     return terms
 
 
-def _least_squares(rows: Rows, terms: list[int]) -> FloatArray:
-    X = rows.X[:, terms]
+def fitted(rows: Rows, terms: list[int] | None = None) -> FloatArray:
+    """Ordinary least squares of these terms, or of all."""
+    X = rows.X if terms is None else rows.X[:, terms]
     return _solve(X.T @ X, X.T @ rows.y)
 
 
@@ -213,7 +221,7 @@ class Values:
 
 def values(rows: Rows, terms: list[int]) -> Values:
     """Fit the terms; rows that are not whitened (DIAGNOSIS2, lesson 3: whitening lets reversals decide, where laws are wrong)."""
-    products = Products(Rows(rows.y, rows.X[:, terms], rows.series, rows.position), rows.parts(PIECES))
+    products = Products(replace(rows, X=rows.X[:, terms]), rows.parts(PIECES))
     every = list(range(len(terms)))
     best = products.fit(every)
     rng = np.random.default_rng(0)

@@ -1,0 +1,164 @@
+"""What a law is like that is in no catalogue: a form at the port where the gap arises, put into the loop, and what it is worth there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robomill.diagnosis.experiment.component_replay import ComponentReplay
+from robomill.diagnosis.experiment.simulation import Laboratory, decimate
+from robomill.diagnosis.forms.layout import Curve, PortForm, TermFound
+from robomill.diagnosis.forms.library import Term
+from robomill.diagnosis.forms.periods import with_periods
+from robomill.diagnosis.forms.ports import Problem, behind, direct
+from robomill.diagnosis.forms.selection import FOLDS, Products, Values, choose, pruned, values, worse
+from robomill.orchestration.slaves.protocol import FloatArray
+
+BINS = 24
+"""Points of a curve: as many bins of the variable, with as many samples each."""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A problem with its terms."""
+
+    problem: Problem
+    terms: list[tuple[str, Term]]
+    found: Values
+    closure: float
+    errors: FloatArray
+
+    @property
+    def squares(self) -> float:
+        """Of the gap, in its own unit."""
+        return float(sum((g**2).sum() for g in self.problem.gap))
+
+
+def solve(problem: Problem) -> Solved:
+    """Choose and fit the terms of a problem."""
+    chosen = choose(problem.rows())
+    problem = replace(problem, decimation=problem.decimation * 2**chosen.pairs)
+    terms = [problem.terms[i] for i in chosen.terms]
+    places = [(e, v) for e in dict.fromkeys(e for e, _ in problem.terms) for v in problem.seen.angles(e)] if problem.effect else []
+    longer = with_periods(problem, terms, chosen.rho, places)
+    white = problem.rows(longer).whitened(chosen.rho)
+    products = Products(white, white.parts(FOLDS))
+    kept = pruned(products, list(range(len(longer)))) if len(longer) > len(terms) else list(range(len(terms)))
+    terms = [longer[i] for i in kept]
+    errors = products.errors(kept) if len(longer) > len(chosen.terms) else chosen.errors
+    closure = 1.0 - float(errors.sum()) / max(float(products.square.sum()), 1e-300)
+    rows = problem.rows(terms)
+    order = Products(rows, np.zeros(len(rows.y), dtype=np.intp)).path(len(terms))  # that which explains most comes first
+    terms = [terms[i] for i in order]
+    return Solved(problem, terms, values(problem.rows(terms), list(range(len(terms)))), closure, errors)
+
+
+def solved(laboratory: Laboratory, replays: Sequence[ComponentReplay], components: Sequence[str]) -> list[Solved]:
+    """Forms of the ports of these components; of those that explain the same measured array, the ports of the one that leaves least.
+
+    The first component is preferred: another one must be better by more than a standard error.
+    """
+    best: dict[str, tuple[FloatArray, list[Solved]]] = {}
+    for name in components:
+        for make in (direct, behind):
+            found = [s for p in make(laboratory, replays, name) if (s := solve(p)).terms]
+            for array in dict.fromkeys(a for s in found for a in s.problem.targets):
+                here = [s for s in found if array in s.problem.targets]
+                errors = np.sum([s.errors / (s.errors.sum() / max(1.0 - s.closure, 1e-12)) * s.squares for s in here], axis=0)
+                if array not in best or (len(best[array][0]) == len(errors) and worse(best[array][0], errors)):
+                    best[array] = (errors, here)
+    unique: list[Solved] = []
+    for _, some in best.values():
+        unique += [s for s in some if not any(s is u for u in unique)]
+    return unique
+
+
+def port_forms(found: Sequence[Solved]) -> tuple[PortForm, ...]:
+    """What is said of each port, the largest part of its gap first."""
+    made = []
+    for s in found:
+        for element in dict.fromkeys(e for e, _ in s.terms):
+            at = [i for i, (e, _) in enumerate(s.terms) if e == element]
+            port = s.problem.seen.host.ports[element]
+            unit = port.unit or "1"
+            terms = tuple(
+                TermFound(
+                    s.terms[i][1].text,
+                    float(s.found.values[i]),
+                    [float(x) for x in s.found.intervals[i]],
+                    s.terms[i][1].unit(unit),
+                    float(s.found.adds[i]),
+                )
+                for i in at
+            )
+            name = f"{s.problem.seen.host.name}.{element}"
+            made.append(PortForm(name, unit, formula(terms), terms, s.closure, _curve(s, element)))
+    return tuple(sorted(made, key=lambda p: -p.closure))
+
+
+def formula(terms: Sequence[TermFound]) -> str:
+    """The sum in a line; numbers in SI to four digits."""
+    text = ""
+    for k, t in enumerate(terms):
+        sign = "-" if t.coefficient < 0.0 else "+" if k else ""
+        text += f" {sign} " if k else sign
+        text += f"{abs(t.coefficient):.4g}" + ("" if t.term == "1" else f" {t.term}")
+    return text
+
+
+def _curve(s: Solved, element: str) -> Curve | None:
+    """Means of gap and form in bins of the variable of the first term; None where what the port does is not seen as it is."""
+    first = next((t for e, t in s.terms if e == element and t.factors), None)
+    if first is None or s.problem.extra or any(np.ptp(e[element]) > 0.0 or e[element].shape[1] > 1 for e in s.problem.effect):
+        return None
+    v, d = first.factors[0].variable, s.problem.decimation
+    scale = float(s.problem.effect[0][element][0, 0])
+    x = np.concatenate([decimate(k[v][:, None], d)[:, 0] for k in s.problem.seen.known])
+    rows = s.problem.rows(s.terms)
+    order = np.array_split(np.argsort(x, kind="stable"), BINS)
+    columns = (x, rows.y / scale, rows.X @ s.found.values / scale)
+    return Curve(v.text, v.unit, *([float(c[o].mean()) for o in order if len(o)] for c in columns))
+
+
+def like_delays(found: Sequence[Solved]) -> tuple[str, ...]:
+    """Ports whose first term is the rate of what passes, with sizes that agree: in words, like a delay (y + c dy/dt is y, -c later)."""
+    late: dict[str, list[tuple[str, float, list[float]]]] = {}
+    for s in found:
+        for (element, term), c, interval in zip(s.terms, s.found.values, s.found.intervals, strict=True):
+            if len(term.factors) != 1 or term.factors[0].kind != "value":
+                continue
+            v = term.factors[0].variable
+            is_own_rate = v.rate and v.name == element
+            if is_own_rate or _moves_with(s, element, term):
+                late.setdefault(s.problem.seen.host.name, []).append((element, -float(c), [-float(interval[1]), -float(interval[0])]))
+    texts = []
+    for host, members in late.items():
+        for group in _agreeing(members):
+            low, high = max(i[0] for _, _, i in group), min(i[1] for _, _, i in group)
+            mean = float(np.mean([c for _, c, _ in group]))
+            if len(group) > 1:
+                low, high = min(low, mean), max(high, mean)
+            else:
+                low, high = group[0][2]
+            ports = ", ".join(f"{host}.{e}" for e, _, _ in group)
+            what = "a delay" if mean > 0.0 else "a lead"
+            ends = sorted(abs(1e3 * x) for x in (low, high))
+            texts.append(f"like {what} of {1e3 * abs(mean):.3g} ms ({ends[0]:.3g} to {ends[1]:.3g}) in {ports}")
+    return tuple(texts)
+
+
+def _moves_with(s: Solved, element: str, term: Term) -> bool:
+    """Whether a term is a speed of the unit of the port: then what passes is an angle (or a way) of it."""
+    return term.unit(s.problem.seen.host.ports[element].unit or "1") == "s" and term.factors[0].variable.index == element.partition("[")[2].rstrip("]")
+
+
+def _agreeing(members: list[tuple[str, float, list[float]]]) -> list[list[tuple[str, float, list[float]]]]:
+    """Members whose intervals have a value in common, largest group first."""
+    rest, groups = list(members), []
+    while rest:
+        best = max(({x[0]: x for x in rest if x[2][0] <= m[1] <= x[2][1]} | {m[0]: m} for m in rest), key=len)
+        groups.append(list(best.values()))
+        rest = [m for m in rest if m[0] not in best]
+    return groups
