@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
 from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate
-from robomill.diagnosis.forms.layout import Curve, PortForm, TermFound
+from robomill.diagnosis.forms.layout import Curve, Form, PortForm, Range, TermFound, Worse
 from robomill.diagnosis.forms.library import Term
+from robomill.diagnosis.forms.loop import Loop, specification
 from robomill.diagnosis.forms.periods import with_periods
-from robomill.diagnosis.forms.ports import Problem, behind, direct
+from robomill.diagnosis.forms.ports import Known, Problem, Seen, behind, direct, into
 from robomill.diagnosis.forms.selection import FOLDS, Products, Values, choose, pruned, values, worse
-from robomill.orchestration.slaves.protocol import FloatArray
+from robomill.diagnosis.forms.signals import Variable
+from robomill.diagnosis.inference.search import Search
+from robomill.diagnosis.outcome.how_far import CLOSING, Groups, shrunk
+from robomill.models.components.correction import TIME
+from robomill.orchestration.errors import OrchestrationError
+from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 BINS = 24
 """Points of a curve: as many bins of the variable, with as many samples each."""
@@ -43,12 +52,14 @@ def solve(problem: Problem) -> Solved:
     terms = [problem.terms[i] for i in chosen.terms]
     places = [(e, v) for e in dict.fromkeys(e for e, _ in problem.terms) for v in problem.seen.angles(e)] if problem.effect else []
     longer = with_periods(problem, terms, chosen.rho, places)
-    white = problem.rows(longer).whitened(chosen.rho)
-    products = Products(white, white.parts(FOLDS))
-    kept = pruned(products, list(range(len(longer)))) if len(longer) > len(terms) else list(range(len(terms)))
-    terms = [longer[i] for i in kept]
-    errors = products.errors(kept) if len(longer) > len(chosen.terms) else chosen.errors
-    closure = 1.0 - float(errors.sum()) / max(float(products.square.sum()), 1e-300)
+    errors, closure = chosen.errors, chosen.closure
+    if len(longer) > len(terms):
+        rows = problem.rows(longer)
+        products = Products(rows.whitened(chosen.rho), rows.parts(FOLDS))
+        kept = pruned(products, list(range(len(longer))))
+        terms, errors = [longer[i] for i in kept], products.errors(kept)
+        plain = Products(rows, rows.parts(FOLDS))
+        closure = 1.0 - float(plain.errors(kept).sum()) / max(float(plain.square.sum()), 1e-300)
     rows = problem.rows(terms)
     order = Products(rows, np.zeros(len(rows.y), dtype=np.intp)).path(len(terms))  # that which explains most comes first
     terms = [terms[i] for i in order]
@@ -62,7 +73,7 @@ def solved(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
     """
     best: dict[str, tuple[FloatArray, list[Solved]]] = {}
     for name in components:
-        for make in (direct, behind):
+        for make in (direct, behind, into):
             found = [s for p in make(laboratory, replays, name) if (s := solve(p)).terms]
             for array in dict.fromkeys(a for s in found for a in s.problem.targets):
                 here = [s for s in found if array in s.problem.targets]
@@ -162,3 +173,115 @@ def _agreeing(members: list[tuple[str, float, list[float]]]) -> list[list[tuple[
         groups.append(list(best.values()))
         rest = [m for m in rest if m[0] not in best]
     return groups
+
+
+def discovered(search: Search, groups: Groups, components: Sequence[str], titles: Mapping[str, str]) -> Form | None:
+    """The form of what is unknown, in the closed loop; None where blocks that have not seen it are not predicted better by any.
+
+    `components`: where it may be, the likeliest first; `groups`: measured repeats of every condition, the diagnosed ones first.
+    """
+    simulator, n = search.simulator, len(search.groups)
+    laboratory = simulator.laboratory
+    own = [i for i in range(n) if _alike(laboratory, i)]
+    replays = [_replayed(laboratory, i) for i in own]
+    if not replays:
+        return None
+    found = solved(laboratory, replays, components)
+    if not found:
+        return None
+    host = max({s.problem.seen.host.name for s in found}, key=lambda h: sum(s.closure for s in found if s.problem.seen.host.name == h))
+    others = sorted({s.problem.seen.host.name for s in found} - {host})
+    found = [s for s in found if s.problem.seen.host.name == host]
+    side = found[0].problem.seen.side
+    found = [s for s in found if s.problem.seen.side == side]
+    form = Form(host, side, laboratory.system.step if side == "input" else 0.0, port_forms(found), like_delays(found))
+    note = f"beside it, something is left at {', '.join(others)}" if others else ""
+    active = search.evidence.active
+    scale = np.zeros(len(laboratory.channels))
+    scale[active] = 1.0 / np.sqrt(np.diag(search.evidence.whitening.factor @ search.evidence.whitening.factor.T))
+    with TemporaryDirectory() as folder:
+        loop = Loop(simulator, Path(folder), scale, groups, n)
+        try:
+            fitted_there = loop.refitted(_specification(found))
+            if fitted_there is None:
+                return replace(form, note="with the form in the loop the system does not run: it is said as it was found, and not adopted")
+            after = loop.simulated(fitted_there, range(len(laboratory.conditions)), CLOSING)
+        except OrchestrationError as error:
+            return replace(form, note=f"not put into the loop: {error}")
+    before = simulator.repeated(range(len(laboratory.conditions)), (), CLOSING, "form")
+    closures = shrunk(search, groups, before, after, titles)
+    return replace(
+        form,
+        ports=_refitted(form.ports, fitted_there),
+        how_far=closures,
+        ranges=_ranges(laboratory, found, n),
+        worse=tuple(Worse(h.metric, h.on, h.before, h.after, h.unit) for h in closures if h.after > h.before),
+        note=note,
+        specification=fitted_there,
+    )
+
+
+def _alike(laboratory: Laboratory, i: int) -> bool:
+    """Whether a condition is made by the components and connections of the system that is diagnosed."""
+    system, own = laboratory.system, laboratory.conditions[i].system
+    return own is None or ([c.name for c in own.components], own.connections) == ([c.name for c in system.components], system.connections)
+
+
+def _replayed(laboratory: Laboratory, i: int) -> ComponentReplay:
+    condition = laboratory.conditions[i]
+    return ComponentReplay(laboratory, i, [condition.matrix(r, laboratory.channels) for r in condition.runs])
+
+
+def _specification(found: Sequence[Solved]) -> dict[str, Any]:
+    host = found[0].problem.seen.host
+    corrected = list(dict.fromkeys(base_name(e) for s in found for e, _ in s.terms))
+    read = [base_name(f.variable.name) for s in found for _, t in s.terms for f in t.factors if f.variable.name != TIME]
+    arrays = []
+    for base in dict.fromkeys([*read, *corrected]):
+        port = next(p for name, p in host.ports.items() if base_name(name) == base)
+        arrays.append((base, port.unit or "1", host.counts[base]))
+    terms = []
+    for s in found:
+        for (element, term), c in zip(s.terms, s.found.values, strict=True):
+            factors = [f.plain() for f in term.factors]
+            unit = term.unit(host.ports[element].unit or "1")
+            terms.append({"element": element, "coefficient": float(c), "unit": unit, "text": term.text, "factors": factors})
+    return specification(host.name, arrays, corrected, terms)
+
+
+def _refitted(ports: Sequence[PortForm], found: Mapping[str, Any]) -> tuple[PortForm, ...]:
+    """The ports with the coefficients that the closed loop gave; intervals keep their width."""
+    values_ = {(t["element"], t["text"]): t["coefficient"] for t in found["terms"]}
+    made = []
+    for p in ports:
+        element = p.port.partition(".")[2]
+        terms = []
+        for t in p.terms:
+            c = values_[element, t.term]
+            shift = c - t.coefficient
+            terms.append(replace(t, coefficient=c, interval=[x + shift for x in t.interval]))
+        made.append(replace(p, terms=tuple(terms), formula=formula(terms)))
+    return tuple(made)
+
+
+def _ranges(laboratory: Laboratory, found: Sequence[Solved], n: int) -> tuple[Range, ...]:
+    """Where each variable of the form was, in the diagnosed and in the held-out runs."""
+    seen = found[0].problem.seen
+    used = list(dict.fromkeys(f.variable for s in found for _, t in s.terms for f in t.factors))
+    held = [i for i in range(n, len(laboratory.conditions)) if _alike(laboratory, i)]
+    there = Seen.of(laboratory, [_replayed(laboratory, i) for i in held], seen.host.name, seen.side).known if held else []
+
+    def span(known: Sequence[Known], v: Variable) -> list[float] | None:
+        values_ = [k[v] for k in known if v in k]
+        return [min(float(x.min()) for x in values_), max(float(x.max()) for x in values_)] if values_ else None
+
+    return tuple(Range(v.text, v.unit, span(seen.known, v) or [0.0, 0.0], span(there, v)) for v in used)
+
+
+def suspects(answer: Answer, laboratory: Laboratory) -> list[str]:
+    """Components where the form may be, the likeliest first: those that the replay blames and cannot tell from them, or else all."""
+    names = [c.name for c in laboratory.system.components]
+    blamed = [n for w in answer.where if w.log_odds is not None for n in (w.component, *(w.alternatives or ()))]
+    first = blamed or [w.component for w in answer.where] + ([answer.unknown.component] if answer.unknown else [])
+    found = [n for n in dict.fromkeys(first) if n in names]
+    return [*found, *(n for n in names if n not in found)] if not blamed else found

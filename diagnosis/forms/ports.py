@@ -24,7 +24,7 @@ from robomill.diagnosis.forms.signals import Host, Variable, series, value, vari
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 SHIFT = 1e-3
-"""Small shift of an output that is not measured, as a part of the way that it goes."""
+"""Small change of a port, as a part of the way that it goes, or of its usual size."""
 OTHERS = ("value", "sign")
 """Kinds of terms of other joints, where all joints of a port are looked at together."""
 
@@ -167,6 +167,34 @@ def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
         problem = Problem(seen, tuple(sizes), terms, [g / scale for g in gap], effect, laboratory.decimation, replays[0].step())
         found.append(problem)
     return found
+
+
+def into(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: str) -> list[Problem]:
+    """One problem for the inputs of a component with outputs that add up what goes in; each term is simulated in the closed loop."""
+    if not any(a.partition(".")[0] == component for r in replays for a in r.adding):
+        return []
+    seen = Seen.of(laboratory, replays, component, "input")
+    channels = replays[0].channels
+    gap = [r.mean - r.nominal() for r in replays]
+    arrays = list(map(array_of, channels))
+    sizes = {a: _rms(gap, [x == a for x in arrays]) or 1.0 for a in arrays}
+    scale = np.array([sizes[a] for a in arrays])
+    terms, extra = [], {}
+    for element, (column, _) in seen.host.sources.items():
+        if element not in seen.host.ports:
+            continue
+        usual = max(float(np.sqrt(np.mean(r.closed[0].columns[column] ** 2))) for r in replays)
+        for term in seen.library(element, alone=True):
+            made = []
+            for r, known in zip(replays, seen.known, strict=True):
+                x = term.values(known, len(r.grid))
+                push = SHIFT * usual / (float(np.sqrt(np.mean(x**2))) or 1.0)
+                made.append((r.pushed(component, column, push * x) - r.nominal()) / (push * scale))
+            if any(np.any(x) for x in made):
+                terms.append((element, term))
+                extra[element, term] = made
+    step, scaled = replays[0].step(), [g / scale for g in gap]
+    return [Problem(seen, tuple(dict.fromkeys(arrays)), terms, scaled, [], laboratory.decimation, step, extra)] if terms else []
 
 
 def _rms(gap: Sequence[FloatArray], on: Sequence[bool]) -> float:

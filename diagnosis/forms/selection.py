@@ -152,7 +152,7 @@ class Chosen:
 
     terms: list[int]
     closure: float
-    """1 - squares left / squares, in left-out folds, of whitened rows."""
+    """1 - squares left / squares, in left-out folds, which choice and fit have not seen; of rows that are not whitened."""
     rho: float
     rows: Rows
     """Averaged to the band that the noise allows, not whitened."""
@@ -167,17 +167,20 @@ def choose(rows: Rows) -> Chosen:
     rho, pairs = 0.0, 0
     while True:
         for _ in range(2):  # the noise is known when the terms are, and the other way round
-            terms, closure, errors = _chosen(rows.whitened(rho))
+            terms, sets, errors = _chosen(rows.whitened(rho))
             left = rows.y - rows.X[:, terms] @ fitted(rows, terms)
             rho = rows.memory(left)
         white = rows.whitened(rho)
         again = white.memory(white.y - white.X[:, terms] @ fitted(white, terms))
         if again < BAND or len(rows.y) < 4 * FOLDS * MOST or 4.0 * rows.step > MEMORY:
-            return Chosen(terms, closure, rho, rows, pairs, errors)
+            plain = Products(rows, rows.parts(FOLDS))
+            left = sum(plain.error(f, some, plain.fit(some, f)) for f, some in enumerate(sets))
+            return Chosen(terms, 1.0 - left / max(float(plain.square.sum()), 1e-300), rho, rows, pairs, errors)
         rows, pairs = rows.paired(), pairs + 1
 
 
-def _chosen(white: Rows) -> tuple[list[int], float, FloatArray]:
+def _chosen(white: Rows) -> tuple[list[int], list[list[int]], FloatArray]:
+    """Terms by all rows, those that each fold would have taken without its own rows, and squares left in the folds."""
     products = Products(white, white.parts(FOLDS))
     folds = range(len(products.square))
     paths = [products.path(MOST, f) for f in folds]
@@ -186,8 +189,7 @@ def _chosen(white: Rows) -> tuple[list[int], float, FloatArray]:
     best = int(table.mean(axis=1).argmin())
     count = next(k for k in range(best + 1) if not worse(table[k], table[best]))
     terms = pruned(products, products.path(count))
-    errors = table[count]
-    return terms, 1.0 - float(errors.sum() / max(products.square.sum(), 1e-300)), errors
+    return terms, [p[:count] for p in paths], table[count]
 
 
 def pruned(products: Products, terms: list[int]) -> list[int]:

@@ -15,6 +15,7 @@ from robomill.diagnosis.catalogue import Address
 from robomill.diagnosis.experiment.design import Kind
 from robomill.diagnosis.experiment.segments import Structure
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, decimate
+from robomill.diagnosis.forms.layout import Form
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.isolability import Pair
@@ -156,6 +157,8 @@ class Answer:
     predictive: dict[str, dict[str, float]] | None = None
     """Model -> condition -> gain in log score there [nats] when it is fitted to the others."""
     unknown: Unknown | None = None
+    form: Form | None = None
+    """What the law is like that is in no catalogue (`forms.layout`)."""
     effort: Effort = field(default_factory=Effort)
     skipped: tuple[str, ...] = ()
     """What of the catalogue the system does not have, in words."""

@@ -19,6 +19,8 @@ CLOSING = 4
 
 Groups = Sequence[Sequence[FloatArray]]
 """Repeats of each condition, [samples, channels]."""
+Simulated = Sequence[Sequence[FloatArray] | None]
+"""The same, simulated; None for one that cannot run."""
 
 
 def metrics(search: Search, titles: Mapping[str, str]) -> dict[str, list[int]]:
@@ -36,10 +38,15 @@ def how_far(search: Search, groups: Groups, adopted: Mapping[Address, float], ti
 
     `groups`: measured repeats of every condition, the diagnosed ones first; `titles`: array -> what the difference there is called.
     """
-    laboratory, simulator, whitening = search.simulator.laboratory, search.simulator, search.evidence.whitening
+    every = range(len(search.simulator.laboratory.conditions))
+    before, after = (search.simulator.repeated(every, changes, CLOSING, "closure") for changes in ((), setting(adopted)))
+    return shrunk(search, groups, before, after, titles)
+
+
+def shrunk(search: Search, groups: Groups, before: Simulated, after: Simulated, titles: Mapping[str, str]) -> tuple[closure.HowFar, ...]:
+    """Closure and ceiling of each figure, from repeats of every condition simulated `before` and `after` something was mended."""
+    laboratory, whitening = search.simulator.laboratory, search.evidence.whitening
     conditions, n = laboratory.conditions, len(search.groups)
-    after = simulator.repeated(range(len(conditions)), setting(adopted), CLOSING, "closure")
-    before = simulator.repeated(range(len(conditions)), (), CLOSING, "closure")
     seen = {c.name: i for i, c in enumerate(conditions[:n])}
     kinds: dict[str, list[int]] = {"diagnosed runs": list(range(n))}
     for i in range(n, len(conditions)):
@@ -77,7 +84,7 @@ def how_far(search: Search, groups: Groups, adopted: Mapping[Address, float], ti
     return tuple(listed)
 
 
-def _predicted(simulated: Sequence[Sequence[FloatArray] | None], groups: Groups, n: int, active: Any) -> dict[int, FloatArray]:
+def _predicted(simulated: Simulated, groups: Groups, n: int, active: Any) -> dict[int, FloatArray]:
     """What a regression predicts of the gap in conditions that were measured once, [samples, channels]; the first `n` are known."""
     means = {i: np.mean(group, axis=0) for i, group in enumerate(simulated) if group is not None}
     gaps = {i: np.mean(groups[i], axis=0)[: len(mean)] - mean for i, mean in means.items()}
