@@ -30,6 +30,7 @@ from robomill.fmus.documentation import index_html, licences, reference_files
 from robomill.fmus.fmi2 import model_description_2
 from robomill.fmus.interface import Interface
 from robomill.fmus.model_description import Options
+from robomill.models.components.correction import CorrectionModel
 from robomill.models.components.recording import ReplayModel
 from robomill.models.model.cache import source_files
 from robomill.models.model.calls import check_kernels
@@ -91,6 +92,13 @@ _FOLDER = Path(__file__).parent
 MODEL = from_specification(json.loads((_FOLDER / "replay.json").read_text()), np.load(_FOLDER / "recording.npy"))
 """
 
+FORM_IMPORTS = """from pathlib import Path
+
+from robomill.models.components.correction import read_form
+
+MODEL = read_form(Path(__file__).parent / "law.form.json")
+"""
+
 NOTES = (
     "Needs Python 3.11 or newer with NumPy in the importing process, and the packages that the component's own sources import; "
     "Numba makes it some 100 times faster.",
@@ -150,6 +158,8 @@ def _sources(model: Model) -> tuple[dict[str, bytes], str]:
     """Files of the package below its folder, imports not yet renamed, and its `__init__.py` with the package's name left open."""
     if isinstance(model, ReplayModel):
         module, imports = "robomill.models.components.recording", REPLAY_IMPORTS
+    elif isinstance(model, CorrectionModel):
+        module, imports = "robomill.models.components.correction", FORM_IMPORTS
     else:
         try:
             check_kernels(model.init, model.step)
@@ -175,6 +185,8 @@ def _sources(model: Model) -> tuple[dict[str, bytes], str]:
     if isinstance(model, ReplayModel):
         files["replay.json"] = json.dumps(model.specification, indent=1, sort_keys=True).encode()
         files["recording.npy"] = _npy(model.default_tables["recording"])
+    if isinstance(model, CorrectionModel):
+        files["law.form.json"] = json.dumps(model.specification, indent=1, sort_keys=True).encode()
     return files, PACKAGE_INIT.replace("{description}", model.description).replace("{imports}", imports)
 
 
