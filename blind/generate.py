@@ -120,8 +120,8 @@ def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[Truth,
     truth = Truth(plan.kind)
     true: list[TrueEffect] = []
     changes, fault = Changes(), None
-    if plan.kind == "outside":
-        kind = outside.OUTSIDE_BY_NAME[plan.subject[0]]
+    if plan.kind in ("outside", "formed"):
+        kind = (outside.FORMED_BY_NAME if plan.kind == "formed" else outside.OUTSIDE_BY_NAME)[plan.subject[0]]
         value, changes = kind.draw(random)
         truth = replace(truth, outside=TrueOutside(kind.name, kind.component, value, kind.unit))
     elif plan.kind == "bad_log":
@@ -258,8 +258,9 @@ def _oracle(sealed: Path, truth: Truth, world: World, fault: bad_logs.BadLog | N
         clean = world.simulate(c)[1]
         gap = difference(clean, nominal(c).columns)
         np.save(sealed / f"{c.name.replace(' ', '-')}.npy", gap.astype(np.float32))
-        if instances:
-            after = difference(clean, simulate_nominal(c, instances, truth.hidden).columns)
+        if instances or truth.kind == "formed":
+            known = simulate_nominal(c, instances, truth.hidden).columns if instances else World(Machine({}), (), world.changes, Changes()).simulate(c)[1]
+            after = difference(clean, known)
             ceiling[c.name] = {quantity: closure(gap[:, part], after[:, part]) for quantity, part in QUANTITIES.items()}
     largest = max(groups.values())
     return replace(truth, effects=tuple(effects), bad_log=bad_log, detectability=largest, detectability_by_array=groups, ceiling=ceiling)

@@ -249,6 +249,48 @@ def _cogging(value: float, random: np.random.Generator) -> Changes:
     return Changes(after=after)
 
 
+def _cubic_spring(value: float, random: np.random.Generator) -> Changes:
+    i = int(random.integers(0, 3))
+
+    def make() -> Function:
+        def link(t: float, h: float, u: FloatArray) -> FloatArray:
+            q = u[:6].copy()
+            q[i] += value * (joint_torques(u[:6], u[6:])[i] / CUBE_TORQUE) ** 3
+            return q
+
+        return link
+
+    return Changes(link=make)
+
+
+def _drive_wave(value: float, random: np.random.Generator) -> Changes:
+    i, waves, phase = _joint(random), 60.0 + 240.0 * random.random(), 6.28 * random.random()
+
+    def make() -> Function:
+        def link(t: float, h: float, u: FloatArray) -> FloatArray:
+            q = u[:6].copy()
+            q[i] += value * (math.sin(waves * u[i] + phase) - math.sin(phase))
+            return q
+
+        return link
+
+    return Changes(link=make)
+
+
+def _dragged_hose(value: float, random: np.random.Generator) -> Changes:
+    i, j = int(random.integers(0, 3)), int(random.integers(0, 3))
+
+    def after(columns: Columns, t: FloatArray, step: float) -> None:
+        q = columns[f"drive.q_motor[{j + 1}]"]
+        speed = np.diff(q, prepend=q[0]) / step
+        for array in ("sensor.f_T_T", "sensor.f_S_raw"):
+            columns[f"{array}[{i + 1}]"] += value * speed / HOSE_SPEED
+
+    return Changes(after=after)
+
+
+CUBE_TORQUE, HOSE_SPEED = 500.0, 0.01
+"""Torque [N m] and joint speed [rad/s] at which the strengths of these two kinds are given."""
 OUTSIDE = (
     Outside(
         "periodic_stiffness", "compliance", 2e-7, 1e-6, "rad/(N.m)", _periodic_stiffness, "compliance of a gear that varies with its angle"
@@ -355,3 +397,11 @@ def late_clock(pattern: str, delay: float) -> Changes:
 
 
 OUTSIDE_BY_NAME: Mapping[str, Outside] = {o.name: o for o in OUTSIDE}
+FORMED = (
+    *(OUTSIDE_BY_NAME[name] for name in ("axis_coupling", "quadratic_windup", "quadratic_sensor", "cogging_torque")),
+    Outside("cubic_spring", "compliance", 50e-6, 400e-6, "rad", _cubic_spring, "deflection with the third power of the torque"),
+    Outside("drive_wave", "drive", 30e-6, 150e-6, "rad", _drive_wave, "error of a gear with a period that no gear has"),
+    Outside("dragged_hose", "sensor", 5.0, 30.0, "N", _dragged_hose, "force on the sensor with the speed of a joint"),
+)
+"""Seven kinds that a short formula expresses: those of the set `formed`."""
+FORMED_BY_NAME: Mapping[str, Outside] = {o.name: o for o in FORMED}

@@ -208,8 +208,9 @@ def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[Truth,
     Kinds of the latter two are this generator's own, whatever the plan says.
     """
     truth = Truth(plan.kind)
-    if plan.kind == "outside":
-        kind = outside.OUTSIDE[int(random.integers(len(outside.OUTSIDE)))]
+    if plan.kind in ("outside", "formed"):
+        kinds = outside.FORMED if plan.kind == "formed" else outside.OUTSIDE
+        kind = kinds[int(random.integers(len(kinds)))]
         value, change = kind.draw(random)
         return replace(truth, outside=TrueOutside(kind.name, kind.component, value, kind.unit)), change, None
     if plan.kind == "bad_log":
@@ -281,8 +282,9 @@ def _oracle(sealed: Path, truth: Truth, m: Machine, fault: logs.LogFault | None)
             _, clean = run(m, c)
             gap = difference(clean, nominal(c).columns)
             np.save(sealed / f"{c.name.replace(' ', '-')}.npy", gap.astype(np.float32))
-            if instances:
-                after = difference(clean, simulate_nominal(c, instances, truth.hidden).columns)
+            if instances or truth.kind == "formed":
+                known = simulate_nominal(c, instances, truth.hidden).columns if instances else run(replace(m, tolerances=False), c)[1]
+                after = difference(clean, known)
                 ceiling[c.name] = {quantity: closure(gap[:, part], after[:, part]) for quantity, part in QUANTITIES.items()}
     largest = max(groups.values())
     return replace(truth, effects=true, bad_log=bad_log, detectability=largest, detectability_by_array=groups, ceiling=ceiling)
