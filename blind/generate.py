@@ -259,7 +259,11 @@ def _oracle(sealed: Path, truth: Truth, world: World, fault: bad_logs.BadLog | N
         gap = difference(clean, nominal(c).columns)
         np.save(sealed / f"{c.name.replace(' ', '-')}.npy", gap.astype(np.float32))
         if instances or truth.kind == "formed":
-            known = simulate_nominal(c, instances, truth.hidden).columns if instances else World(Machine({}), (), world.changes, Changes()).simulate(c)[1]
+            known = (
+                simulate_nominal(c, instances, truth.hidden).columns
+                if instances
+                else World(Machine({}), (), world.changes, Changes()).simulate(c)[1]
+            )
             after = difference(clean, known)
             ceiling[c.name] = {quantity: closure(gap[:, part], after[:, part]) for quantity, part in QUANTITIES.items()}
     largest = max(groups.values())

@@ -25,8 +25,8 @@ def resolve(source: str, name: str) -> Slave:
     if not is_component(source):
         known = ", ".join([*COMPONENTS, "applied_load"])
         raise LookupError(
-            f"there is no component {source!r}; components: {known}; or name an .fmu file, a form ({FORM}), replay:FOLDER, {PYTHON}package.module:MODEL "
-            f"or {PYTHON}file.py:MODEL"
+            f"there is no component {source!r}; components: {known}; or name an .fmu file, a form ({FORM}), replay:FOLDER, "
+            f"{PYTHON}package.module:MODEL or {PYTHON}file.py:MODEL"
         )
     try:
         return InProcessSlave(component(source), name)

@@ -31,7 +31,11 @@ class FormSlave:
                 at[t["element"]],
                 float(t["coefficient"]),
                 [
-                    (kind_of(f), 2 * self._m if f["variable"] == TIME else places[passed(f["variable"], at)] + self._m * f["rate"], f["shape"])
+                    (
+                        kind_of(f),
+                        2 * self._m if f["variable"] == TIME else places[passed(f["variable"], at)] + self._m * f["rate"],
+                        f["shape"],
+                    )
                     for f in t["factors"]
                 ],
             )
@@ -47,7 +51,8 @@ class FormSlave:
 
     def _sum(self) -> list[float]:
         y = self._z[self._first : self._m]
-        for element, value, parts in self._terms:
+        for element, coefficient, parts in self._terms:
+            value = coefficient
             for kind, variable, shape in parts:
                 value *= factor(kind, self._z[variable], shape)
             y[element] += value

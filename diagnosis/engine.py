@@ -14,6 +14,7 @@ from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.experiment.simulation import Report, Simulator, setting
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.forms.discovery import discovered, suspects
+from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.gate import phases
 from robomill.diagnosis.gate.checks import Finding, stopped
 from robomill.diagnosis.gate.gate import Gate
@@ -132,6 +133,8 @@ def diagnose_campaign(
             return Diagnosis(answer, {}, (), tuple(channels), curves, ports, titles_of(catalogue.titles, ports))
         conclusion = Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, false_alarm)
         answer, adopted = conclusion.answer()
+        if answer.verdict in ("identified", "ambiguous", "unknown"):
+            answer = replace(answer, onset=onset_of(search))
         if answer.verdict == "unknown" or form:
             answer = replace(answer, form=discovered(search, groups, suspects(answer, laboratory), conclusion.titles))
         answer = replace(answer, effort=effort_of(began, simulator), skipped=tuple(skipped))

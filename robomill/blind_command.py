@@ -31,7 +31,9 @@ def add_arguments(parser: Any) -> None:
     steps = parser.add_subparsers(dest="step", required=True, metavar="STEP")
     make = steps.add_parser("make", help="simulate cases with withheld effects and seal the truth", description="Make a benchmark.")
     make.add_argument("folder", type=Path, metavar="DIR", help="folder for it")
-    make.add_argument("--set", default="mixed", help="withheld, null, single, machine, few, campaign, bad_log, outside, formed or mixed (default)")
+    make.add_argument(
+        "--set", default="mixed", help="withheld, null, single, machine, few, campaign, bad_log, outside, formed or mixed (default)"
+    )
     make.add_argument("--cases", type=int, default=240, help="how many (default: 240)")
     make.add_argument("--seed", type=int, default=1, help="same seed, same bits (default: 1)")
     make.add_argument("--tier", choices=("T0", "T1"), default="T1", help="T1: with a laser tracker on the tool tip (default); T0: without")

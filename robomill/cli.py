@@ -92,7 +92,9 @@ def parser() -> argparse.ArgumentParser:
         action="store_true",
         help="keep finished runs in the folder, go on with one that has a checkpoint, begin the others anew",
     )
-    run.add_argument("--adopt", type=Path, metavar="FILE", help="with the effects (.ssv) or the form (.form.json) that `robomill diagnose` found")
+    run.add_argument(
+        "--adopt", type=Path, metavar="FILE", help="with the effects (.ssv) or the form (.form.json) that `robomill diagnose` found"
+    )
     run.add_argument("--no-pictures", action="store_true", help="skip the pictures")
     run.add_argument("--stl", action="store_true", help="write the machined part as part.stl beside each recording (cells with tri-dexels)")
 

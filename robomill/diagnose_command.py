@@ -242,12 +242,16 @@ def lines(answer: Answer) -> list[str]:
         if h.unit != "1":
             closed = "not measurable" if h.closure is None else f"closure {100 * h.closure:.0f} %"
             out.append(f"how far: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}, {closed}")
+    if answer.onset:
+        out.append(f"onset: {answer.onset.text}")
     if answer.form:
         out += [f"form: {p.port} lacks {p.formula} ({p.unit}), which closes {100 * p.closure:.0f} %" for p in answer.form.ports]
         out += [f"form: {text}" for text in (*answer.form.like, answer.form.note) if text]
         for h in answer.form.how_far:
             if h.unit != "1" and h.closure is not None:
-                out.append(f"form in the loop: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}, closure {100 * h.closure:.0f} %")
+                out.append(
+                    f"form in the loop: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}, closure {100 * h.closure:.0f} %"
+                )
     if answer.next_run:
         out.append(f"next run: {answer.next_run.text}")
     return out

@@ -20,6 +20,7 @@ from robomill.diagnosis.forms.ports import Known, Problem, Seen, behind, direct,
 from robomill.diagnosis.forms.selection import FOLDS, Products, Values, choose, pruned, values, worse
 from robomill.diagnosis.forms.signals import Variable
 from robomill.diagnosis.inference.search import Search
+from robomill.diagnosis.outcome.answer import Answer
 from robomill.diagnosis.outcome.how_far import CLOSING, Groups, shrunk
 from robomill.models.components.correction import TIME
 from robomill.orchestration.errors import OrchestrationError
@@ -162,7 +163,9 @@ def like_delays(found: Sequence[Solved]) -> tuple[str, ...]:
 
 def _moves_with(s: Solved, element: str, term: Term) -> bool:
     """Whether a term is a speed of the unit of the port: then what passes is an angle (or a way) of it."""
-    return term.unit(s.problem.seen.host.ports[element].unit or "1") == "s" and term.factors[0].variable.index == element.partition("[")[2].rstrip("]")
+    return term.unit(s.problem.seen.host.ports[element].unit or "1") == "s" and term.factors[0].variable.index == element.partition("[")[
+        2
+    ].rstrip("]")
 
 
 def _agreeing(members: list[tuple[str, float, list[float]]]) -> list[list[tuple[str, float, list[float]]]]:

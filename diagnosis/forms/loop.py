@@ -24,7 +24,9 @@ CHANGE = 0.2
 Groups = Sequence[list[FloatArray] | None]
 
 
-def specification(component: str, arrays: Sequence[tuple[str, str, int]], corrected: Sequence[str], terms: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def specification(
+    component: str, arrays: Sequence[tuple[str, str, int]], corrected: Sequence[str], terms: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
     """The form as plain data (`models.components.correction`).
 
     `arrays`: (name, unit, elements) of the ports that are read or corrected; `corrected`: names of those that are corrected.
@@ -66,7 +68,10 @@ class Loop:
         self.simulator, self.folder, self.scale, self.groups, self.n = simulator, folder, scale, groups, n
 
     def simulated(self, found: dict[str, Any], conditions: Sequence[int], count: int) -> Groups:
-        """`count` repeats of each of these conditions with the form in the loop; None where it cannot run. LookupError: nobody can open it."""
+        """`count` repeats of each of these conditions with the form in the loop; None for one that cannot run.
+
+        OrchestrationError where nobody can open the form.
+        """
         laboratory = with_form(self.simulator.laboratory, found["stands_for"], written(found, self.folder))
         with self.simulator.beside(laboratory) as beside:
             made = beside.repeated(conditions, (), count, "form")

@@ -52,7 +52,10 @@ def _gains(problem: Problem, place: Place, left: FloatArray, parts: FloatArray) 
     ks = grid([k[place[1]] for k in problem.seen.known], problem.decimation)
     names, gains = np.unique(parts), []
     for _, s, c in _waves(problem, place, ks):
-        sums = [np.stack([(a * b)[parts == f].sum(axis=0) for f in names]) for a, b in ((s, s), (c, c), (s, c), (s, left[:, None]), (c, left[:, None]))]
+        sums = [
+            np.stack([(a * b)[parts == f].sum(axis=0) for f in names])
+            for a, b in ((s, s), (c, c), (s, c), (s, left[:, None]), (c, left[:, None]))
+        ]
         ss, cc, sc, sr, cr = (np.concatenate([x.sum(axis=0) - x, x.sum(axis=0)[None]]) for x in sums)
         determinant = ss * cc - sc**2
         good = determinant > 1e-6 * ss * cc + 1e-300

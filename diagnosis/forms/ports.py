@@ -3,8 +3,8 @@
 - A measured output of the component itself: what a term adds is seen as it is.
 - An output that was not measured, behind which another component has measured ones: what a small constant shift of the output does there,
   at each time, tells what a term does there.
-- An input of a component whose outputs add up what goes in (it is not replayed alone): what a term does to all that is measured is simulated
-  in the closed loop.
+- An input of a component whose outputs add up what goes in (it is not replayed alone): what a term does to all that is measured is
+  simulated in the closed loop.
 """
 
 from __future__ import annotations
@@ -131,9 +131,7 @@ def direct(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
             continue
         effect = [{element: np.full((len(g), 1), 1.0 / size)} for g in gap]
         terms = [(element, t) for t in seen.library(element, alone=True)]
-        found.append(
-            Problem(seen, (array_of(column),), terms, [g / size for g in gap], effect, laboratory.decimation, replays[0].step())
-        )
+        found.append(Problem(seen, (array_of(column),), terms, [g / size for g in gap], effect, laboratory.decimation, replays[0].step()))
     return found
 
 

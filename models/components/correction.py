@@ -117,8 +117,20 @@ def correction_model(specification: Mapping[str, Any]) -> CorrectionModel:
                 Variable(name, "parameter", f"{t['text']} in {t['element']}", t["unit"], start=t["coefficient"], tunable=True)
                 for name, t in zip(names, terms, strict=True)
             ),
-            Variable("form_kind", "parameter", f"Kinds of the factors: {', '.join(KINDS)}", "1", (n, FACTORS), kinds, 0, len(KINDS) - 1, "integer"),
-            Variable("form_variable", "parameter", "Variables: signals, their rates, time", "1", (n, FACTORS), variables, 0, 2 * m, "integer"),
+            Variable(
+                "form_kind",
+                "parameter",
+                f"Kinds of the factors: {', '.join(KINDS)}",
+                "1",
+                (n, FACTORS),
+                kinds,
+                0,
+                len(KINDS) - 1,
+                "integer",
+            ),
+            Variable(
+                "form_variable", "parameter", "Variables: signals, their rates, time", "1", (n, FACTORS), variables, 0, 2 * m, "integer"
+            ),
             Variable("form_figure", "parameter", "Shapes of the factors, in SI", "1", (n, FACTORS), shapes),
             Variable("form_element", "parameter", "Elements that the terms are added to", "1", (n,), at, 0, len(at_all) - 1, "integer"),
             Variable("form_z", "state", "Signals, their rates, time", "1", (2 * m + 1,)),
@@ -149,9 +161,7 @@ def _in_order(arrays: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def elements(arrays: Sequence[Mapping[str, Any]], suffix: str = "") -> list[tuple[str, str]]:
     """Name and unit of all elements of arrays, each array called with a suffix."""
-    return [
-        (f"{a['name']}{suffix}" + (f"[{i + 1}]" if a["count"] else ""), a["unit"]) for a in arrays for i in range(max(a["count"], 1))
-    ]
+    return [(f"{a['name']}{suffix}" + (f"[{i + 1}]" if a["count"] else ""), a["unit"]) for a in arrays for i in range(max(a["count"], 1))]
 
 
 def passed(name: str, corrected: Collection[str]) -> str:
@@ -216,11 +226,11 @@ def _functions(
 
 
 def _reader(scalars: tuple[str, ...], vectors: tuple[str, ...]) -> Callable[[Record], None]:
-    """Inputs -> z."""
+    """From the inputs to z."""
 
     def read_scalars(s: Record) -> None:
         k = 0
-        for name in literal_unroll(scalars):
+        for name in literal_unroll(scalars):  # noqa: SIM113  # compiled code unrolls no enumerate
             s.form_z[k] = s[name]
             k += 1
 
@@ -242,11 +252,11 @@ def _reader(scalars: tuple[str, ...], vectors: tuple[str, ...]) -> Callable[[Rec
 
 
 def _writer(scalars: tuple[str, ...], vectors: tuple[str, ...], at_scalars: int, at_vectors: int) -> Callable[[Record], None]:
-    """z (what passes, from these places on) and the form -> outputs."""
+    """From z (what passes, from these places on) and the form to the outputs."""
 
     def write_scalars(s: Record) -> None:
         k = 0
-        for name in literal_unroll(scalars):
+        for name in literal_unroll(scalars):  # noqa: SIM113
             s[name] = s.form_z[at_scalars + k] + s.form_added[k]
             k += 1
 
@@ -268,13 +278,13 @@ def _writer(scalars: tuple[str, ...], vectors: tuple[str, ...], at_scalars: int,
 
 
 def _adder(names: tuple[str, ...], m: int) -> Callable[[Record], None]:
-    """z -> the form."""
+    """From z to the form."""
 
     def sum_up(s: Record) -> None:
         for i in range(len(s.form_added)):
             s.form_added[i] = 0.0
         k = 0
-        for name in literal_unroll(names):
+        for name in literal_unroll(names):  # noqa: SIM113
             value = s[name]
             for i in range(FACTORS):
                 value *= factor(s.form_kind[k, i], s.form_z[s.form_variable[k, i]], s.form_figure[k, i])
@@ -291,4 +301,3 @@ def _nothing(s: Record) -> None:
 
 def _or_nothing(function: Callable[[Record], None], names: tuple[str, ...]) -> Callable[[Record], None]:
     return kernel(function) if names else _nothing
-
