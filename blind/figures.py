@@ -201,9 +201,12 @@ def machine_closure(cases: Cases, tier: str, squared_gaps: SquaredGaps | None = 
 
 
 def form_closure(cases: Cases, tier: str, form_gaps: FormGaps | None = None) -> dict[str, Figure]:
-    """Closure by the form over that by the true effect, in new conditions; 0 where no form is given; counted as in `machine_closure`."""
+    """Closure by the form over that by the true effect, in new conditions, of what is detectable; 0 where no form is given.
+
+    Conditions and quantities count as in `machine_closure`.
+    """
     ratios = []
-    for c in cases.of("formed") if form_gaps else ():
+    for c in cases.detectable("formed") if form_gaps else ():
         wanted = _closable(c, tier)
         if not wanted or form_gaps is None:
             continue

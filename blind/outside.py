@@ -289,7 +289,7 @@ def _dragged_hose(value: float, random: np.random.Generator) -> Changes:
     return Changes(after=after)
 
 
-CUBE_TORQUE, HOSE_SPEED = 500.0, 0.01
+CUBE_TORQUE, HOSE_SPEED = 200.0, 0.01
 """Torque [N m] and joint speed [rad/s] at which the strengths of these two kinds are given."""
 OUTSIDE = (
     Outside(

@@ -92,7 +92,9 @@ def test_what_is_wrong_with_a_form_is_said(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"unknown kind 'tangent' of a factor; kinds: one, value"):
         kind_of({"kind": "tangent"})
     with pytest.raises(ValueError, match=r"a form has no 'q\[3\]'; it has load, way_in, q"):
-        correction_model(specification(terms=[{"element": "way", "coefficient": 1.0, "unit": "1", "text": "x", "factors": [part("value", "q[3]")]}]))
+        correction_model(
+            specification(terms=[{"element": "way", "coefficient": 1.0, "unit": "1", "text": "x", "factors": [part("value", "q[3]")]}])
+        )
     with pytest.raises(LookupError, match=r"no form .*missing\.form\.json; `robomill diagnose --form` writes one"):
         resolve(str(tmp_path / "missing.form.json"), "form")
     file = tmp_path / "other.form.json"
