@@ -16,18 +16,17 @@ from robomill.diagnosis.forms.layout import Curve, Form, PortForm, Range, TermFo
 from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.loop import Loop, specification
 from robomill.diagnosis.forms.periods import with_periods
-from robomill.diagnosis.forms.ports import Known, Problem, Seen, behind, direct, into
-from robomill.diagnosis.forms.selection import FOLDS, Products, Values, choose, pruned, values, worse
+from robomill.diagnosis.forms.ports import Problem, Seen, Signals, behind, direct, into
+from robomill.diagnosis.forms.selection import Products, Values, choose, pruned, values, worse
 from robomill.diagnosis.forms.signals import Variable
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.outcome.answer import Answer
+from robomill.diagnosis.outcome.ceiling import FOLDS
+from robomill.diagnosis.outcome.closure import BLOCKS
 from robomill.diagnosis.outcome.how_far import CLOSING, Groups, shrunk
 from robomill.models.components.correction import TIME
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
-
-BINS = 24
-"""Points of a curve: as many bins of the variable, with as many samples each."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ def _curve(s: Solved, element: str) -> Curve | None:
     scale = float(s.problem.effect[0][element][0, 0])
     x = np.concatenate([decimate(k[v][:, None], d)[:, 0] for k in s.problem.seen.known])
     rows = s.problem.rows(s.terms)
-    order = np.array_split(np.argsort(x, kind="stable"), BINS)
+    order = np.array_split(np.argsort(x, kind="stable"), BLOCKS)
     columns = (x, rows.y / scale, rows.X @ s.found.values / scale)
     return Curve(v.text, v.unit, *([float(c[o].mean()) for o in order if len(o)] for c in columns))
 
@@ -205,7 +204,7 @@ def discovered(search: Search, groups: Groups, components: Sequence[str], titles
     with TemporaryDirectory() as folder:
         loop = Loop(simulator, Path(folder), scale, groups, n)
         try:
-            fitted_there = loop.refitted(_specification(found))
+            fitted_there = loop.refitted(_specification(found), np.concatenate([_doubts(s) for s in found]))
             if fitted_there is None:
                 return replace(form, note="with the form in the loop the system does not run: it is said as it was found, and not adopted")
             after = loop.simulated(fitted_there, range(len(laboratory.conditions)), CLOSING)
@@ -233,6 +232,11 @@ def _alike(laboratory: Laboratory, i: int) -> bool:
 def _replayed(laboratory: Laboratory, i: int) -> ComponentReplay:
     condition = laboratory.conditions[i]
     return ComponentReplay(laboratory, i, [condition.matrix(r, laboratory.channels) for r in condition.runs])
+
+
+def _doubts(s: Solved) -> FloatArray:
+    """Half of each interval, as a part of the coefficient."""
+    return np.asarray(0.5 * np.diff(s.found.intervals, axis=1)[:, 0] / np.abs(s.found.values))
 
 
 def _specification(found: Sequence[Solved]) -> dict[str, Any]:
@@ -274,7 +278,7 @@ def _ranges(laboratory: Laboratory, found: Sequence[Solved], n: int) -> tuple[Ra
     held = [i for i in range(n, len(laboratory.conditions)) if _alike(laboratory, i)]
     there = Seen.of(laboratory, [_replayed(laboratory, i) for i in held], seen.host.name, seen.side).known if held else []
 
-    def span(known: Sequence[Known], v: Variable) -> list[float] | None:
+    def span(known: Sequence[Signals], v: Variable) -> list[float] | None:
         values_ = [k[v] for k in known if v in k]
         return [min(float(x.min()) for x in values_), max(float(x.max()) for x in values_)] if values_ else None
 

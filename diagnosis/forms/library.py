@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from robomill.diagnosis.forms.signals import Variable
+from robomill.diagnosis.inference.time_varying import COMING_LATE
 from robomill.models.components.correction import KINDS, TIME, factors
 from robomill.models.model.units import unit_of
 from robomill.orchestration.slaves.protocol import FloatArray
 
 SLIDES = 0.02
 """Part of its largest size up to which a sign grows in proportion: at rest a sign is noise, and friction holds whatever it has to."""
-DECAYS = (1 / 8, 1 / 4, 1 / 2, 1)
-"""Time constants of what decays, as parts of the longest run."""
 TEXTS: Mapping[str, str] = {
     "value": "{x}",
     "sign": "sgn({x})",
@@ -94,7 +93,7 @@ def library(found: Sequence[Mapping[Variable, FloatArray]], index: str, longest:
     terms = [Term()]
     for v in shared:
         if v.name == TIME:
-            terms += [Term((Factor("value", v),)), *(Term((Factor("decay", v, part * longest),)) for part in DECAYS)]
+            terms += [Term((Factor("value", v),)), *(Term((Factor("decay", v, part * longest),)) for part in (*COMING_LATE, 1.0))]
             continue
         for kind in OF_ONE if v.index in ("", index) else others:
             if kind in ("size", "signed_square", "sign", "root") and _one_sign(found, v):

@@ -12,14 +12,10 @@ from typing import Any
 import numpy as np
 
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
+from robomill.diagnosis.inference.search import BETTER, SHARPER
 from robomill.models.components.correction import FORM
 from robomill.orchestration.slaves.protocol import FloatArray
 from robomill.orchestration.system.definition import System
-
-REFITS = 2
-"""Gauss-Newton steps in the closed loop, at most."""
-CHANGE = 0.2
-"""Part of a coefficient by which it is changed to see what it does."""
 
 Groups = Sequence[list[FloatArray] | None]
 
@@ -90,28 +86,32 @@ class Loop:
             found.append((measured[:rows] - model[:rows]) * self.scale * on)
         return found
 
-    def refitted(self, found: dict[str, Any]) -> dict[str, Any] | None:
-        """The form with coefficients that leave least in the closed loop; None where the diagnosed conditions cannot run with it."""
+    def refitted(self, found: dict[str, Any], doubts: FloatArray) -> dict[str, Any] | None:
+        """The form with coefficients that leave least in the closed loop; None where the diagnosed conditions cannot run with it.
+
+        Gauss-Newton steps, of half the size where a whole one is too far, as long as they help (`search`). `doubts`: part of each
+        coefficient by which it is changed to see what it does.
+        """
         every = range(self.n)
         left = self.left(self.simulated(found, every, 1))
         if left is None:
             return None
-        for _ in range(REFITS):
+        for _ in range(SHARPER):
             columns = []
             for k in range(len(found["terms"])):
-                other = self.left(self.simulated(_scaled(found, k, 1.0 + CHANGE), every, 1))
+                other = self.left(self.simulated(_scaled(found, k, 1.0 + float(doubts[k])), every, 1))
                 columns.append(np.zeros(sum(x.size for x in left)) if other is None else _flat(left) - _flat(other))
-            X = np.stack(columns, axis=1) / CHANGE
+            X, before = np.stack(columns, axis=1) / doubts, _squares(left)
             change = np.linalg.lstsq(X, _flat(left), rcond=1e-8)[0]
             for part in (1.0, 0.5):
                 trial = found
                 for k, x in enumerate(change):
                     trial = _scaled(trial, k, 1.0 + part * float(x))
                 after = self.left(self.simulated(trial, every, 1))
-                if after is not None and _squares(after) < _squares(left):
+                if after is not None and _squares(after) < before:
                     found, left = trial, after
                     break
-            else:
+            if _squares(left) > BETTER * before:
                 break
         return found
 

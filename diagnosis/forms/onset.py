@@ -17,16 +17,10 @@ import numpy as np
 
 from robomill.diagnosis.catalogue import LOGGING, Candidate
 from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT
-from robomill.diagnosis.inference.search import Search
+from robomill.diagnosis.inference.search import SINGLES, Search
+from robomill.diagnosis.outcome.closure import BLOCKS
 from robomill.diagnosis.outcome.verdict import UNLISTED
 from robomill.orchestration.slaves.protocol import FloatArray
-
-INSTANTS = 48
-"""Onsets that are tried in a run."""
-LOOKED_AT = 8
-"""Effects whose onset is looked for: those that explain most as they are, or as they would be in a half of each run."""
-LATELY = 2.71
-"""Fall of twice the log likelihood at the ends of a 90 % interval (chi-square, one degree of freedom)."""
 
 How = Literal["switches on", "grows"]
 
@@ -92,7 +86,7 @@ def _looked_at(search: Search) -> list[Candidate]:
         return max(float(space.y @ (v * part)) ** 2 / (float(v @ (v * part)) + 1e-300) for part in (1.0, halves, ~halves))
 
     fit = [c for c in search.candidates if len(c.parameters) == 1 and c.component != LOGGING]
-    return sorted(fit, key=lambda c: -explained(c))[:LOOKED_AT]
+    return sorted(fit, key=lambda c: -explained(c))[:SINGLES]
 
 
 def _within(search: Search, c: Candidate) -> tuple[float, Onset] | None:
@@ -106,7 +100,7 @@ def _within(search: Search, c: Candidate) -> tuple[float, Onset] | None:
     for _, b in blocks:
         rows = (b.stop - b.start) // channels
         at = np.arange(rows)
-        for begin in np.linspace(0.0, rows, INSTANTS + 1)[1:-1]:
+        for begin in np.linspace(0.0, rows, BLOCKS + 1)[1:-1]:
             for shape in (at >= begin, np.maximum(at - begin, 0.0) / rows):
                 columns.append(_only(v, b, np.repeat(shape.astype(np.float64), channels)))
     together = [*constant, *columns, space.y]
@@ -115,8 +109,8 @@ def _within(search: Search, c: Candidate) -> tuple[float, Onset] | None:
     square, along, size = products[-1, -1], products[:-1, -1], np.diag(products)[:-1]
     gains = np.where(size > 0.0, along**2 / np.where(size > 0.0, size, 1.0), 0.0)
     usual = gains[:n]
-    per = 2 * (INSTANTS - 1)
-    profile = gains[n:].reshape(n, INSTANTS - 1, 2)
+    per = 2 * (BLOCKS - 1)
+    profile = gains[n:].reshape(n, BLOCKS - 1, 2)
     tops = profile.reshape(n, per).max(axis=1)
     i = int((tops - usual).argmax())
     left = float(square - usual.sum() + usual[i] - tops[i])
@@ -126,8 +120,8 @@ def _within(search: Search, c: Candidate) -> tuple[float, Onset] | None:
     k, way = np.unravel_index(int(profile[i].argmax()), profile[i].shape)
     condition = search.simulator.laboratory.conditions[i]
     grid = condition.grid
-    times = grid[0] + np.linspace(0.0, 1.0, INSTANTS + 1)[1:-1] * (grid[-1] - grid[0])
-    near = np.flatnonzero(profile[i, :, way] >= profile[i, k, way] - LATELY * unit)
+    times = grid[0] + np.linspace(0.0, 1.0, BLOCKS + 1)[1:-1] * (grid[-1] - grid[0])
+    near = np.flatnonzero(profile[i, :, way] >= profile[i, k, way] - 1.645 * 1.645 * unit)
     step = float(times[1] - times[0])
     j = n + i * per + int(k) * 2 + int(way)
     value = float(along[j] / size[j]) * c.prior.scale

@@ -10,35 +10,31 @@ from scipy.optimize import minimize_scalar
 from robomill.diagnosis.experiment.simulation import decimate
 from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.ports import Problem
-from robomill.diagnosis.forms.selection import FOLDS, Products, Rows, fitted, worse
+from robomill.diagnosis.forms.selection import MOST, Products, Rows, fitted, worse
 from robomill.diagnosis.forms.signals import Variable
+from robomill.diagnosis.outcome.ceiling import FOLDS
 from robomill.orchestration.slaves.protocol import FloatArray
-
-DENSE = 4
-"""Values of k on the width of a peak, 2 pi / range."""
-WAVES = 3000
-"""Values of k that are tried at most: finer waves than that are not looked for."""
-PERIODS = 2
-"""Periods that a port may have."""
-TOGETHER = 200
-"""Values of k that are looked at in one go."""
 
 Place = tuple[str, Variable]
 
 
 def grid(x: Sequence[FloatArray], decimation: int) -> FloatArray:
-    """Values of k from half a wave in the range of x to four samples a wave (at the 95th percentile of the speed)."""
+    """Values of k from half a wave in the range of x to four samples a wave (at the 95th percentile of the speed).
+
+    Four of them on the width of a peak, 2 pi / range.
+    """
     way = max(float(np.ptp(v)) for v in x)
     fastest = max(float(np.quantile(np.abs(np.diff(v[::decimation])), 0.95)) for v in x)
     if way <= 0.0 or fastest <= 0.0:
         return np.zeros(0)
-    return np.asarray(np.arange(np.pi / way, 0.5 * np.pi / fastest, 2.0 * np.pi / way / DENSE)[:WAVES])
+    return np.asarray(np.arange(np.pi / way, 0.5 * np.pi / fastest, 0.5 * np.pi / way))
 
 
 def _waves(problem: Problem, place: Place, ks: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
     """(values of k, columns of the sines, columns of the cosines) in goes, [rows, values]."""
     element, v = place
-    for some in np.split(ks, range(TOGETHER, len(ks), TOGETHER)):
+    rows = sum(map(len, problem.gap))
+    for some in np.array_split(ks, max(1, len(ks) * rows >> 22)):  # in goes of 4 million numbers, whatever memory there is
         made: tuple[list[FloatArray], list[FloatArray]] = ([], [])
         for known, effect in zip(problem.seen.known, problem.effect, strict=True):
             angle = np.outer(known[v], some)
@@ -48,7 +44,7 @@ def _waves(problem: Problem, place: Place, ks: FloatArray) -> Iterator[tuple[Flo
 
 
 def _gains(problem: Problem, place: Place, left: FloatArray, parts: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Values of k, and what sine and cosine explain of what is left in each fold's other folds, and (last row) in all: [folds + 1, values]."""
+    """Values of k, and what sine and cosine explain of what is left without each fold, and (last row) of all: [folds + 1, values]."""
     ks = grid([k[place[1]] for k in problem.seen.known], problem.decimation)
     names, gains = np.unique(parts), []
     for _, s, c in _waves(problem, place, ks):
@@ -65,7 +61,7 @@ def _gains(problem: Problem, place: Place, left: FloatArray, parts: FloatArray) 
 
 def with_periods(problem: Problem, terms: list[tuple[str, Term]], rho: float, places: Sequence[Place]) -> list[tuple[str, Term]]:
     """The terms, and sines and cosines of as many angles as blocks that have not seen their choice are predicted better by."""
-    for _ in range(PERIODS):
+    while len(terms) + 2 <= MOST:
         rows = problem.rows(terms)
         parts, left = rows.parts(FOLDS), rows.y - rows.X @ fitted(rows)
         best: tuple[float, Place, FloatArray, FloatArray] | None = None

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from robomill.diagnosis.experiment.component_replay import ComponentReplay
+from robomill.diagnosis.experiment.component_replay import KNOWN, ComponentReplay
 from robomill.diagnosis.experiment.segments import array_of
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate
 from robomill.diagnosis.forms.layout import Side
@@ -23,12 +23,10 @@ from robomill.diagnosis.forms.selection import Rows
 from robomill.diagnosis.forms.signals import Host, Variable, series, value, variables
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
-SHIFT = 1e-3
-"""Small change of a port, as a part of the way that it goes, or of its usual size."""
 OTHERS = ("value", "sign")
 """Kinds of terms of other joints, where all joints of a port are looked at together."""
 
-Known = Mapping[Variable, FloatArray]
+Signals = Mapping[Variable, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ class Seen:
 
     host: Host
     side: Side
-    known: Sequence[Known]
+    known: Sequence[Signals]
     t: Sequence[FloatArray]
 
     @staticmethod
@@ -155,9 +153,9 @@ def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
             made = {}
             for e in elements:
                 column = f"{component}.{e}"
-                way = float(np.ptp(r.base.columns[column])) or max(float(np.abs(r.base.columns[column]).max()), SHIFT)
-                moved = r.follow({column: np.full(len(r.grid), SHIFT * way)}, [array], target)
-                made[e] = np.stack([moved[c] for c in channels], axis=1) / (SHIFT * way * scale)
+                way = float(np.ptp(r.base.columns[column])) or max(float(np.abs(r.base.columns[column]).max()), KNOWN)
+                moved = r.follow({column: np.full(len(r.grid), KNOWN * way)}, [array], target)
+                made[e] = np.stack([moved[c] for c in channels], axis=1) / (KNOWN * way * scale)
             effect.append(made)
         if not any(np.any(x) for made in effect for x in made.values()):
             continue
@@ -186,7 +184,7 @@ def into(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: 
             made = []
             for r, known in zip(replays, seen.known, strict=True):
                 x = term.values(known, len(r.grid))
-                push = SHIFT * usual / (float(np.sqrt(np.mean(x**2))) or 1.0)
+                push = KNOWN * usual / (float(np.sqrt(np.mean(x**2))) or 1.0)
                 made.append((r.pushed(component, column, push * x) - r.nominal()) / (push * scale))
             if any(np.any(x) for x in made):
                 terms.append((element, term))

@@ -14,18 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from robomill.diagnosis.outcome.ceiling import FOLDS
+from robomill.diagnosis.outcome.closure import BLOCK_RESAMPLES, BLOCKS
 from robomill.orchestration.slaves.protocol import FloatArray
 
-FOLDS = 8
-"""Parts of the rows, in time, that are left out in turn."""
 MOST = 12
 """Terms of a port, at most: more than that is no law that anybody reads."""
 MATERIAL = 0.005
 """Part of the squares of the gap of a port that a term must close (DIAGNOSIS2: an effect that closes less is listed, not named)."""
-COLLINEAR = 1e-8
-"""Part of its squares that must be left of a term beside those that are there: less is roundoff."""
-DRAWS, PIECES = 400, 24
-"""How often the bootstrap draws blocks of time, and into how many the rows are cut."""
 MEMORY = 0.3
 """Memory [s] of the noise, at most: with a longer one the noise takes what is the law's (DIAGNOSIS2, lesson 1)."""
 BAND = 0.2
@@ -115,7 +111,7 @@ class Products:
         taken: list[int] = []
         for _ in range(min(most, len(size))):
             left = np.diag(gram)
-            good = left > COLLINEAR * size
+            good = left > np.sqrt(np.finfo(float).eps) * size  # beside those that are there, the rest of it is no roundoff
             good[taken] = False
             gain = np.where(good, right**2 / np.where(good, left, 1.0), 0.0)
             j = int(gain.argmax())
@@ -223,12 +219,12 @@ class Values:
 
 def values(rows: Rows, terms: list[int]) -> Values:
     """Fit the terms; rows that are not whitened (DIAGNOSIS2, lesson 3: whitening lets reversals decide, where laws are wrong)."""
-    products = Products(replace(rows, X=rows.X[:, terms]), rows.parts(PIECES))
+    products = Products(replace(rows, X=rows.X[:, terms]), rows.parts(BLOCKS))
     every = list(range(len(terms)))
     best = products.fit(every)
     rng = np.random.default_rng(0)
     drawn = []
-    for _ in range(DRAWS):
+    for _ in range(BLOCK_RESAMPLES):
         some = rng.integers(0, len(products.square), len(products.square))
         drawn.append(_solve(products.gram[some].sum(axis=0), products.right[some].sum(axis=0)))
     low, high = np.quantile(np.array(drawn), [0.05, 0.95], axis=0)

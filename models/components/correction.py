@@ -230,9 +230,9 @@ def _reader(scalars: tuple[str, ...], vectors: tuple[str, ...]) -> Callable[[Rec
 
     def read_scalars(s: Record) -> None:
         k = 0
-        for name in literal_unroll(scalars):  # noqa: SIM113  # compiled code unrolls no enumerate
+        for name in literal_unroll(scalars):
             s.form_z[k] = s[name]
-            k += 1
+            k += 1  # noqa: SIM113  # compiled code unrolls no enumerate
 
     def read_vectors(s: Record) -> None:
         k = len(scalars)
@@ -256,9 +256,9 @@ def _writer(scalars: tuple[str, ...], vectors: tuple[str, ...], at_scalars: int,
 
     def write_scalars(s: Record) -> None:
         k = 0
-        for name in literal_unroll(scalars):  # noqa: SIM113
+        for name in literal_unroll(scalars):
             s[name] = s.form_z[at_scalars + k] + s.form_added[k]
-            k += 1
+            k += 1  # noqa: SIM113
 
     def write_vectors(s: Record) -> None:
         k = 0
@@ -284,12 +284,12 @@ def _adder(names: tuple[str, ...], m: int) -> Callable[[Record], None]:
         for i in range(len(s.form_added)):
             s.form_added[i] = 0.0
         k = 0
-        for name in literal_unroll(names):  # noqa: SIM113
+        for name in literal_unroll(names):
             value = s[name]
             for i in range(FACTORS):
                 value *= factor(s.form_kind[k, i], s.form_z[s.form_variable[k, i]], s.form_figure[k, i])
             s.form_added[s.form_element[k]] += value
-            k += 1
+            k += 1  # noqa: SIM113
 
     return kernel(_or_nothing(sum_up, names))
 

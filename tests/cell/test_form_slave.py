@@ -101,4 +101,4 @@ def test_what_is_wrong_with_a_form_is_said(tmp_path: Path) -> None:
     file.write_text(json.dumps({"name": "x"}))
     with pytest.raises(LookupError, match="is no form that a diagnosis has written: KeyError"):
         resolve(str(file), "form")
-    assert FACTORS == max(len(t["factors"]) for t in specification()["terms"])  # type: ignore[attr-defined]
+    assert max(len(t["factors"]) for t in specification()["terms"]) == FACTORS  # type: ignore[attr-defined]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,7 @@ def looked_at(folder: Path, runs: Sequence[Run], held_out: Sequence[Run] = ()) -
 
 
 @pytest.fixture(scope="module")
-def cubic(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Form]:
+def cubic(tmp_path_factory: pytest.TempPathFactory) -> Form:
     def bent(t: Any, y: Any) -> Any:
         return y + CUBE * y**3
 
@@ -50,7 +50,7 @@ def cubic(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Form]:
     search, groups, _ = looked_at(tmp_path_factory.mktemp("cubic"), runs, held)
     form = discovered(search, groups, ["sensors"], {})
     assert form is not None
-    yield form
+    return form
 
 
 def test_a_cubic_sensor_is_found_as_a_cube(cubic: Form) -> None:

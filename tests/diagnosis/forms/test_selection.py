@@ -45,7 +45,7 @@ def test_friction_is_found_as_its_terms(memory: float) -> None:
     found = values(chosen.rows, chosen.terms)
     for i, value, (low, high) in zip(chosen.terms, found.values, found.intervals, strict=True):
         assert abs(value - {1: 0.8, 2: 2.0}[i]) < chance(0.5 * (high - low) / 1.645)
-    assert 0.0 < found.adds.min()
+    assert found.adds.min() > 0.0
     assert found.adds.sum() <= 1.0
 
 
