@@ -74,6 +74,8 @@ def solved(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
     best: dict[str, tuple[FloatArray, list[Solved]]] = {}
     for name in components:
         for make in (direct, behind, into):
+            if make is into and best:  # takes a simulation for each term: not beside what has been found
+                continue
             found = [s for p in make(laboratory, replays, name) if (s := solve(p)).terms]
             for array in dict.fromkeys(a for s in found for a in s.problem.targets):
                 here = [s for s in found if array in s.problem.targets]
@@ -185,10 +187,13 @@ def discovered(search: Search, groups: Groups, components: Sequence[str], titles
     simulator, n = search.simulator, len(search.groups)
     laboratory = simulator.laboratory
     own = [i for i in range(n) if _alike(laboratory, i)]
-    replays = [_replayed(laboratory, i) for i in own]
-    if not replays:
+    if not own:
         return None
-    found = solved(laboratory, replays, components)
+    try:
+        replays = [_replayed(laboratory, i) for i in own]
+        found = solved(laboratory, replays, components)
+    except OrchestrationError as error:
+        return Form("", "output", 0.0, (), note=f"no form was looked for: {error}")
     if not found:
         return None
     host = max({s.problem.seen.host.name for s in found}, key=lambda h: sum(s.closure for s in found if s.problem.seen.host.name == h))

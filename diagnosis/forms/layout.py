@@ -18,11 +18,13 @@
       "how_far": [...],                          # as the key `how_far`: the closed loop with the form, on diagnosed and held-out runs
       "ranges": [{"variable": "qd[1]", "unit": "rad/s", "seen": [-2.1, 2.0], "held_out": [-2.3, 2.2]}],
       "worse": [{"channel": "...", "on": "held-out condition", "before": 0.1, "after": 0.2, "unit": "..."}],
-      "note": "..."                              # why it was not put into the loop, or what to keep in mind; "" if nothing
+      "note": "...",                             # why it was not put into the loop, or what to keep in mind; "" if nothing
+      "specification": {...}                     # the form as data: what adopt.form.json holds; empty where it was not put into the loop
     }
 
-`held_out` in `ranges` is null without held-out runs. Intervals are 90 %, by a bootstrap over blocks of time. Form and unit of a variable
-are those of the component's ports: `qd[1]` is its input or output of that name, `d(q[1])/dt` its rate, `t` the time since the start.
+`ports` is empty, and `component` is "", where no replay could be made; `note` says why. `held_out` in `ranges` is null without held-out
+runs. Intervals are 90 %, by a bootstrap over blocks of time. Name and unit of a variable are those of the component's ports: `qd[1]` is
+its input or output of that name, `d(q[1])/dt` its rate, `t` the time since the start.
 """
 
 from __future__ import annotations

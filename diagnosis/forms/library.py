@@ -72,7 +72,11 @@ class Term:
         below = [u for u in below if u != "1"]
         if not below:
             return port
-        return unit_of(port + "".join(f"/({u})" for u in below)).si
+        together = port + "".join(f"/({u})" for u in below)
+        try:
+            return unit_of(together).si
+        except ValueError:  # a unit of the system's own
+            return together
 
     def values(self, known: Mapping[Variable, FloatArray], n: int) -> FloatArray:
         """Series [n]."""
