@@ -277,20 +277,22 @@ def _drive_wave(value: float, random: np.random.Generator) -> Changes:
     return Changes(link=make)
 
 
-def _dragged_hose(value: float, random: np.random.Generator) -> Changes:
-    i, j = int(random.integers(0, 3)), int(random.integers(0, 3))
+def _cross_square(value: float, random: np.random.Generator) -> Changes:
+    i, j = (int(k) for k in random.choice(3, 2, replace=False))
 
-    def after(columns: Columns, t: FloatArray, step: float) -> None:
-        q = columns[f"drive.q_motor[{j + 1}]"]
-        speed = np.diff(q, prepend=q[0]) / step
-        for array in ("sensor.f_T_T", "sensor.f_S_raw"):
-            columns[f"{array}[{i + 1}]"] += value * speed / HOSE_SPEED
+    def make() -> Function:
+        def function(t: float, h: float, u: FloatArray) -> FloatArray:
+            y = u.copy()
+            y[i] += value * u[j] * abs(u[j]) / CROSS_FORCE
+            return y
 
-    return Changes(after=after)
+        return function
+
+    return Changes(sense=make)
 
 
-CUBE_TORQUE, HOSE_SPEED = 200.0, 0.01
-"""Torque [N m] and joint speed [rad/s] at which the strengths of these two kinds are given."""
+CUBE_TORQUE, CROSS_FORCE = 200.0, 300.0
+"""Torque [N m] and force [N] at which the strengths of these two kinds are given."""
 OUTSIDE = (
     Outside(
         "periodic_stiffness", "compliance", 2e-7, 1e-6, "rad/(N.m)", _periodic_stiffness, "compliance of a gear that varies with its angle"
@@ -401,7 +403,7 @@ FORMED = (
     *(OUTSIDE_BY_NAME[name] for name in ("axis_coupling", "quadratic_windup", "quadratic_sensor", "cogging_torque")),
     Outside("cubic_spring", "compliance", 50e-6, 400e-6, "rad", _cubic_spring, "deflection with the third power of the torque"),
     Outside("drive_wave", "drive", 30e-6, 150e-6, "rad", _drive_wave, "error of a gear with a period that no gear has"),
-    Outside("dragged_hose", "sensor", 5.0, 30.0, "N", _dragged_hose, "force on the sensor with the speed of a joint"),
+    Outside("cross_square", "sensor", 0.05, 0.3, "1", _cross_square, "a force that shows on another axis with its square"),
 )
 """Seven kinds that a short formula expresses: those of the set `formed`."""
 FORMED_BY_NAME: Mapping[str, Outside] = {o.name: o for o in FORMED}

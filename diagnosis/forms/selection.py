@@ -89,15 +89,14 @@ class Products:
         self.gram = np.stack([rows.X[parts == f].T @ rows.X[parts == f] for f in names])
         self.right = np.stack([rows.X[parts == f].T @ rows.y[parts == f] for f in names])
         self.square = np.array([float(rows.y[parts == f] @ rows.y[parts == f]) for f in names])
+        self._all, self._right = self.gram.sum(axis=0), self.right.sum(axis=0)
 
     def fit(self, chosen: list[int], without: int | None = None) -> FloatArray:
         """Least squares of these terms, a fold left out."""
-        gram, right = self._total(without)
-        return _solve(gram[np.ix_(chosen, chosen)], right[chosen])
-
-    def _total(self, without: int | None) -> tuple[FloatArray, FloatArray]:
-        gram, right = self.gram.sum(axis=0), self.right.sum(axis=0)
-        return (gram, right) if without is None else (gram - self.gram[without], right - self.right[without])
+        gram, right = self._all[np.ix_(chosen, chosen)], self._right[chosen]
+        if without is not None:
+            gram, right = gram - self.gram[without][np.ix_(chosen, chosen)], right - self.right[without][chosen]
+        return _solve(gram, right)
 
     def error(self, fold: int, chosen: list[int], values: FloatArray) -> float:
         """Squares that a fit leaves in a fold."""
@@ -105,12 +104,11 @@ class Products:
         return float(self.square[fold] - 2.0 * values @ self.right[fold][chosen] + values @ g @ values)
 
     def path(self, most: int, without: int | None = None) -> list[int]:
-        """Terms in the order in which they are taken."""
-        gram, right = (x.copy() for x in self._total(without))
-        size = np.diag(gram).copy()
-        taken: list[int] = []
+        """Terms in the order in which they are taken: a pivoted Cholesky factorisation whose pivot explains most of what is left."""
+        fold, right = (None, self._right.copy()) if without is None else (self.gram[without], self._right - self.right[without])
+        size = np.diag(self._all) - (0.0 if fold is None else np.diag(fold))
+        left, factor, taken = size.copy(), np.zeros((0, len(size))), list[int]()
         for _ in range(min(most, len(size))):
-            left = np.diag(gram)
             good = left > np.sqrt(np.finfo(float).eps) * size  # beside those that are there, the rest of it is no roundoff
             good[taken] = False
             gain = np.where(good, right**2 / np.where(good, left, 1.0), 0.0)
@@ -118,9 +116,11 @@ class Products:
             if gain[j] <= 0.0:
                 break
             taken.append(j)
-            column, pivot = gram[:, j].copy(), gram[j, j]
-            right -= column * (right[j] / pivot)
-            gram -= np.outer(column, column / pivot)
+            column = self._all[:, j] - (0.0 if fold is None else fold[:, j]) - factor[:, j] @ factor
+            row = column / np.sqrt(left[j])
+            right -= row * (right[j] / np.sqrt(left[j]))
+            left = left - row**2
+            factor = np.vstack([factor, row])
         return taken
 
     def errors(self, chosen: list[int]) -> FloatArray:
