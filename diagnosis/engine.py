@@ -13,7 +13,7 @@ from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.experiment.simulation import Report, Simulator, setting
 from robomill.diagnosis.experiment.store import Store
-from robomill.diagnosis.forms.discovery import discovered, suspects
+from robomill.diagnosis.forms.discovery import discovered, left_in, suspects
 from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.gate import phases
 from robomill.diagnosis.gate.checks import Finding, stopped
@@ -136,7 +136,7 @@ def diagnose_campaign(
         if answer.verdict in ("identified", "ambiguous", "unknown"):
             answer = replace(answer, onset=onset_of(search))
         if answer.verdict == "unknown" or form:
-            answer = replace(answer, form=discovered(search, groups, suspects(answer, laboratory), conclusion.titles))
+            answer = replace(answer, form=discovered(search, groups, suspects(answer, laboratory), conclusion.titles, left_in(answer)))
         answer = replace(answer, effort=effort_of(began, simulator), skipped=tuple(skipped))
         return Diagnosis(answer, adopted, tuple(fits), tuple(channels), conclusion.curves(adopted), ports, conclusion.titles)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -66,17 +66,20 @@ def solve(problem: Problem) -> Solved:
     return Solved(problem, terms, values(problem.rows(terms), list(range(len(terms)))), closure, errors)
 
 
-def solved(laboratory: Laboratory, replays: Sequence[ComponentReplay], components: Sequence[str]) -> list[Solved]:
+def solved(
+    laboratory: Laboratory, replays: Sequence[ComponentReplay], components: Sequence[str], arrays: Collection[str] = ()
+) -> list[Solved]:
     """Forms of the ports of these components; of those that explain the same measured array, the ports of the one that leaves least.
 
-    The first component is preferred: another one must be better by more than a standard error.
+    The first component is preferred: another one must be better by more than a standard error. `arrays`: measured arrays that are to be
+    explained; empty: all.
     """
     best: dict[str, tuple[FloatArray, list[Solved]]] = {}
     for name in components:
         for make in (direct, behind, into):
             if make is into and best:  # takes a simulation for each term: not beside what has been found
                 continue
-            found = [s for p in make(laboratory, replays, name) if (s := solve(p)).terms]
+            found = [s for p in make(laboratory, replays, name) if _wanted(p, arrays) and (s := solve(p)).terms]
             for array in dict.fromkeys(a for s in found for a in s.problem.targets):
                 here = [s for s in found if array in s.problem.targets]
                 errors = np.sum([s.errors / (s.errors.sum() / max(1.0 - s.closure, 1e-12)) * s.squares for s in here], axis=0)
@@ -86,6 +89,10 @@ def solved(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
     for _, some in best.values():
         unique += [s for s in some if not any(s is u for u in unique)]
     return unique
+
+
+def _wanted(problem: Problem, arrays: Collection[str]) -> bool:
+    return not arrays or not set(problem.targets).isdisjoint(arrays)
 
 
 def port_forms(found: Sequence[Solved]) -> tuple[PortForm, ...]:
@@ -179,10 +186,13 @@ def _agreeing(members: list[tuple[str, float, list[float]]]) -> list[list[tuple[
     return groups
 
 
-def discovered(search: Search, groups: Groups, components: Sequence[str], titles: Mapping[str, str]) -> Form | None:
+def discovered(
+    search: Search, groups: Groups, components: Sequence[str], titles: Mapping[str, str], arrays: Collection[str] = ()
+) -> Form | None:
     """The form of what is unknown, in the closed loop; None where blocks that have not seen it are not predicted better by any.
 
-    `components`: where it may be, the likeliest first; `groups`: measured repeats of every condition, the diagnosed ones first.
+    `components`: where it may be, the likeliest first; `arrays`: measured arrays in which more is left than tolerances explain (empty: all
+    are looked at); `groups`: measured repeats of every condition, the diagnosed ones first.
     """
     simulator, n = search.simulator, len(search.groups)
     laboratory = simulator.laboratory
@@ -191,7 +201,7 @@ def discovered(search: Search, groups: Groups, components: Sequence[str], titles
         return None
     try:
         replays = [_replayed(laboratory, i) for i in own]
-        found = solved(laboratory, replays, components)
+        found = solved(laboratory, replays, components, arrays)
     except OrchestrationError as error:
         return Form("", "output", 0.0, (), note=f"no form was looked for: {error}")
     if not found:
@@ -297,3 +307,8 @@ def suspects(answer: Answer, laboratory: Laboratory) -> list[str]:
     first = blamed or [w.component for w in answer.where] + ([answer.unknown.component] if answer.unknown else [])
     found = [n for n in dict.fromkeys(first) if n in names]
     return [*found, *(n for n in names if n not in found)] if not blamed else found
+
+
+def left_in(answer: Answer) -> set[str]:
+    """Measured arrays in which the replay leaves more than noise and tolerances; empty where nothing was replayed."""
+    return {array for w in answer.where for array in w.outputs or ()}
