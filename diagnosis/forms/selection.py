@@ -170,8 +170,8 @@ def choose(rows: Rows) -> Chosen:
         again = white.memory(white.y - white.X[:, terms] @ fitted(white, terms))
         if again < BAND or len(rows.y) < 4 * FOLDS * MOST or 4.0 * rows.step > MEMORY:
             plain = Products(rows, rows.parts(FOLDS))
-            left = sum(plain.error(f, some, plain.fit(some, f)) for f, some in enumerate(sets))
-            return Chosen(terms, 1.0 - left / max(float(plain.square.sum()), 1e-300), rho, rows, pairs, errors)
+            lost = sum(plain.error(f, some, plain.fit(some, f)) for f, some in enumerate(sets))
+            return Chosen(terms, 1.0 - lost / max(float(plain.square.sum()), 1e-300), rho, rows, pairs, errors)
         rows, pairs = rows.paired(), pairs + 1
 
 
