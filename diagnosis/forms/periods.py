@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 from robomill.diagnosis.experiment.simulation import decimate
 from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.ports import Problem
-from robomill.diagnosis.forms.selection import MOST, Products, Rows, fitted, worse
+from robomill.diagnosis.forms.selection import MOST, Labels, Products, Rows, fitted, worse
 from robomill.diagnosis.forms.signals import Variable
 from robomill.diagnosis.outcome.ceiling import FOLDS
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -43,7 +43,7 @@ def _waves(problem: Problem, place: Place, ks: FloatArray) -> Iterator[tuple[Flo
         yield some, np.concatenate(made[0]), np.concatenate(made[1])
 
 
-def _gains(problem: Problem, place: Place, left: FloatArray, parts: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _gains(problem: Problem, place: Place, left: FloatArray, parts: Labels) -> tuple[FloatArray, FloatArray]:
     """Values of k, and what sine and cosine explain of what is left without each fold, and (last row) of all: [folds + 1, values]."""
     ks = grid([k[place[1]] for k in problem.seen.known], problem.decimation)
     names, gains = np.unique(parts), []

@@ -82,7 +82,7 @@ class Problem:
     decimation: int
     step: float
     """Time between samples [s]."""
-    extra: dict[tuple[str, Term], Sequence[FloatArray]] = field(default_factory=dict)
+    extra: Mapping[tuple[str, Term], Sequence[FloatArray]] = field(default_factory=dict)
     """Columns that were simulated, [n, channels] by condition."""
 
     def column(self, element: str, term: Term) -> list[FloatArray]:

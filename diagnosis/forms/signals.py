@@ -144,10 +144,10 @@ def _late(values: FloatArray) -> FloatArray:
 def value(variable: Variable, known: Mapping[str, FloatArray], t: FloatArray) -> FloatArray | None:
     """Series [n] of a variable; None where its port says nothing. A rate is that over the last step, as the form has it."""
     if variable.name == TIME:
-        return t - t[0]
+        return np.asarray(t - t[0])
     x = known.get(variable.name)
     if x is None or np.ptp(x) <= 1e-12 * np.abs(x).max(initial=0.0):
         return None
     if variable.rate:
-        return np.diff(x, prepend=x[0]) / (t[1] - t[0])
+        return np.asarray(np.diff(x, prepend=x[0]) / (t[1] - t[0]))
     return x
