@@ -41,7 +41,7 @@ class Solved:
 
     @property
     def squares(self) -> float:
-        """Of the gap, in its own unit."""
+        """Sum of squares of the gap, over the scale of its problem."""
         return float(sum((g**2).sum() for g in self.problem.gap))
 
 

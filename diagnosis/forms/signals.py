@@ -15,7 +15,7 @@ from robomill.orchestration.assembly import assemble
 from robomill.orchestration.slaves.protocol import FloatArray, Port, arrays, base_name, inputs, outputs
 from robomill.orchestration.system.definition import Connection
 
-POSITIONS = ("rad", "m")
+HAVE_A_SPEED = ("rad", "m")
 """Units of what has a velocity."""
 
 
@@ -99,7 +99,7 @@ def variables(host: Host, side: str) -> list[Variable]:
         unit, count = p.unit or "1", host.counts[base_name(name)]
         found.append(Variable(name, False, unit, count))
         has_speed = any(u and compatible(u, f"{unit}/s") for u in rates)
-        if not (unit in POSITIONS and has_speed) and (unit in POSITIONS or (side == "output" and not host.is_input(name))):
+        if not (unit in HAVE_A_SPEED and has_speed) and (unit in HAVE_A_SPEED or (side == "output" and not host.is_input(name))):
             found.append(Variable(name, True, _per_second(unit), count))
     return [*found, Variable(TIME, False, "s", 0)]
 

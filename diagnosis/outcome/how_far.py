@@ -20,7 +20,7 @@ CLOSING = 4
 Groups = Sequence[Sequence[FloatArray]]
 """Repeats of each condition, [samples, channels]."""
 Simulated = Sequence[Sequence[FloatArray] | None]
-"""The same, simulated; None for one that cannot run."""
+"""Simulated repeats of each condition, [samples, channels]; None for one that cannot run."""
 
 
 def metrics(search: Search, titles: Mapping[str, str]) -> dict[str, list[int]]:

@@ -1,0 +1,1 @@
+"""Tests of noise, estimation, search and evidence."""

@@ -23,9 +23,12 @@ from robomill.models.model.units import convert
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
 from tests.diagnosis import demo
+from tests.tolerances import ROUNDOFF
 
 CUBE = 40.0
 """1/m2: what the sensor shows too much, over the cube of what it shows."""
+AS_FITTED = 10.0 * demo.NOISE
+"""m: noise of ten samples. The form may be of what the sensor gets, or of what it shows, which are the same but for roundoff."""
 LAG = 0.02
 """s"""
 
@@ -82,7 +85,7 @@ def test_it_is_adopted_from_its_file(cubic: Form, tmp_path: Path) -> None:
     plain = run(demo.SYSTEM, stop=2.0, resolver=resolve)
     found = run(adopt.adopted(demo.SYSTEM, file), stop=2.0, resolver=resolve)
     shown = plain["sensors.y[2]"]
-    np.testing.assert_allclose(found["sensors.y[2]"], shown + cubic.ports[0].terms[0].coefficient * shown**3, atol=10.0 * demo.NOISE)
+    np.testing.assert_allclose(found["sensors.y[2]"], shown + cubic.ports[0].terms[0].coefficient * shown**3, rtol=ROUNDOFF, atol=AS_FITTED)
     with pytest.raises(Exception, match="a form of 'sensors': unknown component 'sensors'"):
         adopt.adopted(demo.System("one", demo.STEP, demo.SYSTEM.components[:1]), file)
 
