@@ -1,1 +1,1 @@
-"""Tests of noise, estimation, search and evidence."""
+"""Tests of the forms of unknown laws, and of onsets."""
