@@ -57,6 +57,7 @@ BOUNDS: Mapping[str, Bound] = {
     "machine_found": Bound(0.80),
     "machine_true": Bound(0.85),
     "machine_closure_over_ceiling_median": Bound(0.90),
+    "form_closure_over_ceiling_median": Bound(0.60),
     "confident_wrong": Bound(high=0.05),
     "stiffness_placed": Bound(0.85),
     "ece": Bound(high=0.05),
@@ -93,6 +94,7 @@ ASKED: Mapping[str, Sequence[str]] = {
     "campaign": ("stiffness_placed", "good_log_stopped"),
     "bad_log": ("bad_log_stopped",),
     "outside": (*_UNKNOWN, "good_log_stopped"),
+    "formed": ("form_closure_over_ceiling_median", "good_log_stopped"),
     "mixed": (
         "null_false_alarm",
         "bad_log_stopped",

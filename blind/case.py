@@ -19,7 +19,7 @@ DETECTABLE = 3.0
 """Oracle ratio from which a case counts as detectable."""
 CATALOGUE = ("single", "double", "triple", "machine")
 """Kinds of cases with effects of the catalogue."""
-REAL = (*CATALOGUE, "withheld", "outside")
+REAL = (*CATALOGUE, "withheld", "outside", "formed")
 """Kinds of cases with something real and a good log."""
 CASE_KINDS = ("null", *REAL, "bad_log")
 

@@ -69,5 +69,5 @@ def estimate(c: Case, said: Candidate, i: int = 0) -> tuple[float, bool | None] 
 
 def answer_right(c: Case) -> bool:
     """Whether a null is `none`, what is in no catalogue `unknown`, and of an effect the first that is named."""
-    said = {"null": "none", "outside": "unknown"}.get(c.kind)
+    said = {"null": "none", "outside": "unknown", "formed": "unknown"}.get(c.kind)
     return c.prediction.verdict == said if said else effect_in_top(c, 1)

@@ -26,6 +26,8 @@ from robomill.blind.statistics import Claim, Figure, expected_calibration_error,
 
 SquaredGaps = Callable[[int, ComponentValues], Mapping[str, Mapping[str, tuple[float, float]]]]
 """(number of the case, claimed values) -> sum of squares of the true gap by held-out condition and quantity, before and after."""
+FormGaps = Callable[[int, Mapping[str, Any]], Mapping[str, Mapping[str, tuple[float, float]]]]
+"""(number of the case, form) -> the same, with a form in the loop."""
 Separates = Callable[[int, Mapping[str, Any], Sequence[ComponentValues]], bool]
 """(number of the case, recommended run, values of the wrong candidates) -> whether the run tells all of them from the truth."""
 TIP = "tool tip"
@@ -42,6 +44,7 @@ def figures(
     squared_gaps: SquaredGaps | None = None,
     separates: Separates | None = None,
     equivalents: Equivalents = lambda _: (),
+    form_gaps: FormGaps | None = None,
 ) -> dict[str, Figure]:
     """All of them. The callables may be left out: what needs them is then without cases, and withheld effects have no equivalents."""
     return {
@@ -60,6 +63,7 @@ def figures(
         **coverage_of_the_catalogue(cases),
         **machine(cases),
         **machine_closure(cases, tier, squared_gaps),
+        **form_closure(cases, tier, form_gaps),
         **campaign(cases),
         "ece": calibration(claims(cases, equivalents)),
         **cpu_time(cases),
@@ -189,12 +193,32 @@ def machine_closure(cases: Cases, tier: str, squared_gaps: SquaredGaps | None = 
     """
     ratios = []
     for c in cases.of("machine") if squared_gaps else ():
-        every = {(k, q): v for k, of in c.truth.ceiling.items() for q, v in of.items() if tier == "T1" or q != TIP}
-        wanted = {place: v for place, v in every.items() if v >= CLOSABLE}
+        wanted = _closable(c, tier)
         if wanted and squared_gaps:
             gaps = squared_gaps(c.number, c.prediction.claimed_values)
             ratios.append(float(np.mean([_closed(*gaps[k][q]) / ceiling for (k, q), ceiling in wanted.items()])))
     return {"machine_closure_over_ceiling_median": quantile(ratios)}
+
+
+def form_closure(cases: Cases, tier: str, form_gaps: FormGaps | None = None) -> dict[str, Figure]:
+    """Closure by the form over that by the true effect, in new conditions, of what is detectable; 0 where no form is given.
+
+    Conditions and quantities count as in `machine_closure`.
+    """
+    ratios = []
+    for c in cases.detectable("formed") if form_gaps else ():
+        wanted = _closable(c, tier)
+        if not wanted or form_gaps is None:
+            continue
+        gaps = form_gaps(c.number, c.prediction.form) if c.prediction.form else {}
+        ratios.append(float(np.mean([_closed(*gaps[k][q]) / ceiling if k in gaps else 0.0 for (k, q), ceiling in wanted.items()])))
+    return {"form_closure_over_ceiling_median": quantile(ratios)}
+
+
+def _closable(c: Case, tier: str) -> dict[tuple[str, str], float]:
+    """(held-out condition, quantity that is measured) -> closure by the truth, where that is CLOSABLE."""
+    every = {(k, q): v for k, of in c.truth.ceiling.items() for q, v in of.items() if tier == "T1" or q != TIP}
+    return {place: v for place, v in every.items() if v >= CLOSABLE}
 
 
 def _closed(before: float, after: float) -> float:

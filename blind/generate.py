@@ -120,8 +120,8 @@ def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[Truth,
     truth = Truth(plan.kind)
     true: list[TrueEffect] = []
     changes, fault = Changes(), None
-    if plan.kind == "outside":
-        kind = outside.OUTSIDE_BY_NAME[plan.subject[0]]
+    if plan.kind in ("outside", "formed"):
+        kind = (outside.FORMED_BY_NAME if plan.kind == "formed" else outside.OUTSIDE_BY_NAME)[plan.subject[0]]
         value, changes = kind.draw(random)
         truth = replace(truth, outside=TrueOutside(kind.name, kind.component, value, kind.unit))
     elif plan.kind == "bad_log":
@@ -258,7 +258,11 @@ def _oracle(sealed: Path, truth: Truth, world: World, fault: bad_logs.BadLog | N
         clean = world.simulate(c)[1]
         gap = difference(clean, nominal(c).columns)
         np.save(sealed / f"{c.name.replace(' ', '-')}.npy", gap.astype(np.float32))
-        if instances:
+        if truth.kind == "formed":  # what the law itself does to the nominal cell; not what else this world does otherwise
+            usual_one, bent = (World(Machine({}), (), x, Changes()).simulate(c)[1] for x in (Changes(), world.changes))
+            after = gap - padded(difference(bent, usual_one), len(gap))
+            ceiling[c.name] = {quantity: closure(gap[:, part], after[:, part]) for quantity, part in QUANTITIES.items()}
+        elif instances:
             after = difference(clean, simulate_nominal(c, instances, truth.hidden).columns)
             ceiling[c.name] = {quantity: closure(gap[:, part], after[:, part]) for quantity, part in QUANTITIES.items()}
     largest = max(groups.values())
@@ -276,6 +280,11 @@ def difference(a: Mapping[str, FloatArray], b: Mapping[str, FloatArray]) -> Floa
     names += [f"drive.torque_motor[{i}]" for i in range(1, 7)]
     n = min(len(a[names[0]]), len(b[names[0]]))
     return np.stack([a[k][:n] - b[k][:n] for k in names], axis=1)
+
+
+def padded(x: FloatArray, rows: int) -> FloatArray:
+    """So many rows of [n, k]: cut off, or the last one repeated."""
+    return x[np.minimum(np.arange(rows), len(x) - 1)]
 
 
 def closure(before: FloatArray, after: FloatArray) -> float:

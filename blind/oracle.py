@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from robomill.blind.case import DETECTABLE, Case, Confusable
-from robomill.blind.figures import Separates, SquaredGaps
+from robomill.blind.figures import FormGaps, Separates, SquaredGaps
 from robomill.blind.generate import QUANTITIES, difference
 from robomill.blind.next_run import separates
 from robomill.blind.prediction import ComponentValues
@@ -19,8 +21,10 @@ from robomill.blind.signatures import Change, clocks, confusable, features, libr
 from robomill.blind.situation import Situation, nominal_run, situations
 from robomill.blind.truth import Truth
 from robomill.blind.workers import Progress, work
+from robomill.models.components.correction import FORM
 from robomill.models.model.declaration import FloatArray
 from robomill.orchestration.errors import OrchestrationError
+from robomill.orchestration.runs.run import Run
 
 Truths = Mapping[int, Truth]
 """By number of the case."""
@@ -67,23 +71,40 @@ def oracle_gaps(folder: Path) -> SquaredGaps:
     known: dict[int, dict[str, dict[str, tuple[float, float]]]] = {}
 
     def found(number: int, adopted: ComponentValues) -> dict[str, dict[str, tuple[float, float]]]:
-        if number in known:
-            return known[number]
-        result = known.setdefault(number, {})
-        for s in situations_of(folder, number, held_out=True):
-            if not s.held_out:
-                continue
-            before = sealed_gap(folder, number, s.name)
-            try:
-                step = difference(s.simulate(adopted).columns, nominal_run(s).columns)
-            except OrchestrationError:
-                step = np.zeros_like(before)
-            n = min(len(before), len(step))
-            squares = np.sum(before[:n] ** 2, axis=0), np.sum((before[:n] - step[:n]) ** 2, axis=0)
-            result[s.name] = {q: (float(squares[0][part].sum()), float(squares[1][part].sum())) for q, part in QUANTITIES.items()}
-        return result
+        if number not in known:
+            known[number] = _squares(folder, number, lambda s: s.simulate(adopted))
+        return known[number]
 
     return found
+
+
+def oracle_form_gaps(folder: Path) -> FormGaps:
+    """Gaps by running the nominal cell with a form in the loop. Unchanged where it cannot run."""
+
+    def found(number: int, form: Mapping[str, Any]) -> dict[str, dict[str, tuple[float, float]]]:
+        with TemporaryDirectory() as place:
+            file = Path(place) / f"law{FORM}"
+            file.write_text(json.dumps(dict(form)), encoding="utf-8")
+            return _squares(folder, number, lambda s: s.simulate({}, (str(form["stands_for"]), str(file))))
+
+    return found
+
+
+def _squares(folder: Path, number: int, simulate: Callable[[Situation], Run]) -> dict[str, dict[str, tuple[float, float]]]:
+    """Squares of the gap in each held-out condition and quantity: against the nominal cell, and against what is simulated."""
+    result = {}
+    for s in situations_of(folder, number, held_out=True):
+        if not s.held_out:
+            continue
+        before = sealed_gap(folder, number, s.name)
+        try:
+            step = difference(simulate(s).columns, nominal_run(s).columns)
+        except OrchestrationError:
+            step = np.zeros_like(before)
+        n = min(len(before), len(step))
+        squares = np.sum(before[:n] ** 2, axis=0), np.sum((before[:n] - step[:n]) ** 2, axis=0)
+        result[s.name] = {q: (float(squares[0][part].sum()), float(squares[1][part].sum())) for q, part in QUANTITIES.items()}
+    return result
 
 
 def oracle_equivalents(folder: Path, truths: Truths, tier: str) -> Equivalents:

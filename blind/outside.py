@@ -249,6 +249,50 @@ def _cogging(value: float, random: np.random.Generator) -> Changes:
     return Changes(after=after)
 
 
+def _cubic_spring(value: float, random: np.random.Generator) -> Changes:
+    i = int(random.integers(0, 3))
+
+    def make() -> Function:
+        def link(t: float, h: float, u: FloatArray) -> FloatArray:
+            q = u[:6].copy()
+            q[i] += value * (joint_torques(u[:6], u[6:])[i] / CUBE_TORQUE) ** 3
+            return q
+
+        return link
+
+    return Changes(link=make)
+
+
+def _drive_wave(value: float, random: np.random.Generator) -> Changes:
+    i, waves, phase = _joint(random), 60.0 + 240.0 * random.random(), 6.28 * random.random()
+
+    def make() -> Function:
+        def link(t: float, h: float, u: FloatArray) -> FloatArray:
+            q = u[:6].copy()
+            q[i] += value * (math.sin(waves * u[i] + phase) - math.sin(phase))
+            return q
+
+        return link
+
+    return Changes(link=make)
+
+
+def _cross_square(value: float, random: np.random.Generator) -> Changes:
+    i, j = (int(k) for k in random.choice(3, 2, replace=False))
+
+    def make() -> Function:
+        def function(t: float, h: float, u: FloatArray) -> FloatArray:
+            y = u.copy()
+            y[i] += value * u[j] * abs(u[j]) / CROSS_FORCE
+            return y
+
+        return function
+
+    return Changes(sense=make)
+
+
+CUBE_TORQUE, CROSS_FORCE = 200.0, 300.0
+"""Torque [N m] and force [N] at which the strengths of these two kinds are given."""
 OUTSIDE = (
     Outside(
         "periodic_stiffness", "compliance", 2e-7, 1e-6, "rad/(N.m)", _periodic_stiffness, "compliance of a gear that varies with its angle"
@@ -355,3 +399,11 @@ def late_clock(pattern: str, delay: float) -> Changes:
 
 
 OUTSIDE_BY_NAME: Mapping[str, Outside] = {o.name: o for o in OUTSIDE}
+FORMED = (
+    *(OUTSIDE_BY_NAME[name] for name in ("axis_coupling", "quadratic_windup", "quadratic_sensor", "cogging_torque")),
+    Outside("cubic_spring", "compliance", 50e-6, 400e-6, "rad", _cubic_spring, "deflection with the third power of the torque"),
+    Outside("drive_wave", "drive", 30e-6, 150e-6, "rad", _drive_wave, "error of a gear with a period that no gear has"),
+    Outside("cross_square", "sensor", 0.05, 0.3, "1", _cross_square, "a force that shows on another axis with its square"),
+)
+"""Seven kinds that a short formula expresses: those of the set `formed`."""
+FORMED_BY_NAME: Mapping[str, Outside] = {o.name: o for o in FORMED}

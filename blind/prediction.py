@@ -96,6 +96,8 @@ class Prediction:
     where: tuple[Mapping[str, Any], ...] = ()
     how_far: tuple[Mapping[str, Any], ...] = ()
     next_run: Mapping[str, Any] | None = None
+    form: Mapping[str, Any] | None = None
+    """The form of an unknown law, as plain data (`models.components.correction`)."""
     cpu: float | None = None
     """CPU time that it took [s]."""
     wall: float | None = None
@@ -111,6 +113,7 @@ class Prediction:
             tuple(content.get("where") or ()),
             tuple(content.get("how_far") or ()),
             content.get("next_run"),
+            (content.get("form") or {}).get("specification") or None,
             (content.get("time") or {}).get("cpu"),
             (content.get("time") or {}).get("wall"),
         )

@@ -12,7 +12,7 @@ import numpy as np
 from robomill.blind.baselines import baseline_guesses
 from robomill.blind.case import CASE_KINDS, Cases, load_cases
 from robomill.blind.figures import baseline_figures, figures
-from robomill.blind.oracle import oracle_confusable, oracle_equivalents, oracle_gaps, oracle_separates, prepare
+from robomill.blind.oracle import oracle_confusable, oracle_equivalents, oracle_form_gaps, oracle_gaps, oracle_separates, prepare
 from robomill.blind.results import ALL, Score
 from robomill.blind.sealing import freeze_predictions, unseal
 from robomill.blind.set_figures import claims
@@ -47,7 +47,7 @@ def score(
         prepare(folder, loaded, workers, progress)
     cases = Cases(loaded, oracle_confusable(folder, truths, tier) if isolability else None)
     equivalents = oracle_equivalents(folder, truths, tier) if isolability else lambda _: ()
-    gaps, separates = oracle_gaps(folder), oracle_separates(truths, tier)
+    gaps, separates, forms = oracle_gaps(folder), oracle_separates(truths, tier), oracle_form_gaps(folder)
     makers = sorted({c.truth.generator for c in cases.all})
     parts = {ALL: cases, **{name: cases.of_generator(name) for name in makers}}
     guesses = baseline_guesses(folder, cases.all, tier, progress) if baselines and head.set in WITH_BASELINES else {}
@@ -65,7 +65,7 @@ def score(
         predictions_as_first_unsealed=first,
         kinds={k: len(cases.of(k)) for k in CASE_KINDS},
         isolability=isolability,
-        scores={name: figures(part, tier, gaps, separates, equivalents) for name, part in parts.items()},
+        scores={name: figures(part, tier, gaps, separates, equivalents, forms) for name, part in parts.items()},
         strata=strata(cases),
         per_effect=per_effect(cases),
         confusion=confusion(cases),

@@ -108,6 +108,7 @@ SETS: Mapping[str, _Maker] = {
     "bad_log": _of_a_kind("bad_log", [*bad_logs.LOG_FAULTS]),
     "outside": _of_a_kind("outside", [*outside.OUTSIDE_BY_NAME]),
     "mixed": _mixed,
+    "formed": _of_a_kind("formed", [*outside.FORMED_BY_NAME]),
 }
 """In the order of the page of results."""
 _SHAPES: Mapping[str, Sequence[str]] = {"campaign": ("campaign",), **dict.fromkeys(("withheld", "null", "single", "machine"), ALTERNATING)}

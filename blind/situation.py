@@ -26,9 +26,15 @@ class Situation:
     """What the experimenter set, files by absolute paths."""
     held_out: bool = field(compare=False)
 
-    def simulate(self, adopted: Mapping[str, Mapping[str, Any]]) -> Run:
-        """The nominal system with parameters adopted: component -> element -> value; no noise."""
-        return run_nominal(nominal_system(self.system), self.parameters, adopted)
+    def simulate(self, adopted: Mapping[str, Mapping[str, Any]], form: tuple[str, str] | None = None) -> Run:
+        """The nominal system with parameters adopted: component -> element -> value; no noise.
+
+        `form`: a component and the file of a form that corrects it.
+        """
+        system = nominal_system(self.system)
+        if form is not None and any(c.name == form[0] for c in system.components):
+            system = system.with_correction(*form)
+        return run_nominal(system, self.parameters, adopted)
 
 
 @lru_cache(maxsize=64)

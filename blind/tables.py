@@ -41,7 +41,7 @@ def confusion(cases: Cases) -> dict[str, dict[str, int]]:
         row = table.setdefault(true, {})
         row[said] = row.get(said, 0) + 1
 
-    for c in cases.of("single", "withheld", "null", "outside", "bad_log"):
+    for c in cases.of("single", "withheld", "null", "outside", "formed", "bad_log"):
         count(_true_label(c), c.prediction.claimed[0].names[0].key if c.prediction.claimed else c.prediction.verdict)
     for c in cases.of("machine"):
         named = {n for e in c.prediction.claimed for n in e.names}

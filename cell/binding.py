@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from robomill.cell.form_slave import FormSlave
 from robomill.fmus.components import COMPONENTS, PYTHON, component, is_component
 from robomill.fmus.in_process import InProcessSlave
 from robomill.models.components.applied_load import MODEL as APPLIED_LOAD
+from robomill.models.components.correction import FORM, read_form
 from robomill.models.model.units import convert
 from robomill.orchestration.slaves.protocol import Slave
 from robomill.orchestration.system.definition import System
@@ -18,11 +20,13 @@ def resolve(source: str, name: str) -> Slave:
     """The in-process component `source` as a slave called `name`; LookupError says what is wrong, or what there is."""
     if source == "applied_load":  # for experiments; no component of the twin, so no FMU is built of it
         return InProcessSlave(APPLIED_LOAD, name)
+    if source.endswith(FORM):
+        return FormSlave(name, read_form(Path(source)).specification)
     if not is_component(source):
         known = ", ".join([*COMPONENTS, "applied_load"])
         raise LookupError(
-            f"there is no component {source!r}; components: {known}; or name an .fmu file, replay:FOLDER, {PYTHON}package.module:MODEL "
-            f"or {PYTHON}file.py:MODEL"
+            f"there is no component {source!r}; components: {known}; or name an .fmu file, a form ({FORM}), replay:FOLDER, "
+            f"{PYTHON}package.module:MODEL or {PYTHON}file.py:MODEL"
         )
     try:
         return InProcessSlave(component(source), name)

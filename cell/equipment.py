@@ -90,7 +90,11 @@ def load_system(file: str | Path, named: Mapping[str, Entry] | None = None, sour
     system = System.load(file, convert)
     for component, source in (sources or {}).items():
         system = system.with_source(component, source)
-    system = replace(system, components=tuple(replace(c, source=beside(c.source, system.folder)) for c in system.components))
+    here = (
+        replace(c, source=beside(c.source, system.folder), correction=c.correction and str((system.folder / c.correction).resolve()))
+        for c in system.components
+    )
+    system = replace(system, components=tuple(here))
     equipment = {**system.equipment, **(named or {})}
     return _equipped(replace(system, equipment=equipment)) if equipment else system
 

@@ -13,6 +13,8 @@ from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.experiment.simulation import Report, Simulator, setting
 from robomill.diagnosis.experiment.store import Store
+from robomill.diagnosis.forms.discovery import discovered, left_in, suspects
+from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.gate import phases
 from robomill.diagnosis.gate.checks import Finding, stopped
 from robomill.diagnosis.gate.gate import Gate
@@ -55,6 +57,7 @@ def diagnose(
     false_alarm: float = FALSE_ALARM,
     store: Store | None = None,
     scheduler: str | None = None,
+    form: bool = False,
 ) -> Diagnosis:
     """Where, which, how far. DataError where the runs do not fit the system; a bad log is an answer, not an error.
 
@@ -62,7 +65,8 @@ def diagnose(
     count as such. `repair`: a clock that is found to be late is corrected, and the rest is diagnosed.
     `false_alarm`: probability of an effect on a machine that has none. `store` keeps simulations, so
     that a second call after an interruption goes on; the caller removes it when the answer is safe. `scheduler` (tcp://host:port): the
-    simulations run on the workers of that Dask cluster instead of `workers` processes.
+    simulations run on the workers of that Dask cluster instead of `workers` processes. `form`: the form of what is left of the nominal
+    system is looked for whatever the verdict, and not only if it is `unknown`.
     """
     return diagnose_campaign(
         Campaign.of(system, runs, held_out),
@@ -76,6 +80,7 @@ def diagnose(
         false_alarm=false_alarm,
         store=store,
         scheduler=scheduler,
+        form=form,
     )
 
 
@@ -92,6 +97,7 @@ def diagnose_campaign(
     false_alarm: float = FALSE_ALARM,
     store: Store | None = None,
     scheduler: str | None = None,
+    form: bool = False,
 ) -> Diagnosis:
     """As `diagnose`, for conditions of several systems that share components by name.
 
@@ -127,6 +133,10 @@ def diagnose_campaign(
             return Diagnosis(answer, {}, (), tuple(channels), curves, ports, titles_of(catalogue.titles, ports))
         conclusion = Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, false_alarm)
         answer, adopted = conclusion.answer()
+        if answer.verdict in ("identified", "ambiguous", "unknown"):
+            answer = replace(answer, onset=onset_of(search))
+        if answer.verdict == "unknown" or form:
+            answer = replace(answer, form=discovered(search, groups, suspects(answer, laboratory), conclusion.titles, left_in(answer)))
         answer = replace(answer, effort=effort_of(began, simulator), skipped=tuple(skipped))
         return Diagnosis(answer, adopted, tuple(fits), tuple(channels), conclusion.curves(adopted), ports, conclusion.titles)
 

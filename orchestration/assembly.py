@@ -19,6 +19,7 @@ from robomill.orchestration.runs.memory import Memory
 from robomill.orchestration.runs.recorder import Recorder
 from robomill.orchestration.runs.run import Run, check_vacant
 from robomill.orchestration.runs.watch import Watch
+from robomill.orchestration.slaves.corrected import Corrected
 from robomill.orchestration.slaves.isolation import IsolatedSlave
 from robomill.orchestration.slaves.multirate import MultiRate
 from robomill.orchestration.slaves.playback import Playback
@@ -68,6 +69,7 @@ class Assembly:
             "warnings": list(self.wiring.warnings),
             "rates": {c.name: c.rate if c.every == 1 else 1.0 / c.every for c in s.components if (c.rate, c.every) != (1, 1)},
             "sources": {c.name: c.source for c in s.components},
+            **({"corrections": found} if (found := {c.name: c.correction for c in s.components if c.correction is not None}) else {}),
             "parameters": {name: dict(values) for name, values in self.parameters.items()},
             "inputs": {name: dict(values) for name, values in self.inputs.items()},
         }
@@ -92,6 +94,9 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
         for c in system.components:
             with attributed(system, c):
                 slaves[c.name] = _open(system, c, resolver)
+                if c.correction is not None:
+                    about = Component(f"correction of {c.name}", c.correction)
+                    slaves[c.name] = Corrected(slaves[c.name], _open(system, about, resolver))
             warnings += [f"component {c.name!r}: {text}" for text in getattr(slaves[c.name], "warnings", ())]
         for c in system.components:
             old = slaves[c.name]

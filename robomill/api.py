@@ -208,6 +208,7 @@ def diagnose(
     next_runs: str | Path | None = None,
     repair: bool = False,
     false_alarm: float = FALSE_ALARM,
+    form: bool = False,
     jobs: int = 1,
     scheduler: str | None = None,
     progress: bool = False,
@@ -219,6 +220,7 @@ def diagnose(
     catalogue: file of the effects to look for; next_runs: file of the kinds of runs that could be made next. Without them, those beside
     the system's file, else those of the milling cell.
     repair: correct a clock that is late, and diagnose the rest. false_alarm: probability, 0 to 1, of an effect on a machine that has none.
+    form: look for the form of what is left whatever the verdict, and not only if it is `unknown`.
     jobs: processes; with more than one a script needs `if __name__ == "__main__":`. scheduler: tcp://HOST:PORT of a Dask cluster instead.
     progress: show it on standard error.
 
@@ -242,6 +244,7 @@ def diagnose(
             jobs=jobs,
             repair=repair,
             false_alarm=false_alarm,
+            form=form,
             scheduler=scheduler,
             progress=report,
         )

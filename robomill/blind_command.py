@@ -40,7 +40,7 @@ def add_arguments(parser: Any) -> None:
     make.add_argument(
         "--set",
         default="mixed",
-        help="kind of cases: withheld, null, single, machine, few, campaign, bad_log, outside or mixed (default: mixed)",
+        help="kind of cases: withheld, null, single, machine, few, campaign, bad_log, outside, formed or mixed (default: mixed)",
     )
     make.add_argument("--cases", type=int, default=240, help="number of cases (default: 240)")
     make.add_argument("--seed", type=int, default=1, help="of all random numbers; the same seed gives the same bits (default: 1)")

@@ -122,7 +122,10 @@ def parser() -> argparse.ArgumentParser:
         help="keep finished runs in the folder, go on with one that has a checkpoint, begin the others anew",
     )
     run.add_argument(
-        "--adopt", type=Path, metavar="FILE.ssv", help="use the parameters in this file, such as the effects that `robomill diagnose` found"
+        "--adopt",
+        type=Path,
+        metavar="FILE",
+        help="use what `robomill diagnose` found: effects or other parameters (.ssv), or a form (.form.json)",
     )
     run.add_argument("--no-pictures", action="store_true", help="skip the pictures")
     run.add_argument("--stl", action="store_true", help="write the machined part as part.stl beside each recording (cells with tri-dexels)")
@@ -261,6 +264,9 @@ def parser() -> argparse.ArgumentParser:
     diagnose.add_argument("--out", type=Path, default=Path("results") / "diagnosis", metavar="DIR", help="folder for the answer")
     diagnose.add_argument(
         "--check", action="store_true", help="say what these runs can show, and what is missing: nothing is fitted, docs/how_to/check.md"
+    )
+    diagnose.add_argument(
+        "--form", action="store_true", help="look for the form of what is left whatever the verdict (default: if it is unknown)"
     )
     diagnose.add_argument("--repair", action="store_true", help="correct a clock that is late, and diagnose the rest")
     diagnose.add_argument(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -28,7 +29,9 @@ from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, as_json
 from robomill.diagnosis.outcome.verdict import FALSE_ALARM
 from robomill.files import FILES, vacant
 from robomill.fmus.components import NAMES, companion, component, home, is_component
+from robomill.fmus.python.builder import build
 from robomill.joints import projections
+from robomill.models.components.correction import FORM, correction_model
 from robomill.models.model.cache import source_files
 from robomill.models.model.declaration import Model
 from robomill.orchestration.runs.run import Run
@@ -37,6 +40,8 @@ from robomill.tables import say
 
 CATALOGUE = "catalogue.toml"
 ANSWER = "diagnosis.json"
+LAW, LAW_FMU = f"adopt{FORM}", "adopt_form.fmu"
+"""The form of an unknown law: what `robomill run --adopt` takes, and an FMU that other tools put on the connection."""
 SIMULATIONS = "simulations"
 """Folder in that of the answer: what has been simulated, until the diagnosis is finished."""
 
@@ -76,6 +81,7 @@ def answered(
     jobs: int = 1,
     repair: bool = False,
     false_alarm: float = FALSE_ALARM,
+    form: bool = False,
     store: Store | None = None,
     scheduler: str | None = None,
     progress: Report | None = None,
@@ -95,6 +101,7 @@ def answered(
             menu=menu(campaign.system, Path(folder), kinds),
             repair=repair,
             false_alarm=false_alarm,
+            form=form,
             store=store,
             scheduler=scheduler,
         )
@@ -130,6 +137,7 @@ def run(options: Namespace) -> int:
                 jobs=options.jobs,
                 repair=options.repair,
                 false_alarm=options.false_alarm,
+                form=options.form,
                 store=store,
                 scheduler=options.scheduler,
                 progress=progress,
@@ -144,7 +152,8 @@ def run(options: Namespace) -> int:
         print(as_json(found.result))
     else:
         say(*lines(found.answer))
-        say(f"report: {page}; beside it diagnosis.json{' and adopt.ssv' if (options.out / 'adopt.ssv').is_file() else ''}")
+        beside = ["diagnosis.json", *(name for name in ("adopt.ssv", LAW, LAW_FMU) if (options.out / name).is_file())]
+        say(f"report: {page}; beside it {', '.join(beside[:-1])}{' and ' if len(beside) > 1 else ''}{beside[-1]}")
     return 1 if found.answer.verdict == "bad_log" else 0
 
 
@@ -229,6 +238,12 @@ def write(found: Diagnosis, system: System, runs: Sequence[Run], catalogue: Cata
         adopt.write(found.adopted, folder / "adopt.ssv")
     else:
         (folder / "adopt.ssv").unlink(missing_ok=True)  # of an earlier answer
+    for old in (folder / LAW, folder / LAW_FMU):
+        old.unlink(missing_ok=True)
+    if found.answer.form is not None and found.answer.form.specification:
+        text = json.dumps(found.answer.form.specification, indent=1)
+        (folder / LAW).write_text(text + "\n", encoding="utf-8")
+        build(correction_model(found.answer.form.specification), folder / LAW_FMU, page="", reference={})
     made = f"diagnosed on {date.today().isoformat()} by robomill {version('robomill')}"
     return report.write(report.Subject(found, system, runs, catalogue, made), folder)
 
@@ -274,6 +289,16 @@ def lines(answer: Answer) -> list[str]:
         if h.unit != "1":
             closed = "not measurable" if h.closure is None else f"closure {100 * h.closure:.0f} %"
             out.append(f"how far: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}, {closed}")
+    if answer.onset:
+        out.append(f"onset: {answer.onset.text}")
+    if answer.form:
+        out += [f"form: {p.port} lacks {p.formula} ({p.unit}), which closes {100 * p.closure:.0f} %" for p in answer.form.ports]
+        out += [f"form: {text}" for text in (*answer.form.like, answer.form.note) if text]
+        for h in answer.form.how_far:
+            if h.unit != "1" and h.closure is not None:
+                out.append(
+                    f"form in the loop: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}, closure {100 * h.closure:.0f} %"
+                )
     if answer.next_run:
         out.append(f"next run: {answer.next_run.text}")
     return out

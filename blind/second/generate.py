@@ -16,7 +16,7 @@ import numpy as np
 from robomill.blind.conditions import BLOCK, Condition, draw, load_table, planned
 from robomill.blind.effects import BY_KEY, EFFECTS, EVEN
 from robomill.blind.effects import draw as draw_effect
-from robomill.blind.generate import HELD_REPEATS, OTHER_REPEATS, QUANTITIES, closure, detectability, difference, write_run
+from robomill.blind.generate import HELD_REPEATS, OTHER_REPEATS, QUANTITIES, closure, detectability, difference, padded, write_run
 from robomill.blind.prediction import LOGGING, Named
 from robomill.blind.second import effects, logs, machine, outside
 from robomill.blind.second.cell import STEP as FINE
@@ -209,8 +209,9 @@ def _subject(plan: Plan, tier: str, random: np.random.Generator) -> tuple[Truth,
     Kinds of the latter two are this generator's own, whatever the plan says.
     """
     truth = Truth(plan.kind)
-    if plan.kind == "outside":
-        kind = outside.OUTSIDE[int(random.integers(len(outside.OUTSIDE)))]
+    if plan.kind in ("outside", "formed"):
+        kinds = outside.FORMED if plan.kind == "formed" else outside.OUTSIDE
+        kind = kinds[int(random.integers(len(kinds)))]
         value, change = kind.draw(random)
         return replace(truth, outside=TrueOutside(kind.name, kind.component, value, kind.unit)), change, None
     if plan.kind == "bad_log":
@@ -282,7 +283,11 @@ def _oracle(sealed: Path, truth: Truth, m: Machine, fault: logs.LogFault | None)
             _, clean = run(m, c)
             gap = difference(clean, nominal(c).columns)
             np.save(sealed / f"{c.name.replace(' ', '-')}.npy", gap.astype(np.float32))
-            if instances:
+            if truth.kind == "formed":  # what the law itself does to the nominal cell; not what else this world does otherwise
+                usual_one, bent = (run(replace(m, tolerances=False, change=x), c)[1] for x in (None, m.change))
+                after = gap - padded(difference(bent, usual_one), len(gap))
+                ceiling[c.name] = {quantity: closure(gap[:, part], after[:, part]) for quantity, part in QUANTITIES.items()}
+            elif instances:
                 after = difference(clean, simulate_nominal(c, instances, truth.hidden).columns)
                 ceiling[c.name] = {quantity: closure(gap[:, part], after[:, part]) for quantity, part in QUANTITIES.items()}
     largest = max(groups.values())

@@ -65,3 +65,5 @@ OUTSIDE = (
 """Sixteen kinds."""
 
 OUTSIDE_BY_NAME: Mapping[str, Outside] = {o.name: o for o in OUTSIDE}
+FORMED = tuple(OUTSIDE_BY_NAME[name] for name in ("dragged_axis", "root_windup", "cogging", "load_friction", "bowed_sensor"))
+"""Five kinds that a short formula expresses: those of the set `formed`."""

@@ -248,6 +248,24 @@ class ComponentReplay:
         out[:, inside] += left[:, inside]
         return out
 
+    def pushed(self, component: str, column: str, values: FloatArray) -> FloatArray:
+        """The closed loop with `values` [n] added to what a component gets of a column of another; all channels, [n, channels]."""
+        system = self._changed(())
+        array, source = array_of(column), column.partition(".")[0]
+        members = [k for k in self.closed[0].columns if array_of(k) == array]
+        playback = self._playback(f"pushed_{source}", {k: values if k == column else np.zeros(len(self.grid)) for k in members}, adds=True)
+        connections = [
+            replace(c, source=f"pushed_{c.source}") if c.target.partition(".")[0] == component and array_of(c.source) == array else c
+            for c in system.connections
+        ]
+        connections.append(Connection(array, f"pushed_{array}_in"))
+        parts = (*system.components, Component(playback.name, PLAYBACK))
+        return self._matrix(self._run(replace(system, components=parts, connections=tuple(connections)), [playback]))
+
+    def nominal(self) -> FloatArray:
+        """The closed loop as it is; all channels, [n, channels]."""
+        return self._nominal
+
     # What it knows
 
     def inputs(self, component: str) -> dict[str, FloatArray]:

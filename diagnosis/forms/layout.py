@@ -18,11 +18,13 @@
       "how_far": [...],                          # as the key `how_far`: the closed loop with the form, on diagnosed and held-out runs
       "ranges": [{"variable": "qd[1]", "unit": "rad/s", "seen": [-2.1, 2.0], "held_out": [-2.3, 2.2]}],
       "worse": [{"channel": "...", "on": "held-out condition", "before": 0.1, "after": 0.2, "unit": "..."}],
-      "note": "..."                              # why it was not put into the loop, or what to keep in mind; "" if nothing
+      "note": "...",                             # why it was not put into the loop, or what to keep in mind; "" if nothing
+      "specification": {...}                     # the form as data: what adopt.form.json holds; empty where it was not put into the loop
     }
 
-`held_out` in `ranges` is null without held-out runs. Intervals are 90 %, by a bootstrap over blocks of time. Form and unit of a variable
-are those of the component's ports: `qd[1]` is its input or output of that name, `d(q[1])/dt` its rate, `t` the time since the start.
+`ports` is empty, and `component` is "", where no replay could be made; `note` says why. `held_out` in `ranges` is null without held-out
+runs. Intervals are 90 %, by a bootstrap over blocks of time. Name and unit of a variable are those of the component's ports: `qd[1]` is
+its input or output of that name, `d(q[1])/dt` its rate, `t` the time since the start.
 """
 
 from __future__ import annotations
@@ -40,10 +42,13 @@ class TermFound:
     """One term of a form."""
 
     term: str
+    """Formula of the term, in the names of ports and in SI."""
     coefficient: float
+    """Its factor [unit]."""
     interval: list[float]
-    """90 %."""
+    """90 % interval of the coefficient."""
     unit: str
+    """Unit of the coefficient."""
     adds: float
     """Part of the squares of the gap of its port that it closes, when those before it are there, 0..1."""
 
@@ -53,10 +58,15 @@ class Curve:
     """Means in bins of one variable, [bins] each: what the nominal model leaves [unit of the port], and the form."""
 
     variable: str
+    """Variable of the first term."""
     unit: str
+    """Unit of the variable."""
     x: list[float]
+    """Middles of the bins."""
     left: list[float]
+    """What the nominal model leaves."""
     form: list[float]
+    """What the form adds."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +74,17 @@ class PortForm:
     """What is added to one port."""
 
     port: str
+    """Port that something is added to."""
     unit: str
+    """Unit of the port."""
     formula: str
+    """The sum of the terms in words."""
     terms: tuple[TermFound, ...]
+    """Terms in the order in which they were chosen."""
     closure: float
     """1 - squares left / squares of the gap, in blocks that choice and fit have not seen."""
     curve: Curve | None
+    """Means over the variable of the first term; null where it has none."""
 
 
 @dataclass(frozen=True)
@@ -77,10 +92,13 @@ class Range:
     """Where a variable of the form was, least and largest [unit]."""
 
     variable: str
+    """Name of the variable."""
     unit: str
+    """Unit of the variable."""
     seen: list[float]
     """In the diagnosed runs: beyond, nobody knows whether the form holds."""
     held_out: list[float] | None
+    """In the held-out runs; null without any."""
 
 
 @dataclass(frozen=True)
@@ -88,24 +106,38 @@ class Worse:
     """A channel in which the closed loop with the form is farther off than without it; rms [unit]."""
 
     channel: str
+    """Figure, as in `HowFar`."""
     on: str
+    """Kind of runs, as in `HowFar`."""
     before: float
+    """Root mean square without the form."""
     after: float
+    """Root mean square with it."""
     unit: str
+    """Unit of both."""
 
 
 @dataclass(frozen=True)
 class Form:
-    """See the module."""
+    """The form of an unknown law, at the ports of one component."""
 
     component: str
+    """Component where the form is put in."""
     side: Side
+    """Added to what comes out of it, or to what goes into it."""
     step_late: float
+    """Delay [s] that putting it in brings: one step, where it closes a loop."""
     ports: tuple[PortForm, ...]
+    """Largest part of the gap first."""
     like: tuple[str, ...] = ()
+    """What it is like, in words."""
     how_far: tuple[HowFar, ...] = ()
+    """As the key `how_far`: the closed loop with the form, on diagnosed and held-out runs."""
     ranges: tuple[Range, ...] = ()
+    """Where its variables were."""
     worse: tuple[Worse, ...] = ()
+    """Figures that it makes worse."""
     note: str = ""
+    """Why it was not put into the loop, or what to keep in mind; empty if nothing."""
     specification: dict[str, Any] = field(default_factory=dict)
     """The form as plain data, which `models.components.correction` makes a model of (an FMU, too)."""

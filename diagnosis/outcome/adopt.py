@@ -1,4 +1,4 @@
-"""Adopted effects as an SSP parameter set (`adopt.ssv`): what a diagnosis writes, and a run takes."""
+"""Adopted effects as an SSP parameter set (`adopt.ssv`), or an unknown law as a form: what a diagnosis writes, and a run takes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from robomill.diagnosis.catalogue import LOGGING, Address
+from robomill.models.components.correction import FORM, read_form
 from robomill.orchestration.errors import SystemFileError, unknown
 from robomill.orchestration.ssp.files import Files
 from robomill.orchestration.ssp.parameter_set import ROOT, given_by, parameter_set
@@ -45,8 +46,19 @@ def read(file: str | Path) -> dict[str, Written]:
 
 
 def adopted(system: System, file: str | Path) -> System:
-    """The system with the values of a parameter set in place of its own. SystemFileError names components that it has not."""
+    """The system with the values of a parameter set in place of its own, or with a form (`*.form.json`) in its loop.
+
+    SystemFileError names components that it has not.
+    """
     known = [c.name for c in system.components]
+    if str(file).endswith(FORM):
+        try:
+            component = read_form(Path(file)).specification["stands_for"]
+        except LookupError as error:
+            raise SystemFileError(str(error)) from None
+        if component not in known:
+            raise SystemFileError(f"{file}: a form of {component!r}: {unknown('component', component, known)}")
+        return system.with_correction(component, str(Path(file).resolve()))
     for component, values in read(file).items():
         if component not in known:
             raise SystemFileError(f"{file}: parameter '{component}.{next(iter(values))}': {unknown('component', component, known)}")

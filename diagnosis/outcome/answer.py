@@ -16,6 +16,7 @@ from robomill.diagnosis.experiment.design import Kind
 from robomill.diagnosis.experiment.segments import Structure
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, decimate
 from robomill.diagnosis.forms.layout import Form
+from robomill.diagnosis.forms.onset import Onset
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.isolability import Pair
@@ -33,7 +34,7 @@ from robomill.diagnosis.outcome.verdict import Tests, Verdict
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
 
 SCHEMA = "robomill-diagnosis/1"
-NULL = ("next_run", "interval", "nearest", "p", "closure", "ceiling", "ceiling_by", "ratio", "why_no_ceiling")
+NULL = ("next_run", "interval", "nearest", "held_out", "p", "closure", "ceiling", "ceiling_by", "ratio", "why_no_ceiling")
 """What is null in diagnosis.json where there is none; the rest is not there."""
 REPLAYED = ("component", "share", "interval", "log_odds", "alternatives", "outputs", "location", "nearest")
 """What an entry of `where` that comes from replay and swaps begins with in diagnosis.json."""
@@ -189,7 +190,9 @@ class Answer:
     unknown: Unknown | None = None
     """What is known of an effect that is not in the catalogue."""
     form: Form | None = None
-    """What an unknown law is like."""
+    """What the law is like that is in no catalogue (`forms.layout`)."""
+    onset: Onset | None = None
+    """When an effect began, where something speaks for it that it was not there all the time."""
     effort: Effort = field(default_factory=Effort)
     """What the diagnosis took."""
     skipped: tuple[str, ...] = ()
@@ -258,6 +261,8 @@ def to_json(answer: Answer) -> dict[str, Any]:
         data["unknown"]["channels"] = [{"channel": c, "share": share} for c, share in known.channels.items()]
         if other := known.changes:
             data["unknown"]["changes"] = {"like": other.candidate.name, "how": other.how, "gain": other.by_change}
+    if answer.onset is not None:
+        data["onset"]["text"] = answer.onset.text
     if answer.gap is None:  # a log that the gate refused
         data["effort"] = data.pop("effort")
     return data

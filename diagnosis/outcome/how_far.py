@@ -84,10 +84,13 @@ class Closing:
         """Closure and ceiling of each figure on runs of these kinds: the closed loop simulated with the `adopted` values [unit]."""
         wanted = [i for kind in kinds for i in self.kinds[kind]]
         simulated = self.search.simulator.repeated(wanted, setting(adopted), CLOSING, "closure")
-        after = dict(zip(wanted, simulated, strict=True))
+        return self.with_these(dict(zip(wanted, simulated, strict=True)), kinds)
+
+    def with_these(self, after: Mapping[int, Sequence[FloatArray] | None], kinds: Sequence[str]) -> tuple[closure.HowFar, ...]:
+        """Closure and ceiling of each figure, from repeats of the conditions of these kinds that were simulated with something mended."""
         return tuple(h for kind in kinds for f in self._figures if (h := self._closure(kind, f, after)) is not None)
 
-    def _closure(self, kind: str, figure: _Figure, after: Mapping[int, list[FloatArray] | None]) -> closure.HowFar | None:
+    def _closure(self, kind: str, figure: _Figure, after: Mapping[int, Sequence[FloatArray] | None]) -> closure.HowFar | None:
         """One figure on one kind of runs; None where none of its conditions has its channels, or can run."""
         laboratory, weight, parts = self.search.simulator.laboratory, figure.weight, []
         for i in self.kinds[kind]:

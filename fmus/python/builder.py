@@ -33,6 +33,7 @@ from robomill.fmus.model_description import Options
 from robomill.fmus.provenance import Origin, material, provenance_files, release
 from robomill.fmus.reference import experiment_files, manifest_files, reference_files
 from robomill.fmus.terminals import terminal_files
+from robomill.models.components.correction import CorrectionModel
 from robomill.models.components.recording import ReplayModel
 from robomill.models.model.cache import source_files
 from robomill.models.model.calls import check_kernels
@@ -91,6 +92,13 @@ from robomill.models.components.recording import from_specification
 
 _FOLDER = Path(__file__).parent
 MODEL = from_specification(json.loads((_FOLDER / "replay.json").read_text()), np.load(_FOLDER / "recording.npy"))
+"""
+
+FORM_IMPORTS = """from pathlib import Path
+
+from robomill.models.components.correction import read_form
+
+MODEL = read_form(Path(__file__).parent / "law.form.json")
 """
 
 NOTES = (
@@ -157,6 +165,8 @@ def _sources(model: Model) -> tuple[dict[str, bytes], str]:
     """Files of the package below its folder, imports not yet renamed, and its `__init__.py` with the package's name left open."""
     if isinstance(model, ReplayModel):
         module, imports = "robomill.models.components.recording", REPLAY_IMPORTS
+    elif isinstance(model, CorrectionModel):
+        module, imports = "robomill.models.components.correction", FORM_IMPORTS
     else:
         try:
             check_kernels(model.init, model.step)
@@ -182,6 +192,8 @@ def _sources(model: Model) -> tuple[dict[str, bytes], str]:
     if isinstance(model, ReplayModel):
         files["replay.json"] = json.dumps(model.specification, indent=1, sort_keys=True).encode()
         files["recording.npy"] = _npy(model.default_tables["recording"])
+    if isinstance(model, CorrectionModel):
+        files["law.form.json"] = json.dumps(model.specification, indent=1, sort_keys=True).encode()
     return files, PACKAGE_INIT.replace("{description}", model.description).replace("{imports}", imports)
 
 

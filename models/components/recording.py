@@ -194,7 +194,7 @@ def _functions(outputs: list[Variable]) -> tuple[Callable[..., int], Callable[..
 
 
 try:
-    from numba import literal_unroll
+    from numba import literal_unroll as literal_unroll  # noqa: PLC0414  # `correction` imports it from here
 except ImportError:
 
     def literal_unroll(container: _T) -> _T:

@@ -177,6 +177,7 @@ def _decode(value: Any, blob: Any) -> Any:
 def identity(system: System, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """What makes a run what it is, beyond its parameters: connections, and SHA-256 of the files that components are or read."""
     files = {c.name: system.folder / c.source for c in system.components if c.source.endswith(".fmu")}
+    files |= {f"correction of {c.name}": system.folder / c.correction for c in system.components if c.correction is not None}
     files |= {f"{name}.{key}": Path(v) for name, values in parameters.items() for key, v in values.items() if isinstance(v, str) and v}
     hashes = {name: hashlib.sha256(f.read_bytes()).hexdigest() for name, f in files.items() if f.is_file()}
     return {"connections": [f"{c}{' (delayed)' if c.delayed else ''}" for c in system.connections], "files": hashes}

@@ -54,6 +54,10 @@ def export(system: System, file: str | Path, convert: Convert = same_unit_only) 
         raise SystemFileError(
             f"{system.where(None)}an SSP holds FMUs; not one yet: {', '.join(others)}: build them and name them as sources"
         )
+    if corrected := [c.name for c in system.components if c.correction is not None]:
+        raise SystemFileError(
+            f"{system.where(None)}an SSP has no place for corrections: {', '.join(corrected)}: make each a component on its connection"
+        )
     here = replace(system, components=tuple(replace(c, isolate=False) for c in system.components))
     with assemble(here, convert=convert) as assembly:
         new = [name for name, slave in assembly.slaves.items() if getattr(_description(slave), "fmi", FMI_2) == FMI_3]

@@ -12,6 +12,7 @@
     inputs = {m_T_B = ["2 N.m", 0, 0]}  # start values of inputs, which open inputs keep
     isolate = false                     # true: an FMU in its own process (orchestration/slaves/isolation.py)
     time_limit = "60 s"                 # of wall clock for one call, if isolated
+    correction = "form_drive.json"      # corrects signals of this component: a form or an FMU (orchestration/slaves/corrected.py)
     rate = 1                            # steps in each step of the system; or every = n: one step in n (orchestration/slaves/multirate.py)
 
     [[connections]]
@@ -78,6 +79,8 @@ class Component:
     """Steps of the system for each of which it makes one, over all of them."""
     inputs: Mapping[str, Any] = field(default_factory=dict)
     """Start values of inputs, as written: what open ones keep, and delayed ones have until the first step."""
+    correction: str | None = None
+    """Where the component comes from that corrects signals of this one (see `orchestration.slaves.corrected`); None: there is none."""
 
 
 @dataclass(frozen=True)
@@ -208,6 +211,11 @@ class System:
         old = self.component(component)
         return replace(self, components=tuple(replace(c, source=source) if c is old else c for c in self.components))
 
+    def with_correction(self, component: str, source: str | None) -> System:
+        """System in which the component from `source` corrects signals of one component; None: nothing does."""
+        old = self.component(component)
+        return replace(self, components=tuple(replace(c, correction=source) if c is old else c for c in self.components))
+
     def with_parameters(self, component: str, parameters: Mapping[str, Any]) -> System:
         """System with some parameters of one component set anew: numbers in the unit of the port, or as a file has them."""
         try:
@@ -245,6 +253,7 @@ class ComponentKeys(Keys):
     time_limit = default("60 s", keys.quantity("s"), "wall-clock time that one call may take; needs `isolate = true`")
     rate = default(1, keys.count(1), "steps of the component in each step of the system")
     every = default(1, keys.count(1), "steps of the system for each step of the component; only one of `rate` and `every` is above 1")
+    correction = optional(keys.text(), "what corrects signals of the component on their way: a form (`adopt.form.json`) or an FMU")
 
 
 class ConnectionKeys(Keys):
@@ -336,6 +345,7 @@ def _component(name: str, entry: Entry) -> Component:
         k.rate.of(entry),
         k.every.of(entry),
         k.inputs.of(entry),
+        k.correction.of(entry),
     )
 
 

@@ -11,14 +11,13 @@ from matplotlib.lines import Line2D
 
 from robomill.diagnosis.forms.layout import Form, PortForm
 from robomill.diagnosis.localisation.where import WHOLE
+from robomill.models.components.correction import FORM
 from robomill.report.html import code, figure, paragraph, table
 from robomill.report.sheet import Sheet
 from robomill.report.style import AFTER, BEFORE, MUTED
 from robomill.report.subject import ALL, KINDS, Subject, closed, hardest, left, listed, there_was
 from robomill.report.units import join, number, percent, quantity, scale, with_interval
 
-FORM = ".form.json"
-"""Ending of the file that a form is adopted from."""
 CURVES = 6
 """Ports whose curve is drawn, at most: those with the largest parts of the gap come first."""
 

@@ -44,7 +44,8 @@ def section(s: Subject) -> str:
         closest = [(effect, values, component) for effect, _, values, component, _ in rows]
         return paragraph(_INTRO[s.verdict]) + table(("Effect", "Value (90 % interval)", "Component"), closest) + paragraph(_tried(s))
     shown = table(("Effect", "Probability", "Value (90 % interval)", "Component", "Could be confused with"), rows)
-    return paragraph(_INTRO[s.verdict]) + shown + _sets(s) + _isolability(s) + paragraph(_tried(s)) + _adopt(s)
+    onset = paragraph(f"{spoken(s.answer.onset.text)}.") if s.answer.onset else ""
+    return paragraph(_INTRO[s.verdict]) + shown + onset + _sets(s) + _isolability(s) + paragraph(_tried(s)) + _adopt(s)
 
 
 def _tried(s: Subject) -> str:

@@ -194,7 +194,7 @@ class TestFelt:
 
 
 class TestOutside:
-    @pytest.mark.parametrize("kind", outside.OUTSIDE, ids=lambda k: k.name)
+    @pytest.mark.parametrize("kind", dict.fromkeys((*outside.OUTSIDE, *outside.FORMED)), ids=lambda k: k.name)
     def test_each_changes_what_is_measured_clearly_at_the_middle_of_its_range(self, kind):
         c = TRAINING
         changes = kind.make(math.sqrt(kind.low * kind.high), np.random.default_rng(7))

@@ -53,6 +53,8 @@ def oracle(truth, random, ambiguous=False):
         return {"verdict": "bad_log", "gate": {"usable": False}}
     if truth.kind in ("outside", "withheld"):
         return {"verdict": "unknown"}
+    if truth.kind == "formed":
+        return {"verdict": "unknown", "form": {"specification": {"stands_for": truth.outside.component, "terms": [truth.outside.name]}}}
     which = []
     for e in truth.effects:
         covers = truth.case % 10 != 0
@@ -90,7 +92,12 @@ def scores(predict, count=240, seed=7, name="mixed"):
         right = all(e.parameter in adopted.get(e.component, {}) for e in true)
         return {name: {q: (1.0, 1.0 - v if right else 1.0) for q, v in of.items()} for name, of in CEILING.items()}
 
-    return figures(Cases(cases, lambda number, i: []), "T1", closures, lambda number, run, wrong: run["kind"] == "push")
+    def forms(number, form):
+        right = form["terms"] == [cases[number - 1].truth.outside.name]
+        return {name: {q: (1.0, 1.0 - v if right else 1.0) for q, v in of.items()} for name, of in CEILING.items()}
+
+    decides = {"squared_gaps": closures, "separates": lambda number, run, wrong: run["kind"] == "push", "form_gaps": forms}
+    return figures(Cases(cases, lambda number, i: []), "T1", **decides)
 
 
 def test_who_knows_the_truth_meets_every_bound():
@@ -110,6 +117,22 @@ def test_who_knows_the_truth_meets_every_bound_of_every_set(name):
     assert {k: found[k].value for k in ASKED[name] if met(k, found[k].value, "T1") is False} == {}
     without = [k for k in ASKED[name] if found[k].count == 0]
     assert all(k.startswith(("ambiguity", "next_run")) for k in without)
+
+
+def test_a_form_closes_as_much_of_what_can_be_closed_as_it_is_right():
+    key = "form_closure_over_ceiling_median"
+    assert scores(oracle, name="formed")[key].value == pytest.approx(1.0, rel=ROUNDOFF)
+
+    def other(truth, random):
+        return {"verdict": "unknown", "form": {"specification": {"stands_for": "drive", "terms": ["another"]}}}
+
+    for wrong in (
+        other,
+        lambda truth, random: {"verdict": "unknown"},
+        lambda truth, random: {"verdict": "unknown", "form": {"specification": {}}},
+    ):
+        found = scores(wrong, name="formed")[key]
+        assert (found.value, found.count > 10) == (0.0, True)
 
 
 def test_who_guesses_finds_neither_machines_nor_stiffness_nor_what_is_withheld():

@@ -25,6 +25,7 @@ def test_mixed_has_all_kinds_in_their_proportions():
         ("single", "single", BY_KEY),
         ("few", "single", BY_KEY),
         ("outside", "outside", outside.OUTSIDE_BY_NAME),
+        ("formed", "formed", outside.FORMED_BY_NAME),
         ("bad_log", "bad_log", bad_logs.LOG_FAULTS),
         ("campaign", "single", [f"compliance.stiffness_error[{i}]" for i in STIFF_JOINTS]),
     ],

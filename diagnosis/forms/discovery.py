@@ -1,0 +1,314 @@
+"""What a law is like that is in no catalogue: a form at the port where the gap arises, put into the loop, and what it is worth there."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from robomill.diagnosis.experiment.component_replay import ComponentReplay
+from robomill.diagnosis.experiment.simulation import Laboratory, decimate
+from robomill.diagnosis.forms.layout import Curve, Form, PortForm, Range, TermFound, Worse
+from robomill.diagnosis.forms.library import Term
+from robomill.diagnosis.forms.loop import Loop, specification
+from robomill.diagnosis.forms.periods import with_periods
+from robomill.diagnosis.forms.ports import Problem, Seen, Signals, behind, direct, into
+from robomill.diagnosis.forms.selection import Products, Values, choose, pruned, values, worse
+from robomill.diagnosis.forms.signals import Variable
+from robomill.diagnosis.inference.search import Search
+from robomill.diagnosis.outcome.answer import Answer
+from robomill.diagnosis.outcome.ceiling import FOLDS
+from robomill.diagnosis.outcome.closure import BLOCKS
+from robomill.diagnosis.outcome.how_far import CLOSING, Closing, Groups
+from robomill.models.components.correction import TIME
+from robomill.orchestration.errors import OrchestrationError
+from robomill.orchestration.slaves.protocol import FloatArray, base_name
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A problem with its terms."""
+
+    problem: Problem
+    terms: list[tuple[str, Term]]
+    found: Values
+    closure: float
+    errors: FloatArray
+
+    @property
+    def squares(self) -> float:
+        """Sum of squares of the gap, over the scale of its problem."""
+        return float(sum((g**2).sum() for g in self.problem.gap))
+
+
+def solve(problem: Problem) -> Solved:
+    """Choose and fit the terms of a problem."""
+    chosen = choose(problem.rows())
+    problem = replace(problem, decimation=problem.decimation * 2**chosen.pairs)
+    terms = [problem.terms[i] for i in chosen.terms]
+    places = [(e, v) for e in dict.fromkeys(e for e, _ in problem.terms) for v in problem.seen.angles(e)] if problem.effect else []
+    longer = with_periods(problem, terms, chosen.rho, places)
+    errors, closure = chosen.errors, chosen.closure
+    if len(longer) > len(terms):
+        rows = problem.rows(longer)
+        products = Products(rows.whitened(chosen.rho), rows.parts(FOLDS))
+        kept = pruned(products, list(range(len(longer))))
+        terms, errors = [longer[i] for i in kept], products.errors(kept)
+        plain = Products(rows, rows.parts(FOLDS))
+        closure = 1.0 - float(plain.errors(kept).sum()) / max(float(plain.square.sum()), 1e-300)
+    rows = problem.rows(terms)
+    order = Products(rows, np.zeros(len(rows.y), dtype=np.intp)).path(len(terms))  # that which explains most comes first
+    terms = [terms[i] for i in order]
+    return Solved(problem, terms, values(problem.rows(terms), list(range(len(terms)))), closure, errors)
+
+
+def solved(
+    laboratory: Laboratory, replays: Sequence[ComponentReplay], components: Sequence[str], arrays: Collection[str] = ()
+) -> list[Solved]:
+    """Forms of the ports of these components; of those that explain the same measured array, the ports of the one that leaves least.
+
+    The first component is preferred: another one must be better by more than a standard error. `arrays`: measured arrays that are to be
+    explained; empty: all.
+    """
+    best: dict[str, tuple[FloatArray, list[Solved]]] = {}
+    for name in components:
+        for make in (direct, behind, into):
+            if make is into and best:  # takes a simulation for each term: not beside what has been found
+                continue
+            found = [s for p in make(laboratory, replays, name) if _wanted(p, arrays) and (s := solve(p)).terms]
+            for array in dict.fromkeys(a for s in found for a in s.problem.targets):
+                here = [s for s in found if array in s.problem.targets]
+                errors = np.sum([s.errors / (s.errors.sum() / max(1.0 - s.closure, 1e-12)) * s.squares for s in here], axis=0)
+                if array not in best or (len(best[array][0]) == len(errors) and worse(best[array][0], errors)):
+                    best[array] = (errors, here)
+    unique: list[Solved] = []
+    for _, some in best.values():
+        unique += [s for s in some if not any(s is u for u in unique)]
+    return unique
+
+
+def _wanted(problem: Problem, arrays: Collection[str]) -> bool:
+    return not arrays or not set(problem.targets).isdisjoint(arrays)
+
+
+def port_forms(found: Sequence[Solved]) -> tuple[PortForm, ...]:
+    """What is said of each port, the largest part of its gap first."""
+    made = []
+    for s in found:
+        for element in dict.fromkeys(e for e, _ in s.terms):
+            at = [i for i, (e, _) in enumerate(s.terms) if e == element]
+            port = s.problem.seen.host.ports[element]
+            unit = port.unit or "1"
+            terms = tuple(
+                TermFound(
+                    s.terms[i][1].text,
+                    float(s.found.values[i]),
+                    [float(x) for x in s.found.intervals[i]],
+                    s.terms[i][1].unit(unit),
+                    float(s.found.adds[i]),
+                )
+                for i in at
+            )
+            name = f"{s.problem.seen.host.name}.{element}"
+            made.append(PortForm(name, unit, formula(terms), terms, s.closure, _curve(s, element)))
+    return tuple(sorted(made, key=lambda p: -p.closure))
+
+
+def formula(terms: Sequence[TermFound]) -> str:
+    """The sum in a line; numbers in SI to four digits."""
+    text = ""
+    for k, t in enumerate(terms):
+        sign = "-" if t.coefficient < 0.0 else "+" if k else ""
+        text += f" {sign} " if k else sign
+        text += f"{abs(t.coefficient):.4g}" + ("" if t.term == "1" else f" {t.term}")
+    return text
+
+
+def _curve(s: Solved, element: str) -> Curve | None:
+    """Means of gap and form in bins of the variable of the first term; None where what the port does is not seen as it is."""
+    first = next((t for e, t in s.terms if e == element and t.factors), None)
+    if first is None or s.problem.extra or any(np.ptp(e[element]) > 0.0 or e[element].shape[1] > 1 for e in s.problem.effect):
+        return None
+    v, d = first.factors[0].variable, s.problem.decimation
+    scale = float(s.problem.effect[0][element][0, 0])
+    x = np.concatenate([decimate(k[v][:, None], d)[:, 0] for k in s.problem.seen.known])
+    rows = s.problem.rows(s.terms)
+    order = np.array_split(np.argsort(x, kind="stable"), BLOCKS)
+    columns = (x, rows.y / scale, rows.X @ s.found.values / scale)
+    return Curve(v.text, v.unit, *([float(c[o].mean()) for o in order if len(o)] for c in columns))
+
+
+def like_delays(found: Sequence[Solved]) -> tuple[str, ...]:
+    """Ports whose first term is the rate of what passes, with sizes that agree: in words, like a delay (y + c dy/dt is y, -c later)."""
+    late: dict[str, list[tuple[str, float, list[float]]]] = {}
+    for s in found:
+        for (element, term), c, interval in zip(s.terms, s.found.values, s.found.intervals, strict=True):
+            if len(term.factors) != 1 or term.factors[0].kind != "value":
+                continue
+            v = term.factors[0].variable
+            is_own_rate = v.rate and v.name == element
+            if is_own_rate or _moves_with(s, element, term):
+                late.setdefault(s.problem.seen.host.name, []).append((element, -float(c), [-float(interval[1]), -float(interval[0])]))
+    texts = []
+    for host, members in late.items():
+        for group in _agreeing(members):
+            low, high = max(i[0] for _, _, i in group), min(i[1] for _, _, i in group)
+            mean = float(np.mean([c for _, c, _ in group]))
+            if len(group) > 1:
+                low, high = min(low, mean), max(high, mean)
+            else:
+                low, high = group[0][2]
+            ports = ", ".join(f"{host}.{e}" for e, _, _ in group)
+            what = "a delay" if mean > 0.0 else "a lead"
+            ends = sorted(abs(1e3 * x) for x in (low, high))
+            texts.append(f"like {what} of {1e3 * abs(mean):.3g} ms ({ends[0]:.3g} to {ends[1]:.3g}) in {ports}")
+    return tuple(texts)
+
+
+def _moves_with(s: Solved, element: str, term: Term) -> bool:
+    """Whether a term is a speed of the unit of the port: then what passes is an angle (or a way) of it."""
+    return term.unit(s.problem.seen.host.ports[element].unit or "1") == "s" and term.factors[0].variable.index == element.partition("[")[
+        2
+    ].rstrip("]")
+
+
+def _agreeing(members: list[tuple[str, float, list[float]]]) -> list[list[tuple[str, float, list[float]]]]:
+    """Members whose intervals have a value in common, largest group first."""
+    rest, groups = list(members), []
+    while rest:
+        best = max(({x[0]: x for x in rest if x[2][0] <= m[1] <= x[2][1]} | {m[0]: m} for m in rest), key=len)
+        groups.append(list(best.values()))
+        rest = [m for m in rest if m[0] not in best]
+    return groups
+
+
+def discovered(
+    search: Search, groups: Groups, components: Sequence[str], titles: Mapping[str, str], arrays: Collection[str] = ()
+) -> Form | None:
+    """The form of what is unknown, in the closed loop; None where blocks that have not seen it are not predicted better by any.
+
+    `components`: where it may be, the likeliest first; `arrays`: measured arrays in which more is left than tolerances explain (empty: all
+    are looked at); `groups`: measured repeats of every condition, the diagnosed ones first.
+    """
+    simulator, n = search.simulator, len(search.groups)
+    laboratory = simulator.laboratory
+    own = [i for i in range(n) if _alike(laboratory, i)]
+    if not own:
+        return None
+    try:
+        replays = [_replayed(laboratory, i) for i in own]
+        found = solved(laboratory, replays, components, arrays)
+    except OrchestrationError as error:
+        return Form("", "output", 0.0, (), note=f"no form was looked for: {error}")
+    if not found:
+        return None
+    host = max({s.problem.seen.host.name for s in found}, key=lambda h: sum(s.closure for s in found if s.problem.seen.host.name == h))
+    others = sorted({s.problem.seen.host.name for s in found} - {host})
+    found = [s for s in found if s.problem.seen.host.name == host]
+    side = found[0].problem.seen.side
+    found = [s for s in found if s.problem.seen.side == side]
+    form = Form(host, side, laboratory.system.step if side == "input" else 0.0, port_forms(found), like_delays(found))
+    note = f"beside it, something is left at {', '.join(others)}" if others else ""
+    active = search.evidence.active
+    scale = np.zeros(len(laboratory.channels))
+    scale[active] = 1.0 / np.sqrt(np.diag(search.evidence.whitening.factor @ search.evidence.whitening.factor.T))
+    with TemporaryDirectory() as folder:
+        loop = Loop(simulator, Path(folder), scale, groups, n)
+        try:
+            fitted_there = loop.refitted(_specification(found), np.concatenate([_doubts(s) for s in found]))
+            if fitted_there is None:
+                return replace(form, note="with the form in the loop the system does not run: it is said as it was found, and not adopted")
+            after = loop.simulated(fitted_there, range(len(laboratory.conditions)), CLOSING)
+        except OrchestrationError as error:
+            return replace(form, note=f"not put into the loop: {error}")
+    closing = Closing(search, groups, titles)
+    closures = closing.with_these(dict(enumerate(after)), list(closing.kinds))
+    return replace(
+        form,
+        ports=_refitted(form.ports, fitted_there),
+        how_far=closures,
+        ranges=_ranges(laboratory, found, n),
+        worse=tuple(Worse(h.metric, h.on, h.before, h.after, h.unit) for h in closures if h.after > h.before),
+        note=note,
+        specification=fitted_there,
+    )
+
+
+def _alike(laboratory: Laboratory, i: int) -> bool:
+    """Whether a condition is made by the components and connections of the system that is diagnosed."""
+    system, own = laboratory.system, laboratory.conditions[i].system
+    return own is None or ([c.name for c in own.components], own.connections) == ([c.name for c in system.components], system.connections)
+
+
+def _replayed(laboratory: Laboratory, i: int) -> ComponentReplay:
+    condition = laboratory.conditions[i]
+    return ComponentReplay(laboratory, i, [condition.matrix(r, laboratory.channels) for r in condition.runs])
+
+
+def _doubts(s: Solved) -> FloatArray:
+    """Half of each interval, as a part of the coefficient."""
+    return np.asarray(0.5 * np.diff(s.found.intervals, axis=1)[:, 0] / np.abs(s.found.values))
+
+
+def _specification(found: Sequence[Solved]) -> dict[str, Any]:
+    host = found[0].problem.seen.host
+    corrected = list(dict.fromkeys(base_name(e) for s in found for e, _ in s.terms))
+    read = [base_name(f.variable.name) for s in found for _, t in s.terms for f in t.factors if f.variable.name != TIME]
+    arrays = []
+    for base in dict.fromkeys([*read, *corrected]):
+        port = next(p for name, p in host.ports.items() if base_name(name) == base)
+        arrays.append((base, port.unit or "1", host.counts[base]))
+    terms = []
+    for s in found:
+        for (element, term), c in zip(s.terms, s.found.values, strict=True):
+            factors = [f.plain() for f in term.factors]
+            unit = term.unit(host.ports[element].unit or "1")
+            terms.append({"element": element, "coefficient": float(c), "unit": unit, "text": term.text, "factors": factors})
+    return specification(host.name, arrays, corrected, terms)
+
+
+def _refitted(ports: Sequence[PortForm], found: Mapping[str, Any]) -> tuple[PortForm, ...]:
+    """The ports with the coefficients that the closed loop gave; intervals keep their width."""
+    values_ = {(t["element"], t["text"]): t["coefficient"] for t in found["terms"]}
+    made = []
+    for p in ports:
+        element = p.port.partition(".")[2]
+        terms = []
+        for t in p.terms:
+            c = values_[element, t.term]
+            shift = c - t.coefficient
+            terms.append(replace(t, coefficient=c, interval=[x + shift for x in t.interval]))
+        made.append(replace(p, terms=tuple(terms), formula=formula(terms)))
+    return tuple(made)
+
+
+def _ranges(laboratory: Laboratory, found: Sequence[Solved], n: int) -> tuple[Range, ...]:
+    """Where each variable of the form was, in the diagnosed and in the held-out runs."""
+    seen = found[0].problem.seen
+    used = list(dict.fromkeys(f.variable for s in found for _, t in s.terms for f in t.factors))
+    held = [i for i in range(n, len(laboratory.conditions)) if _alike(laboratory, i)]
+    there = Seen.of(laboratory, [_replayed(laboratory, i) for i in held], seen.host.name, seen.side).known if held else []
+
+    def span(known: Sequence[Signals], v: Variable) -> list[float] | None:
+        values_ = [k[v] for k in known if v in k]
+        return [min(float(x.min()) for x in values_), max(float(x.max()) for x in values_)] if values_ else None
+
+    return tuple(Range(v.text, v.unit, span(seen.known, v) or [0.0, 0.0], span(there, v)) for v in used)
+
+
+def suspects(answer: Answer, laboratory: Laboratory) -> list[str]:
+    """Components where the form may be, the likeliest first: those that the replay blames and cannot tell from them, or else all."""
+    names = [c.name for c in laboratory.system.components]
+    blamed = [n for w in answer.where if w.log_odds is not None for n in (w.component, *(w.alternatives or ()))]
+    first = blamed or [w.component for w in answer.where] + ([answer.unknown.component] if answer.unknown else [])
+    found = [n for n in dict.fromkeys(first) if n in names]
+    return [*found, *(n for n in names if n not in found)] if not blamed else found
+
+
+def left_in(answer: Answer) -> set[str]:
+    """Measured arrays in which the replay leaves more than noise and tolerances; empty where nothing was replayed."""
+    return {array for w in answer.where for array in w.outputs or ()}

@@ -1,0 +1,194 @@
+"""When an effect began: one that switches on, or begins to grow, during the runs; or that is there from one run on.
+
+With v the whitened sensitivity of an effect of the catalogue, and t_0 its onset in a condition, the effect does v H(t - t_0) if it switches
+on, and v (t - t_0)+ / T if it grows, in all runs of the condition alike. Between the runs: its size a_r in run r is 0 before run k.
+The onset is believed if the Bayes factor against the same effect all the time exceeds the odds that things are as they were (UNLISTED),
+the tries counted, and if it explains more of the gap than a law that is not quite right may leave (MISFIT). Squares are counted in units
+of what is left at the end: no more is sure than the model is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from robomill.diagnosis.catalogue import LOGGING, Candidate
+from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT
+from robomill.diagnosis.inference.search import SINGLES, Search
+from robomill.diagnosis.outcome.closure import BLOCKS
+from robomill.diagnosis.outcome.verdict import UNLISTED
+from robomill.orchestration.slaves.protocol import FloatArray
+
+How = Literal["switches on", "grows"]
+
+
+@dataclass(frozen=True)
+class Onset:
+    """An effect that was not there from the beginning."""
+
+    effect: str
+    """Name in the catalogue."""
+    component: str
+    """Component that has the effect."""
+    location: str
+    """Where in the component."""
+    how: How
+    """Whether it switches on or grows."""
+    condition: str
+    """Label of the runs in which it begins."""
+    time: float | None
+    """Onset in the runs of the condition [s]; None where it begins between two runs."""
+    interval: list[float] | None
+    """Its 90 % interval [s]; None where it begins between two runs."""
+    run: int | None
+    """Run of the condition, from 1, from which on it is there; None where it begins within them."""
+    value: float
+    """Size once it is there, or at the end of the run where it grows [unit]."""
+    unit: str
+    """Unit of the value."""
+    rate: float | None
+    """Growth per second [unit/s], where it grows."""
+    gain: float
+    """Log Bayes factor [nats] against the same effect all the time."""
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        what = f"{self.effect} at {self.location}"
+        if self.run is not None:
+            return f"{what} is there from run {self.run} of {self.condition} on, with {self.value:.4g} {self.unit}"
+        low, high = self.interval or [math.nan, math.nan]
+        when = f"t = {self.time:.3g} s ({low:.3g} to {high:.3g}) in {self.condition}"
+        if self.how == "switches on":
+            return f"{what} switches on at {when}, with {self.value:.4g} {self.unit}"
+        return f"{what} grows from {when} on, by {self.rate:.4g} {self.unit}/s"
+
+
+def onset_of(search: Search) -> Onset | None:
+    """The onset of the effect that explains most with one; None where nothing speaks for an onset."""
+    best: tuple[float, Onset] | None = None
+    for c in _looked_at(search):
+        for found in (_within(search, c), _between(search, c)):
+            if found is not None and (best is None or found[0] < best[0]):
+                best = found
+    return None if best is None else best[1]
+
+
+def _sensitivity(search: Search, c: Candidate) -> FloatArray:
+    """Whitened change [n] per prior scale."""
+    start = search.starts.get(c.addresses[0])
+    return search.evidence.sensitivities[c.addresses[0]] if start is None else start.signature / start.x
+
+
+def _looked_at(search: Search) -> list[Candidate]:
+    """Candidates of one parameter that explain most of the residual, in the whole of the runs or in one half of each."""
+    space = search.evidence.space
+    halves = np.concatenate([2 * np.arange(b.stop - b.start) < b.stop - b.start for b in space.blocks.values()])
+
+    def explained(c: Candidate) -> float:
+        v = _sensitivity(search, c)
+        return max(float(space.y @ (v * part)) ** 2 / (float(v @ (v * part)) + 1e-300) for part in (1.0, halves, ~halves))
+
+    fit = [c for c in search.candidates if len(c.parameters) == 1 and c.component != LOGGING]
+    return sorted(fit, key=lambda c: -explained(c))[:SINGLES]
+
+
+def _within(search: Search, c: Candidate) -> tuple[float, Onset] | None:
+    """(squares left, onset) of an effect that begins within the runs of a condition."""
+    space, channels = search.evidence.space, int(search.evidence.active.sum())
+    v = _sensitivity(search, c)
+    blocks = list(space.blocks.items())
+    constant = [_only(v, b) for _, b in blocks]
+    own = space.without(c.addresses)
+    columns: list[FloatArray] = []
+    for _, b in blocks:
+        rows = (b.stop - b.start) // channels
+        at = np.arange(rows)
+        for begin in np.linspace(0.0, rows, BLOCKS + 1)[1:-1]:
+            for shape in (at >= begin, np.maximum(at - begin, 0.0) / rows):
+                columns.append(_only(v, b, np.repeat(shape.astype(np.float64), channels)))
+    together = [*constant, *columns, space.y]
+    products = own.within(space.gram(np.column_stack(together)), range(len(together)))
+    n = len(blocks)
+    square, along, size = products[-1, -1], products[:-1, -1], np.diag(products)[:-1]
+    gains = np.where(size > 0.0, along**2 / np.where(size > 0.0, size, 1.0), 0.0)
+    usual = gains[:n]
+    per = 2 * (BLOCKS - 1)
+    profile = gains[n:].reshape(n, BLOCKS - 1, 2)
+    tops = profile.reshape(n, per).max(axis=1)
+    i = int((tops - usual).argmax())
+    left = float(square - usual.sum() + usual[i] - tops[i])
+    unit = max(left / search.evidence.noise, 1.0)
+    if not _believed(search, float(tops[i] - usual[i]), float(square - usual.sum()), unit, per * n):
+        return None
+    k, way = np.unravel_index(int(profile[i].argmax()), profile[i].shape)
+    condition = search.simulator.laboratory.conditions[i]
+    grid = condition.grid
+    times = grid[0] + np.linspace(0.0, 1.0, BLOCKS + 1)[1:-1] * (grid[-1] - grid[0])
+    near = np.flatnonzero(profile[i, :, way] >= profile[i, k, way] - 1.645 * 1.645 * unit)
+    step = float(times[1] - times[0])
+    j = n + i * per + int(k) * 2 + int(way)
+    value = float(along[j] / size[j]) * c.prior.scale
+    length = float(grid[-1] - grid[0])
+    grows = bool(way)
+    end = value * (float(grid[-1]) - float(times[k])) / length if grows else value
+    onset = Onset(
+        c.effect,
+        c.component,
+        c.location,
+        "grows" if grows else "switches on",
+        condition.name,
+        float(times[k]),
+        [float(times[near[0]]) - step, float(times[near[-1]]) + step],
+        None,
+        end,
+        c.unit,
+        value / length if grows else None,
+        0.5 * float(tops[i] - usual[i]) / unit,
+    )
+    return left, onset
+
+
+def _between(search: Search, c: Candidate) -> tuple[float, Onset] | None:
+    """(squares left, onset) of an effect that is there from one run of a condition on; runs in the order in which they were given."""
+    evidence = search.evidence
+    v = _sensitivity(search, c)
+    best: tuple[float, Onset] | None = None
+    for i, (block, residuals) in enumerate(zip(evidence.space.blocks.values(), evidence.residuals, strict=True)):
+        if len(residuals) <= 2:  # noqa: PLR2004  # of two runs, one with and one without are as much noise as onset
+            continue
+        w = v[block] / math.sqrt(evidence.repeats[i])
+        size = float(w @ w)
+        if size <= 0.0:
+            continue
+        sizes = np.array([float(w @ r.ravel()) for r in residuals]) / size
+        mean = float(sizes.mean())
+        usual = size * float(((sizes - mean) ** 2).sum())
+        lefts = {k: size * float((sizes[:k] ** 2).sum() + ((sizes[k:] - sizes[k:].mean()) ** 2).sum()) for k in range(1, len(sizes))}
+        k = min(lefts, key=lambda n: lefts[n])
+        unit = max(lefts[k] / (len(sizes) - 1), 1.0)
+        if not _believed(search, usual - lefts[k], usual + size * len(sizes) * mean**2, unit, len(lefts)):
+            continue
+        value, name = float(sizes[k:].mean()) * c.prior.scale, search.simulator.laboratory.conditions[i].name
+        gain = 0.5 * (usual - lefts[k]) / unit
+        onset = Onset(c.effect, c.component, c.location, "switches on", name, None, None, k + 1, value, c.unit, None, gain)
+        left = evidence.space.chi2 - size * float((sizes[k:] ** 2).sum())
+        if best is None or left < best[0]:
+            best = left, onset
+    return best
+
+
+def _believed(search: Search, gain: float, gap: float, unit: float, tries: int) -> bool:
+    """Whether squares that an onset explains beyond the constant effect speak for it; `unit`: squares left per expected one."""
+    beyond = max(gap - LEVEL * search.evidence.noise, 0.0)
+    return 0.5 * gain / unit - math.log(tries) > math.log((1.0 - UNLISTED) / UNLISTED) and gain > MISFIT * beyond
+
+
+def _only(v: FloatArray, block: slice, shape: FloatArray | float = 1.0) -> FloatArray:
+    """A sensitivity in one condition, with a shape in time [rows of it]."""
+    out = np.zeros_like(v)
+    out[block] = v[block] * shape
+    return out

@@ -1,0 +1,96 @@
+"""Periods in an angle or a way: the number k in sin(k x) that a residual asks for, chosen anew in each fold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from robomill.diagnosis.experiment.simulation import decimate
+from robomill.diagnosis.forms.library import Term
+from robomill.diagnosis.forms.ports import Problem
+from robomill.diagnosis.forms.selection import MOST, Labels, Products, Rows, fitted, worse
+from robomill.diagnosis.forms.signals import Variable
+from robomill.diagnosis.outcome.ceiling import FOLDS
+from robomill.orchestration.slaves.protocol import FloatArray
+
+Place = tuple[str, Variable]
+
+
+def grid(x: Sequence[FloatArray], decimation: int) -> FloatArray:
+    """Values of k from half a wave in the range of x to four samples a wave (at the 95th percentile of the speed).
+
+    Four of them on the width of a peak, 2 pi / range.
+    """
+    way = max(float(np.ptp(v)) for v in x)
+    fastest = max(float(np.quantile(np.abs(np.diff(v[::decimation])), 0.95)) for v in x)
+    if way <= 0.0 or fastest <= 0.0:
+        return np.zeros(0)
+    return np.asarray(np.arange(np.pi / way, 0.5 * np.pi / fastest, 0.5 * np.pi / way))
+
+
+def _waves(problem: Problem, place: Place, ks: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """(values of k, columns of the sines, columns of the cosines) in goes, [rows, values]."""
+    element, v = place
+    rows = sum(map(len, problem.gap))
+    for some in np.array_split(ks, max(1, len(ks) * rows >> 22)):  # in goes of 4 million numbers, whatever memory there is
+        made: tuple[list[FloatArray], list[FloatArray]] = ([], [])
+        for known, effect in zip(problem.seen.known, problem.effect, strict=True):
+            angle = np.outer(known[v], some)
+            for into, wave in zip(made, (np.sin(angle), np.cos(angle)), strict=True):
+                into += [decimate(e[:, None] * wave, problem.decimation) for e in effect[element].T]
+        yield some, np.concatenate(made[0]), np.concatenate(made[1])
+
+
+def _gains(problem: Problem, place: Place, left: FloatArray, parts: Labels) -> tuple[FloatArray, FloatArray]:
+    """Values of k, and what sine and cosine explain of what is left without each fold, and (last row) of all: [folds + 1, values]."""
+    ks = grid([k[place[1]] for k in problem.seen.known], problem.decimation)
+    names, gains = np.unique(parts), []
+    for _, s, c in _waves(problem, place, ks):
+        sums = [
+            np.stack([(a * b)[parts == f].sum(axis=0) for f in names])
+            for a, b in ((s, s), (c, c), (s, c), (s, left[:, None]), (c, left[:, None]))
+        ]
+        ss, cc, sc, sr, cr = (np.concatenate([x.sum(axis=0) - x, x.sum(axis=0)[None]]) for x in sums)
+        determinant = ss * cc - sc**2
+        good = determinant > 1e-6 * ss * cc + 1e-300
+        gains.append(np.where(good, (sr**2 * cc - 2.0 * sr * cr * sc + cr**2 * ss) / np.where(good, determinant, 1.0), 0.0))
+    return ks, np.concatenate(gains, axis=1) if gains else np.zeros((len(names) + 1, 0))
+
+
+def with_periods(problem: Problem, terms: list[tuple[str, Term]], rho: float, places: Sequence[Place]) -> list[tuple[str, Term]]:
+    """The terms, and sines and cosines of as many angles as blocks that have not seen their choice are predicted better by."""
+    while len(terms) + 2 <= MOST:
+        rows = problem.rows(terms)
+        parts, left = rows.parts(FOLDS), rows.y - rows.X @ fitted(rows)
+        best: tuple[float, Place, FloatArray, FloatArray] | None = None
+        for place in places:
+            ks, gains = _gains(problem, place, left, parts)
+            if len(ks) and (best is None or gains[-1].max() > best[0]):
+                best = (float(gains[-1].max()), place, ks, gains)
+        if best is None:
+            break
+        _, (element, v), ks, gains = best
+        before = Products(rows.whitened(rho), parts).errors(list(range(len(terms))))
+        after = np.zeros_like(before)
+        for f, k in enumerate(ks[gains[:-1].argmax(axis=1)]):
+            trial = problem.rows([*terms, *problem.periodic(element, v, float(k))])
+            products = Products(trial.whitened(rho), parts)
+            every = list(range(trial.X.shape[1]))
+            after[f] = products.error(f, every, products.fit(every, f))
+        if not worse(before, after):
+            break
+        middle, width = float(ks[gains[-1].argmax()]), float(ks[1] - ks[0]) if len(ks) > 1 else float(ks[0])
+        terms = [*terms, *problem.periodic(element, v, _sharp(problem, terms, (element, v), middle, width))]
+    return terms
+
+
+def _sharp(problem: Problem, terms: Sequence[tuple[str, Term]], place: Place, k: float, width: float) -> float:
+    """The k within `width` of one that leaves least."""
+
+    def squares(x: float) -> float:
+        rows: Rows = problem.rows([*terms, *problem.periodic(*place, x)])
+        return float(((rows.y - rows.X @ fitted(rows)) ** 2).sum())
+
+    return float(minimize_scalar(squares, bounds=(k - width, k + width), method="bounded").x)

@@ -1,0 +1,1 @@
+"""Tests of the forms of unknown laws, and of onsets."""

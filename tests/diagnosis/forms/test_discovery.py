@@ -1,0 +1,144 @@
+"""An unknown law, from runs to a form in the loop; onset of an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robomill.cell.binding import resolve as with_forms
+from robomill.diagnosis.experiment.campaign import Campaign
+from robomill.diagnosis.experiment.preparation import prepared
+from robomill.diagnosis.experiment.simulation import Simulator
+from robomill.diagnosis.forms.discovery import discovered
+from robomill.diagnosis.forms.layout import Form
+from robomill.diagnosis.forms.onset import onset_of
+from robomill.diagnosis.inference.search import Search
+from robomill.diagnosis.outcome import adopt
+from robomill.models.components.correction import FORM
+from robomill.models.model.units import convert
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
+from tests.diagnosis import demo
+from tests.tolerances import ROUNDOFF
+
+CUBE = 40.0
+"""1/m2: what the sensor shows too much, over the cube of what it shows."""
+AS_FITTED = 10.0 * demo.NOISE
+"""m: noise of ten samples. The form may be of what the sensor gets, or of what it shows, which are the same but for roundoff."""
+LAG = 0.02
+"""s"""
+
+
+def resolve(source: str, name: str) -> Any:
+    return with_forms(source, name) if source.endswith(FORM) else demo.resolve(source, name)
+
+
+def looked_at(folder: Path, runs: Sequence[Run], held_out: Sequence[Run] = ()) -> tuple[Search, list[Any], Simulator]:
+    start = prepared(Campaign.of(demo.SYSTEM, runs, held_out), demo.catalogue(folder), resolve, convert)
+    simulator = Simulator(start.laboratory)
+    groups = start.laboratory.measured()
+    return Search(start.catalogue, simulator, groups[: start.n], start.nuisances), groups, simulator
+
+
+@pytest.fixture(scope="module")
+def cubic(tmp_path_factory: pytest.TempPathFactory) -> Form:
+    def bent(t: Any, y: Any) -> Any:
+        return y + CUBE * y**3
+
+    runs, held = (demo.changed(demo.measure(amplitude=a, repeats=3), "sensors.y[2]", bent) for a in (1.0, 1.4))
+    search, groups, _ = looked_at(tmp_path_factory.mktemp("cubic"), runs, held)
+    form = discovered(search, groups, ["sensors"], {})
+    assert form is not None
+    return form
+
+
+def test_a_cubic_sensor_is_found_as_a_cube(cubic: Form) -> None:
+    (port,) = cubic.ports
+    assert (cubic.component, cubic.side, port.port) == ("sensors", "output", "sensors.y[2]")
+    first = port.terms[0]
+    assert first.term in ("y[2]^3", "x[2]^3")
+    assert first.unit == "1/m2"
+    assert first.interval[0] <= CUBE <= first.interval[1]
+    assert port.closure > 0.95
+    assert port.curve is not None
+    assert len(port.curve.x) == len(port.curve.form)
+
+
+def test_it_closes_the_gap_of_runs_that_were_held_out(cubic: Form) -> None:
+    closures = {(h.on, h.channel): h.closure for h in cubic.how_far}
+    assert (closures["held-out condition", "sensors.y"] or 0.0) > 0.9
+    assert not cubic.worse
+    (seen,) = {r.variable: r for r in cubic.ranges}.values()
+    assert seen.held_out is not None
+    assert seen.held_out[1] > seen.seen[1]  # a larger force
+
+
+def test_it_is_adopted_from_its_file(cubic: Form, tmp_path: Path) -> None:
+    import json
+
+    file = tmp_path / f"adopt{FORM}"
+    file.write_text(json.dumps(cubic.specification))
+    plain = run(demo.SYSTEM, stop=2.0, resolver=resolve)
+    found = run(adopt.adopted(demo.SYSTEM, file), stop=2.0, resolver=resolve)
+    shown = plain["sensors.y[2]"]
+    np.testing.assert_allclose(found["sensors.y[2]"], shown + cubic.ports[0].terms[0].coefficient * shown**3, rtol=ROUNDOFF, atol=AS_FITTED)
+    with pytest.raises(Exception, match="a form of 'sensors': unknown component 'sensors'"):
+        adopt.adopted(demo.System("one", demo.STEP, demo.SYSTEM.components[:1]), file)
+
+
+def test_a_late_sensor_is_like_a_delay_with_one_size(tmp_path: Path) -> None:
+    runs = demo.measure(repeats=3)
+    for column in ("sensors.y[1]", "sensors.y[2]"):
+        runs = demo.changed(runs, column, lambda t, y: np.interp(t - LAG, t, y))
+    search, groups, _ = looked_at(tmp_path, runs)
+    form = discovered(search, groups, ["sensors"], {})
+    assert form is not None
+    assert any("like a delay of" in text and "sensors.y[1], sensors.y[2]" in text for text in form.like)
+
+
+def test_nothing_is_found_where_nothing_is(tmp_path: Path) -> None:
+    search, groups, _ = looked_at(tmp_path, demo.measure(repeats=3))
+    assert discovered(search, groups, ["sensors"], {}) is None
+
+
+class TestOnset:
+    """A gain of the second sensor that is not there from the beginning."""
+
+    def gained(self, since: float, size: float = 0.1) -> list[Run]:
+        return demo.changed(demo.measure(repeats=4), "sensors.y[2]", lambda t, y: y * (1.0 + size * (t >= since)))
+
+    def test_is_found_within_a_run(self, tmp_path: Path) -> None:
+        search, _, _ = looked_at(tmp_path, self.gained(4.5))
+        found = onset_of(search)
+        assert found is not None
+        assert (found.effect, found.location, found.how, found.run) == ("gain", "sensor 2", "switches on", None)
+        assert found.interval is not None
+        assert found.interval[0] <= 4.5 <= found.interval[1]
+        assert "switches on at t = " in found.text
+
+    def test_is_found_between_runs(self, tmp_path: Path) -> None:
+        runs = [*demo.measure(repeats=4)[:2], *self.gained(-1.0)[2:]]
+        search, _, _ = looked_at(tmp_path, runs)
+        found = onset_of(search)
+        assert found is not None
+        assert (found.effect, found.location, found.run) == ("gain", "sensor 2", 3)
+        assert abs(found.value - 0.1) < demo.WELL
+        assert found.text == f"gain at sensor 2 is there from run 3 of {found.condition} on, with {found.value:.4g} 1"
+
+    def test_a_growing_effect_has_a_rate(self, tmp_path: Path) -> None:
+        runs = demo.changed(demo.measure(repeats=4), "sensors.y[2]", lambda t, y: y * (1.0 + 0.05 * np.maximum(t - 3.0, 0.0)))
+        search, _, _ = looked_at(tmp_path, runs)
+        found = onset_of(search)
+        assert found is not None
+        assert found.how == "grows"
+        assert found.rate is not None
+        assert abs(found.rate - 0.05) < 0.05 * 0.1  # a tenth: an onset and a rate are known together
+        assert "grows from t = " in found.text
+
+    def test_an_effect_that_is_always_there_has_none(self, tmp_path: Path) -> None:
+        search, _, _ = looked_at(tmp_path, self.gained(-1.0))
+        assert onset_of(search) is None

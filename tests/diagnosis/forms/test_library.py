@@ -1,0 +1,45 @@
+"""Terms: units, texts, and what is left out because it is the same as another."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robomill.diagnosis.forms.library import Factor, Term, library
+from robomill.diagnosis.forms.signals import Variable
+from tests.tolerances import ROUNDOFF
+
+SPEED = Variable("qd[1]", False, "rad/s", 2)
+OTHER = Variable("qd[2]", False, "rad/s", 2)
+TURN = Variable("q[1]", True, "rad/s", 2)
+LOAD = Variable("load", False, "N", 0)
+TIME = Variable("t", False, "s", 0)
+
+
+@pytest.mark.parametrize(
+    ("term", "text", "unit"),
+    [
+        (Term(), "1", "N.m"),
+        (Term((Factor("value", SPEED),)), "qd[1]", "N.m.s/rad"),
+        (Term((Factor("sign", TURN, 0.02),)), "sgn(d(q[1])/dt)", "N.m"),
+        (Term((Factor("square", SPEED),)), "qd[1]^2", "N.m.s2/rad2"),
+        (Term((Factor("root", SPEED, 2.0),)), "sgn(qd[1]) sqrt(|qd[1]|/(2 rad/s))", "N.m"),
+        (Term((Factor("sign", SPEED, 0.1), Factor("size", LOAD))), "sgn(qd[1]) |load|", "m"),
+        (Term((Factor("sine", SPEED, 12.0),)), "sin(12 qd[1])", "N.m"),
+        (Term((Factor("decay", TIME, 3.0),)), "exp(-t/(3 s))", "N.m"),
+    ],
+)
+def test_a_term_has_a_text_and_its_coefficient_a_unit(term: Term, text: str, unit: str) -> None:
+    assert term.text == text
+    assert term.unit("N.m") == unit
+
+
+def test_the_library_of_a_joint_has_its_own_products_and_simple_terms_of_the_others() -> None:
+    t = np.linspace(0.0, 4.0, 400)
+    known = {SPEED: np.sin(3.0 * t), OTHER: np.cos(2.0 * t), LOAD: 5.0 + np.sin(t), TIME: t}
+    found = {term.text: term for term in library([known], "1", 4.0, ("value",))}
+    assert {"1", "qd[1]", "sgn(qd[1])", "qd[2]", "sgn(qd[1]) |load|", "qd[1] load", "t", "qd[1] t", "exp(-t/(1 s))"} <= set(found)
+    assert not {"sgn(qd[2])", "qd[1] qd[2]"} & set(found)
+    assert not {"sgn(load)", "|load|"} & set(found)  # never negative: the same as 1, and as the load
+    made = found["sgn(qd[1]) |load|"].values(known, len(t))
+    np.testing.assert_allclose(made, np.clip(known[SPEED] / (0.02 * np.abs(known[SPEED]).max()), -1.0, 1.0) * known[LOAD], rtol=ROUNDOFF)
