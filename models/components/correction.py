@@ -1,4 +1,6 @@
-"""A component that sits on a connection and adds a sparse form to what passes: a law that was found in data (docs/explanation/unknown_forms.md).
+"""A component that sits on a connection and adds a sparse form to what passes: a law that was found in data.
+
+Where forms come from: docs/explanation/unknown_forms.md.
 
     y_i = u_i + sum_k c_k a_k(z) b_k(z)     for the terms k of element i
 
