@@ -26,7 +26,10 @@ _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
 class SignatureError(ValueError):
-    """An archive that is not what its maker signed, or a key that cannot be used: what, and what to do."""
+    """An archive that is not what its maker signed, or a key that cannot be used: what, and what to do.
+
+    Remedy: Make a key with `openssl genpkey`, or get archive and public key anew from their maker.
+    """
 
 
 def write_signed(file: Path, files: Mapping[str, bytes], key: Ed25519PrivateKey) -> None:

@@ -33,7 +33,7 @@ formats/*
 
 
 def _first_sentence(text: str) -> str:
-    """Of what stands below the heading of a page, links as text."""
+    """First sentence below the heading of a page, links as text."""
     lead = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", text.split("\n\n")[2].replace("\n", " "))
     return re.split(r"(?<=\.) (?=[A-Z`])", lead)[0]
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from robomill.option_types import in_unit
+from robomill.tables import Heading, say, show
 
 SHOWN = 20
 """Rows on the screen; table.csv has all."""
@@ -71,25 +72,16 @@ def run(options: Namespace) -> int:
         rows = [{k: None if isinstance(v, float) and math.isnan(v) else v for k, v in r.items()} for r in table.rows]
         print(json.dumps({"folder": str(folder), "rows": rows, "warnings": list(table.warnings)}, indent=1))
         return 1 if table.failed else 0
-    from rich.box import SIMPLE
-    from rich.table import Table
-
-    from robomill.commands import _console
-
-    shown = Table(box=SIMPLE)
-    for name in (*table.parameters, *table.figures):
-        shown.add_column(name, justify="right", overflow="fold")
-    for r in table.rows[:SHOWN]:
-        shown.add_row(*(_text(r.get(name, "")) for name in (*table.parameters, *table.figures)))
-    console = _console()
+    columns = (*table.parameters, *table.figures)
     for text in table.warnings:
-        console.print(f"warning: {text}", highlight=False, markup=False)
-    console.print(shown)
+        say(f"warning: {text}")
+    cells = [[_text(r.get(name, "")) for name in columns] for r in table.rows[:SHOWN]]
+    show(f"sweep of {options.file}", [Heading(name, folds=True) for name in columns], cells)
     for r in table.failed[:SHOWN]:
-        console.print(f"failed: {r[ERROR]}", highlight=False, markup=False)
+        say(f"failed: {r[ERROR]}")
     more = f" ({len(table) - SHOWN} more)" if len(table) > SHOWN else ""
     failed = f", {len(table.failed)} failed" if table.failed else ""
-    console.print(f"{len(table)} runs{failed}{more}: {folder / TABLE}", highlight=False)
+    say(f"{len(table)} runs{failed}{more}: {folder / TABLE}")
     return 1 if table.failed else 0
 
 

@@ -199,7 +199,7 @@ def _subject(
     if what.kind != "milling":
         raise SweepError(f"{what.file}: a scenario of kind {what.kind!r} cannot be swept; expected kind 'milling', or a system file")
     if stop is not None:
-        raise SweepError("stop goes with systems; a milling scenario lasts as long as its program")
+        raise SweepError("stop goes with systems; a milling scenario lasts as long as its program; leave stop out")
     job = milling.prepare(what, folder, fmus, progress, overwrite=True)
     unusual = milling.check_variants(job, what.variants)
     systems = {v.name: milling.of_variant(job, v) for v in what.variants}
@@ -226,7 +226,7 @@ def _sets(parameters: Mapping[str, Sequence[Any]] | Sequence[Parameters], subjec
         if bad is not None:
             raise SweepError(f"{subject.scenario.file}: {unknown('variant', str(bad), variants)}")
     elif any(VARIANT in s for s in sets):
-        raise SweepError("the parameter 'variant' goes with scenarios; a system has none")
+        raise SweepError("the parameter 'variant' goes with scenarios; a system has none: leave it out")
     for name in dict.fromkeys(n for s in sets for n in s if n != VARIANT):
         if not all(name.partition(".")):
             raise SweepError(f"parameter {name!r}: expected component.parameter, such as 'controller.mode'")

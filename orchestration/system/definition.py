@@ -310,7 +310,7 @@ def load(file: Path, convert: Convert = same_unit_only) -> System:
     top = Entry.load(file, SystemFileError, convert, file.name)
     k = SystemKeys
     k.of(top)
-    plain = {
+    plain: dict[str, Any] = {
         key.name: key.of(top) for key in (k.name, k.description, k.stop_when, k.algorithm, k.loop, k.require_connected, k.check_ranges)
     }
     made: dict[str, Any] = {

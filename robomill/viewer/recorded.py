@@ -194,7 +194,7 @@ def _order(summary: Path) -> Iterator[str]:
 
 def _recorded(name: str, run: Run) -> Recorded:
     if len(run) == 0:
-        raise ResultsError(f"{run.folder}: the run has no samples")
+        raise ResultsError(f"{run.folder}: the run has no samples; run it again")
     sources = run.info.get("sources", {})
     posed = [c for c in run.components if f"{c}.p_BT_B" in run and f"{c}.quat_BT" in run]
     if not posed:
@@ -212,6 +212,8 @@ def _recorded(name: str, run: Run) -> Recorded:
     for column in (f"{tool}.p_BT_B", f"{tool}.quat_BT"):
         bad = np.flatnonzero(~np.isfinite(run[column]).all(axis=1))
         if len(bad):
-            raise ResultsError(f"{run.folder}: {column} is not finite at t = {run.t[bad[0]]:g} s and at {len(bad)} samples in all")
+            raise ResultsError(
+                f"{run.folder}: {column} is not finite at t = {run.t[bad[0]]:g} s and at {len(bad)} samples in all; run it again"
+            )
     kept = np.unique(np.linspace(0, len(run) - 1, min(FRAMES, len(run))).astype(np.int64))
     return Recorded(name, run, tool, planned if planned != tool else None, force, angles, kept)

@@ -68,14 +68,14 @@ def read_urdf(file: Path) -> tuple[Tree, int]:
             )
     bodies = [body for name, link in links.items() for body in _bodies(file, link, number[name])]
     if not bodies:
-        raise UrdfError(f"{file}: no link has a <visual>; there is nothing to be seen")
+        raise UrdfError(f"{file}: no link has a <visual>; there is nothing to be seen; give each link a <visual>")
     return Tree(tuple(frames), tuple(bodies)), number[_end(file, axes[-1], "child", links)]
 
 
 def _attribute(file: Path, element: ET.Element, name: str) -> str:
     value = element.get(name)
     if value is None:
-        raise UrdfError(f"{file}: <{element.tag}> has no attribute {name!r}")
+        raise UrdfError(f"{file}: <{element.tag}> has no attribute {name!r}; add it")
     return value
 
 
@@ -83,7 +83,7 @@ def _end(file: Path, joint: ET.Element, which: str, links: dict[str, ET.Element]
     end = joint.find(which)
     name = "" if end is None else end.get("link", "")
     if name not in links:
-        raise UrdfError(f"{file}: joint {joint.get('name')!r} has the {which} {name!r}; links: {', '.join(links)}")
+        raise UrdfError(f"{file}: joint {joint.get('name')!r} has the {which} {name!r}; links: {', '.join(links)}; name one of them")
     return name
 
 
@@ -93,7 +93,7 @@ def _way(file: Path, name: str, above: dict[str, ET.Element], links: dict[str, E
     while name in above:
         way.insert(0, above[name])
         if len(way) > len(above):
-            raise UrdfError(f"{file}: the joints form a ring at link {name!r}")
+            raise UrdfError(f"{file}: the joints form a ring at link {name!r}; give each link one parent")
         name = _end(file, way[0], "parent", links)
     return way
 
