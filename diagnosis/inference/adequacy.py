@@ -12,7 +12,7 @@ from robomill.diagnosis.inference.estimation import Model
 from robomill.diagnosis.inference.evidence import FORM
 from robomill.orchestration.slaves.protocol import FloatArray
 
-LEVEL, SPREAD = 1.3, 0.3
+LEVEL, SPREAD = 1.0, 0.3
 """chi2 over that of noise [1] that two systems leave which are the same but for calibration and formulation, and its standard deviation.
 Fitted to machines without effects of development seeds: 1.0 to 1.2 of the first generator, 1.3 to 2.0 of the second."""
 MISFIT = 0.05

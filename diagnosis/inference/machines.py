@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import logsumexp
 
+from robomill.diagnosis.inference.adequacy import LEVEL, SPREAD
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -25,7 +26,9 @@ def p_none(search: Search, log_odds: float, seed: int = 0) -> float:
     v = np.stack([starts[a].signature / starts[a].x if a in starts else search.evidence.sensitivities[a] for a in columns], axis=1)
     gram = space.dot(v, v)
     values, vectors = np.linalg.eigh(gram)
-    draws = np.random.default_rng(seed).standard_normal((MACHINES, len(gram)))
+    random = np.random.default_rng(seed)
+    level = np.maximum(random.normal(LEVEL, SPREAD, (MACHINES, 1)), 0.0)  # of the chi2 that a machine leaves
+    draws = np.sqrt(level) * random.standard_normal((MACHINES, len(gram)))
     products = draws @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
     odds = []
     nominal = log_priors([()], search.candidates)[0]

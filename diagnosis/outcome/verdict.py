@@ -27,8 +27,9 @@ Verdict = Literal["none", "identified", "ambiguous", "unknown", "bad_log"]
 
 FALSE_ALARM = 0.02
 """Probability [1] of an effect on a machine that has none, where the user asks for no other (DIAGNOSIS: at most 2 % of the nulls)."""
-UNLISTED = 0.2
-"""Probability [1] before the data that what is wrong is in no catalogue (judgement; DIAGNOSIS: 15 % of the machines of its benchmark)."""
+UNLISTED = 0.25
+"""Probability [1] before the data that what is wrong is in no catalogue (judgement): more than 1 - IDENTIFIED, so that no answer is given
+as the only one where the data say nothing of whether it is right."""
 UNKNOWN = LEVEL + 3.0 * SPREAD
 """chi2, over that of noise, from which there is a gap even if no candidate explains any of it: LEVEL and three times SPREAD."""
 IDENTIFIED = 0.8
@@ -50,8 +51,13 @@ class Tests:
 
 
 def over_noise(search: Search, fit: Fit) -> float:
-    """chi2 that a model leaves, over that which noise alone is expected to leave."""
-    return fit.chi2 / search.evidence.noise
+    """How much a model leaves, over what noise and discrepancy do: of the worst array, or for all candidates together, what is more.
+
+    See `Evidence.level` and `Search.explainable`.
+    """
+    assert fit.signature is not None
+    left = search.evidence.space.y - fit.signature
+    return max(search.evidence.level(left), search.explainable(left))
 
 
 def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: float, moved: Transfer | None, alpha: float) -> Tests:
@@ -105,6 +111,6 @@ def believed(tests: Tests) -> bool:
 def changes(search: Search, best: Fit, other: Changing) -> bool:
     """Whether something that changes with time, which is in no catalogue, is likelier than the best model."""
     odds = best.log_evidence + log_priors([best.model], search.candidates)[0]
-    beyond = best.chi2 - LEVEL * search.evidence.noise  # of what a strong effect leaves, something always goes with time
+    beyond = best.chi2 - search.evidence.noise  # of what a strong effect leaves, something always goes with time
     likelier = other.log_odds + math.log(UNLISTED / (1.0 - UNLISTED)) > odds
     return likelier and other.by_change > 0.5 * MISFIT * max(beyond, 0.0)
