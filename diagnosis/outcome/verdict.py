@@ -91,8 +91,10 @@ def judged(
     `faulty`: a fault of the log is part of the best model.
     """
     refuted = tests.p_fit < 1.0 - tests.p_fit or (other is not None and changes(search, best, other)) or at_bound(best)
-    if not best.model or not believed(tests) or refuted:  # then nothing is there, if machines without effects leave as much
+    if not best.model or not believed(tests):  # then nothing is there, if machines without effects leave as much
         return "unknown" if over_noise(search, nominal) > UNKNOWN else "none"
+    if refuted:
+        return "unknown"
     if faulty:
         return "bad_log"
     return "identified" if all(probabilities[c] >= IDENTIFIED for c in best.model) else "ambiguous"
