@@ -18,7 +18,7 @@ from scipy.special import expit
 from robomill.diagnosis.catalogue import Candidate
 from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, SPREAD, agreement, left_by, misfit
 from robomill.diagnosis.inference.estimation import Fit
-from robomill.diagnosis.inference.priors import log_priors
+from robomill.diagnosis.inference.priors import ANOTHER, log_priors
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
@@ -63,7 +63,9 @@ def over_noise(search: Search, fit: Fit) -> float:
 def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: float, moved: Transfer | None, alpha: float) -> Tests:
     """The tests of an answer; `nothing`: probability of the nominal model by the diagnosed runs, `moved`: new conditions."""
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
-    fits = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(over_noise(search, nominal), over_noise(search, best), misfit(best.model))
+    kinds = max(len({c.effect for c in best.model}), 1)  # several that are listed, against one that is not
+    fits = kinds * math.log(1.0 - UNLISTED) + (kinds - 1) * math.log(ANOTHER) - math.log(UNLISTED)
+    fits += left_by(over_noise(search, nominal), over_noise(search, best), misfit(best.model))
     fits += held_together(search, best)
     if moved is not None:
         odds += moved.gain
