@@ -107,6 +107,8 @@ def compared(
             far = f"is {ratio[worst]:.0f} times as far from the other repeats as repeats are from each other ({name})"
             # what every start of a spindle does anew is seen in some channels, another program in most
             fatal = bool(np.mean(ratio[usual > 0.0] > UNLIKE) > MOST)
-            text = f"{far}; expected about 1, at most {UNLIKE:.0f}" + ("; leave it out" if fatal else "; not so in most channels: it is kept")
+            text = f"{far}; expected about 1, at most {UNLIKE:.0f}" + (
+                "; leave it out" if fatal else "; not so in most channels: it is kept"
+            )
             found.append(Finding(channels[worst], "repeat", float(ratio[worst]), "1", text, fatal))
     return found

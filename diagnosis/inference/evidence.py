@@ -231,7 +231,22 @@ def gather(
     space.find_alike(sensitivities, scales)
     judged = size > 0.0
     return Evidence(
-        space, w, active, nominals, sudden, residuals, sensitivities, counts, expected, allowed, scatter, late, arrays, judged, there, halves
+        space,
+        w,
+        active,
+        nominals,
+        sudden,
+        residuals,
+        sensitivities,
+        counts,
+        expected,
+        allowed,
+        scatter,
+        late,
+        arrays,
+        judged,
+        there,
+        halves,
     )
 
 

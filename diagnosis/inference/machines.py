@@ -8,6 +8,7 @@ from scipy.special import logsumexp
 from robomill.diagnosis.inference.adequacy import LEVEL, SPREAD
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
+from robomill.diagnosis.inference.sensitivities import per_scale
 from robomill.orchestration.slaves.protocol import FloatArray
 
 MACHINES = 2000
@@ -22,8 +23,7 @@ def p_none(search: Search, log_odds: float, seed: int = 0) -> float:
     """
     space = search.evidence.space
     columns = {a: i for i, a in enumerate(dict.fromkeys(a for c in search.candidates for a in c.addresses))}
-    starts = search.starts
-    v = np.stack([starts[a].signature / starts[a].x if a in starts else search.evidence.sensitivities[a] for a in columns], axis=1)
+    v = np.stack([per_scale(search.evidence, search.starts, a) for a in columns], axis=1)
     gram = space.dot(v, v)
     values, vectors = np.linalg.eigh(gram)
     random = np.random.default_rng(seed)

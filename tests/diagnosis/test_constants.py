@@ -19,7 +19,7 @@ from robomill.diagnosis.catalogue import COS, LOGGING, SIN, Candidate, Prior
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import Setting
 from robomill.diagnosis.gate import checks as gate
-from robomill.diagnosis.gate import phases
+from robomill.diagnosis.gate import phases, repeats
 from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.inference import adequacy, evidence, machines, priors, search, transfer
 from robomill.diagnosis.inference.estimation import Fit, Space
@@ -229,6 +229,21 @@ def form() -> float:
     return float(found[0, 0])
 
 
+def discrepancy() -> float:
+    """Of an array that three deviations of a tolerance, simulated at once, change by 6."""
+    a = EFFECT.addresses[0]
+    return float(evidence._discrepancy({a: [np.full((10, 1), 6.0)]}, {a: 1.5}, {a: 0.5}, np.array([0]))[0])
+
+
+def stopped() -> bool:
+    """Whether a repeat that is unlike the others in three of five channels stops the log."""
+    rng = np.random.default_rng(1)
+    simulated, measured = (list(rng.normal(size=(n, 100, 5))) for n in (8, 4))
+    measured[-1][:, :3] += 20.0
+    (found,) = repeats.compared(measured, simulated, list("abcde"), list("1234"), STEP)
+    return found.fatal
+
+
 def rank() -> float:
     """That of odds which no simulated machine has."""
     a = EFFECT.addresses[0]
@@ -255,7 +270,9 @@ NOTICED: list[tuple[Any, str, float, Callable[[], Any], Any, Any]] = [
     (adequacy, "MISFIT", 2.0, lambda: fits(50.0, 15.0, EFFECT) > 0.5, False, True),
     (adequacy, "EXACT", 2.0, lambda: adequacy.misfit((EFFECT, CLOCK)), 0.005, 0.01),
     (adequacy, "EXACT", 2.0, lambda: fits(50.0, 3.4, CLOCK) > 0.5, False, True),
+    (evidence, "DISCREPANCY", 2.0, discrepancy, 0.4, 0.8),
     (evidence, "FORM", 2.0, form, 4.0, 8.0),
+    (repeats, "MOST", 2.0, stopped, True, False),
     (machines, "MACHINES", 2, rank, 1.0 / 2001.0, 1.0 / 4001.0),
     (transfer, "KEEPS", 2.0, lambda: transfer.Transfer(5.0, 1.1, 1.0, 1.0, 0.0, 0.8, 0.1).promise > 0.0, False, True),
     (verdict, "UNLISTED", 2.0, lambda: fits(1.0, 1.0, EFFECT) > 0.7, True, False),

@@ -28,7 +28,9 @@ SURE = verdict.Tests(0.02, 0.001, 0.98, 0.001)
 
 def search(candidates: tuple[Candidate, ...] = (), explainable: float = 0.0) -> Any:
     """A residual of one number, which is its level; all candidates together can explain so much of any."""
-    evidence = SimpleNamespace(noise=EXPECTED, space=Space(np.zeros(1), {"all": slice(0, 1)}, np.zeros((1, 0))), level=lambda left: float(left[0]))
+    evidence = SimpleNamespace(
+        noise=EXPECTED, space=Space(np.zeros(1), {"all": slice(0, 1)}, np.zeros((1, 0))), level=lambda left: float(left[0])
+    )
     return cast(Any, SimpleNamespace(candidates=candidates, evidence=evidence, explainable=lambda left: explainable))
 
 
