@@ -230,7 +230,7 @@ def form() -> float:
 
 
 def discrepancy() -> float:
-    """Of an array that three deviations of a tolerance, simulated at once, change by 6."""
+    """That of an array which three deviations of a tolerance, simulated at once, change by 6."""
     a = EFFECT.addresses[0]
     return float(evidence._discrepancy({a: [np.full((10, 1), 6.0)]}, {a: 1.5}, {a: 0.5}, np.array([0]))[0])
 

@@ -125,7 +125,7 @@ class TestScales:
     """The median of the rms changes 8, 2 and 6 / sqrt(2), the last of which is only in one of two conditions."""
 
     OFF = DISCREPANCY * 6.0 / math.sqrt(2.0) * 0.5 / 1.5
-    """Of a deviation of the tolerance the rms over both conditions. It is the same in all repeats: a mean is no better for them."""
+    """From the rms of a deviation of the tolerance over both conditions. It is the same in all repeats: a mean is no better for them."""
 
     def counted(self, size: float, other: float, repeats: int, off: float = OFF) -> FloatArray:
         """So large a change in the conditions, whitened."""
@@ -203,11 +203,12 @@ class TestDiscrepancy:
     NAMES = ("a.x[1]", "a.x[2]", "b.z")
     FIRST, SECOND = ("a", "first"), ("b", "second")
     FLOOR = TRUST * 10.0
-    """Of an effect that changes each channel by 10. The tolerances change each by less, and are in the median with it."""
+    """An effect of typical size changes each channel by 10: the tolerances, which change them by less, do not move the median."""
 
     def evidence(self, second: bool = True, repeats: int = 2) -> Evidence:
-        """Of a deviation of the first number (0.5, simulated at 1.5) the channels do 4, 2 and 0 in the first condition; of the second 3 in
-        the third channel, in the second condition.
+        """The first number (deviation 0.5, simulated at 1.5) changes the channels by 4, 2 and 0 per deviation, in the first condition only.
+
+        The second one changes the third channel by 3, in the second condition only.
         """
         first = [still() + np.array([12.0, 6.0, 0.0]), still(0.0, 3)]
         changes = {P: [still(10.0, 3)] * 2, Q: [still(10.0, 3)] * 2, ("a", "r"): [still(10.0, 3)] * 2, self.FIRST: first}
