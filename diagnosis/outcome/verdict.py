@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import expit
 
 from robomill.diagnosis.catalogue import Candidate
-from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, SPREAD, agreement, left_by, misfit
+from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, SPREAD, agreement, left_by, misfit, unexplained
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import ANOTHER, log_priors
 from robomill.diagnosis.inference.search import Search
@@ -31,7 +31,7 @@ UNLISTED = 0.25
 """Probability [1] before the data that what is wrong is in no catalogue (judgement): more than 1 - IDENTIFIED, so that no answer is given
 as the only one where the data say nothing of whether it is right."""
 UNKNOWN = LEVEL + 3.0 * SPREAD
-"""chi2, over that of noise, from which there is a gap even if no candidate explains any of it: LEVEL and three times SPREAD."""
+"""Level [1] from which there is a gap even if no candidate explains any of it (`over_noise`): LEVEL and three times SPREAD."""
 IDENTIFIED = 0.8
 """Probability from which one answer is given."""
 
@@ -50,14 +50,25 @@ class Tests:
     """Probability of the nominal model, new conditions included."""
 
 
-def over_noise(search: Search, fit: Fit) -> float:
-    """How much a model leaves, over what noise and discrepancy do: of the worst array, or for all candidates together, what is more.
+def looks(search: Search, fit: Fit) -> tuple[float, float]:
+    """How much a model leaves over what noise and discrepancy do: in the worst array, and of what all candidates together could explain.
 
     See `Evidence.level` and `Search.explainable`.
     """
     assert fit.signature is not None
     left = search.evidence.space.y - fit.signature
-    return max(search.evidence.level(left), search.explainable(left))
+    return search.evidence.level(left), search.explainable(left)
+
+
+def over_noise(search: Search, fit: Fit) -> float:
+    """How much a model leaves, by the look that sees more of it (`looks`)."""
+    return max(looks(search, fit))
+
+
+def share_left(search: Search, nominal: Fit, best: Fit) -> float:
+    """Share of the gap of the nominal model that another one leaves (`unexplained`), by the look that sees more of it left."""
+    seen = sorted(zip(looks(search, nominal), looks(search, best), strict=True))
+    return max(unexplained(before, after) for before, after in seen if before > UNKNOWN or (before, after) == seen[-1])
 
 
 def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: float, moved: Transfer | None, alpha: float) -> Tests:
@@ -65,7 +76,9 @@ def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: floa
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
     kinds = max(len({c.effect for c in best.model}), 1)  # several that are listed, against one that is not
     fits = kinds * math.log(1.0 - UNLISTED) + (kinds - 1) * math.log(ANOTHER) - math.log(UNLISTED)
-    fits += left_by(over_noise(search, nominal), over_noise(search, best), misfit(best.model))
+    seen = sorted(zip(looks(search, nominal), looks(search, best), strict=True))
+    other, larger = (left_by(before, after, misfit(best.model)) for before, after in seen)
+    fits += larger + min(other, 0.0)  # where the gap is larger it is seen whether it closes; the other look may refute that
     fits += held_together(search, best)
     if moved is not None:
         odds += moved.gain
@@ -93,10 +106,8 @@ def judged(
     `faulty`: a fault of the log is part of the best model.
     """
     refuted = tests.p_fit < 1.0 - tests.p_fit or (other is not None and changes(search, best, other)) or at_bound(best)
-    if not best.model or not believed(tests):  # then nothing is there, if machines without effects leave as much
+    if not best.model or not believed(tests) or refuted:  # then nothing is there, if machines without effects leave as much
         return "unknown" if over_noise(search, nominal) > UNKNOWN else "none"
-    if refuted:
-        return "unknown"
     if faulty:
         return "bad_log"
     return "identified" if all(probabilities[c] >= IDENTIFIED for c in best.model) else "ambiguous"

@@ -265,18 +265,18 @@ NOTICED: list[tuple[Any, str, float, Callable[[], Any], Any, Any]] = [
     # a probability that cannot be doubled: twice the odds
     (priors, "ANOTHER", 4 / 3, lambda: math.exp(priors.log_priors([(EFFECT,)], (EFFECT,))[0]), 0.7 * 0.25, 0.7 / 9.0),
     (adequacy, "LEVEL", 2.0, lambda: adequacy.unexplained(11.0, 3.0), 0.2, 1.0 / 9.0),
-    (adequacy, "SPREAD", 2.0, lambda: adequacy.left_by(5.0, 2.0, 0.05) > 0.0, False, True),
+    (adequacy, "SPREAD", 2.0, lambda: adequacy.left_by(9.0, 2.9, 0.05) > 0.0, False, True),
     (adequacy, "MISFIT", 2.0, lambda: adequacy.misfit((EFFECT,)), 0.05, 0.1),
     (adequacy, "MISFIT", 2.0, lambda: fits(50.0, 15.0, EFFECT) > 0.5, False, True),
     (adequacy, "EXACT", 2.0, lambda: adequacy.misfit((EFFECT, CLOCK)), 0.005, 0.01),
-    (adequacy, "EXACT", 2.0, lambda: fits(50.0, 3.4, CLOCK) > 0.5, False, True),
-    (evidence, "DISCREPANCY", 2.0, discrepancy, 0.4, 0.8),
+    (adequacy, "EXACT", 2.0, lambda: fits(50.0, 4.2, CLOCK) > 0.5, False, True),
+    (evidence, "DISCREPANCY", 2.0, discrepancy, 0.8, 1.6),
     (evidence, "FORM", 2.0, form, 4.0, 8.0),
-    (repeats, "MOST", 2.0, stopped, True, False),
+    (repeats, "MOST_CHANNELS", 2.0, stopped, True, False),
     (machines, "MACHINES", 2, rank, 1.0 / 2001.0, 1.0 / 4001.0),
     (transfer, "KEEPS", 2.0, lambda: transfer.Transfer(5.0, 1.1, 1.0, 1.0, 0.0, 0.8, 0.1).promise > 0.0, False, True),
     (verdict, "UNLISTED", 2.0, lambda: fits(1.0, 1.0, EFFECT) > 0.7, True, False),
-    (verdict, "UNKNOWN", 2.0, lambda: judged(3.0, 0.9, 0.5), "unknown", "none"),
+    (verdict, "UNKNOWN", 2.0, lambda: judged(4.0, 0.9, 0.5), "unknown", "none"),
     (verdict, "IDENTIFIED", 1.2, lambda: judged(9.0, 0.9, 0.001), "identified", "ambiguous"),
 ]
 """Module, constant, times what, what depends on it, before and after."""

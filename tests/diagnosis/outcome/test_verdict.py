@@ -114,7 +114,7 @@ class TestJudged:
             assert self.judged(tests, 0.99 * UNKNOWN, folder=tmp_path) == "none"
             assert self.judged(tests, 1.01 * UNKNOWN, folder=tmp_path) == "unknown"
         assert judged(search(), SURE, fit(1.0), fit(1.0), None, {}, False) == "none"
-        assert judged(search(), SURE, fit(3.0), fit(3.0), None, {}, False) == "unknown"
+        assert judged(search(), SURE, fit(4.0), fit(4.0), None, {}, False) == "unknown"
 
     def test_a_model_that_is_rather_a_stand_in_is_unknown_be_it_as_likely_as_it_may(self, tmp_path: Path) -> None:
         assert self.judged(replace(SURE, p_fit=0.49), folder=tmp_path) == "unknown"
