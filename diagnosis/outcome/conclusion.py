@@ -27,7 +27,7 @@ from robomill.diagnosis.outcome import next_run
 from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Menu, Unknown, Visible, Which, curves_of, titles_of
 from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, how_far, metrics
-from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, tested
+from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, share_left, tested
 from robomill.orchestration.slaves.protocol import FloatArray
 
 SAID = {
