@@ -26,7 +26,7 @@ from robomill.diagnosis.inference.sensitivities import NOMINAL
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, curves_of, effort_of, titles_of
 from robomill.diagnosis.outcome.conclusion import Conclusion
 from robomill.diagnosis.outcome.how_far import CLOSING
-from robomill.diagnosis.outcome.verdict import FALSE_ALARM, UNKNOWN, over_noise
+from robomill.diagnosis.outcome.verdict import FALSE_ALARM, UNKNOWN, over_noise, share_left
 from robomill.orchestration.assembly import Resolver
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -119,8 +119,7 @@ def diagnose_campaign(
             search, fits = searched(catalogue, simulator, groups[:n], nuisances)
             if fatal:  # is it the machine, after all?
                 best = _best(search, fits)
-                before, after = over_noise(search, fits[0]), over_noise(search, best)
-                little = after < UNKNOWN or unexplained(before, after) < LITTLE
+                little = over_noise(search, best) < UNKNOWN or share_left(search, fits[0], best) < LITTLE
                 if little and not any(c.component == LOGGING for c in best.model):
                     findings = told + gate.findings(setting(best.values))
                     fatal = [f for f in findings if f.fatal]

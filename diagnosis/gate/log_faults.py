@@ -68,7 +68,7 @@ class _Operator:
     """Factor that it has."""
     finding: Finding
     spread: float | None = None
-    """Mean square that tolerances are a part of, where it is not the variance of each channel [unit^2]."""
+    """Mean square that tolerances are a part of [unit^2]: of an array, where that is not the variance of each channel."""
     paid: float = 0.0
     """What its fitted numbers cost [nats] (Schwarz 1978, Ann. Stat. 6, 461)."""
 
@@ -94,17 +94,19 @@ def judged(
 
 
 def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str]) -> Iterator[_Operator]:
+    pooled = {i: float(s[:, members].var(axis=0).mean()) for members in arrays(channels).values() for i in members}
     for i, name in enumerate(channels):
         own = s[:, [i]]
         if not own.any():  # zero has no sign and no unit
             continue
-        yield _Operator((i,), -own, -1.0, Finding(name, "sign", -1.0, "1", "has the wrong sign; expected that of its simulation: turn it"))
+        turned = Finding(name, "sign", -1.0, "1", "has the wrong sign; expected that of its simulation: turn it")
+        yield _Operator((i,), -own, -1.0, turned, pooled[i])
         slope = float(x[:, i] @ s[:, i] / (s[:, i] @ s[:, i]))
         for factor, mistake in FACTORS.items():
             if abs(slope / factor - 1.0) > TOLERANCE:  # a unit is exact: what is larger by another factor has an effect
                 continue
             text = f"is {slope:.4g} times what it should be: {mistake}; expected 1 (give the unit that it is logged in)"
-            yield _Operator((i,), factor * own, factor, Finding(name, "unit", slope, "1", text))
+            yield _Operator((i,), factor * own, factor, Finding(name, "unit", slope, "1", text), pooled[i])
     for name, members in arrays(channels).items():
         for i, j in itertools.combinations(members, 2):
             text = f"is interchanged with {channels[j]}; give each the other's name"
@@ -134,7 +136,9 @@ def _log_bayes_factor(o: _Operator, x: FloatArray, s: FloatArray, noise: FloatAr
     off = ((measured - plain) ** 2).mean(axis=0)
     if left.sum() > off.sum():  # a fault that leaves more than none is no explanation of anything
         return -math.inf
-    own, without = (np.full(len(members), o.spread) if o.spread is not None else y.var(axis=0) for y in (o.simulated, plain))
+    own, without = o.simulated.var(axis=0), plain.var(axis=0)
+    if o.spread is not None:  # what an array does is let into its elements by an inexact pose
+        own, without = np.full(len(members), o.spread * o.scale**2), np.full(len(members), o.spread)
     faulty = usual + np.maximum(TOLERANCE**2 * own, left)
     good = usual + np.maximum(TOLERANCE**2 * without, np.minimum(left / o.scale**2, off))
     return float(0.5 * (off / good + np.log(good) - left / faulty - np.log(faulty)).sum()) - o.paid

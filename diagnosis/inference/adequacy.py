@@ -12,9 +12,9 @@ from robomill.diagnosis.inference.estimation import Model
 from robomill.diagnosis.inference.evidence import FORM
 from robomill.orchestration.slaves.protocol import FloatArray
 
-LEVEL, SPREAD = 1.3, 0.3
-"""chi2 over that of noise [1] that two systems leave which are the same but for calibration and formulation, and its standard deviation.
-Fitted to machines without effects of development seeds: 1.0 to 1.2 of the first generator, 1.3 to 2.0 of the second."""
+LEVEL, SPREAD = 1.0, 0.7
+"""Level [1] that a right model leaves (`outcome.verdict.over_noise`), and its standard deviation. Fitted to machines without effects that
+were recorded two or three times: up to 1.0 of the first generator, 0.8 to 2.9 of the second."""
 MISFIT = 0.05
 """Mean share [1] of a gap that a right model leaves, because its law is not quite that of the machine: a fifth of the amplitude."""
 KEEPS = 0.5
@@ -48,7 +48,7 @@ def agreement(amplitudes: FloatArray, precisions: FloatArray) -> float:
 def unexplained(before: float, after: float) -> float:
     """Share of chi2 beyond that of a machine without effects that a model leaves: (after - LEVEL) / (before - LEVEL).
 
-    `before`, `after`: what the nominal system and the model leave, over that of noise (`over_noise`); the share is not below 0.
+    `before`, `after`: what the nominal system and the model leave, over noise and discrepancy (`over_noise`); the share is not below 0.
     """
     return max(after - LEVEL, 0.0) / max(before - LEVEL, 1e-9)
 

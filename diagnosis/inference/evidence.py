@@ -26,6 +26,9 @@ from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 TRUST = 0.02
 """Part of an effect of typical size that the models are not trusted to: the noise floor of each channel."""
+DISCREPANCY = 0.4
+"""Deviation of what two formulations of one machine leave, over what the tolerances of its numbers do to an array [1]. Fitted to machines
+without effects of development seeds; a discrepancy has a memory, which DEPENDENCE counts."""
 DEPENDENCE = 10.0
 """Samples that are worth one: what two systems that are not quite the same leave is no noise, it goes in one direction for a while."""
 FORM = 0.04
@@ -65,12 +68,16 @@ class Evidence:
     """Repeats that the mean residual is worth, the scatter of the simulated mean and DEPENDENCE included."""
     expected: FloatArray
     """chi2 that noise alone leaves in each sample of y, [n]: by channel and condition, from repeats and from simulations."""
+    allowed: FloatArray
+    """chi2 that noise and discrepancy leave in each sample of y, [n]."""
     scatter: FloatArray
     """Variance of a whitened run that is not repeated, by channel."""
     late: frozenset[Address]
     """Latenesses that are no nuisance here: they would have to be larger than what the catalogue calls a late clock."""
     arrays: npt.NDArray[np.intp]
     """Which array each active channel is an element of, [active channels]."""
+    judged: npt.NDArray[np.bool_]
+    """Which active channels have a discrepancy to compare with what is left: those of arrays that some tolerance changes."""
     there: list[npt.NDArray[np.bool_]]
     """Which of the active channels a condition has: those that it lacks are zero in all that is whitened, and say nothing."""
     halves: list[tuple[FloatArray, FloatArray]]
@@ -80,6 +87,16 @@ class Evidence:
     def noise(self) -> float:
         """chi2 that noise alone leaves. Where nothing was repeated only its fast part is known: all of it counts as GUESSED times that."""
         return float(self.expected.sum()) * (GUESSED if self.whitening.guessed else 1.0)
+
+    def level(self, left: FloatArray) -> float:
+        """chi2 that is left of a residual [n], nuisances fitted, over what noise and discrepancy leave: that of the worst array."""
+        rest = (left - self.space.explained(left)) ** 2
+        worst = 0.0
+        for array in np.unique(self.arrays[self.judged]):
+            here = self.arrays == array
+            chi2, allowed = (float(x.reshape(-1, len(here))[:, here].sum()) for x in (rest, self.allowed))
+            worst = max(worst, chi2 / allowed if allowed > 0.0 else 0.0)
+        return worst / (GUESSED if self.whitening.guessed else 1.0)
 
     def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
         """Whitened change [n] of simulations of all conditions, [samples, all channels] each, against the nominal ones.
@@ -158,7 +175,12 @@ def gather(
     # change of each channel in a communication step
     rates = [np.gradient(m, axis=0) / laboratory.decimation for m in means]
     span = max(1, round(AROUND / laboratory.decimation))
-    sudden = [SUDDEN / laboratory.decimation * _bend(m, span) * np.sqrt(n) for m, n in zip(means, counts, strict=True)]
+    arrays = np.unique([base_name(c) for c, on in zip(laboratory.channels, active, strict=True) if on], return_inverse=True)[1]
+    size = _discrepancy(changes, sizes, tolerances, arrays)
+    doubt = [np.sqrt(n) * size * np.ones_like(m) for m, n in zip(means, counts, strict=True)]
+    sudden = [
+        np.hypot(SUDDEN / laboratory.decimation * _bend(m, span) * np.sqrt(n), d) for m, n, d in zip(means, counts, doubt, strict=True)
+    ]
     residuals = [[w.apply(x - m, 1.0, s, on) for x in g] for g, m, s, on in zip(groups, means, sudden, there, strict=True)]
     halves = [
         (w.apply(np.mean(g[::2], axis=0) - m, 1.0, s, on), w.apply(np.mean(g[1::2] or g, axis=0) - m, 1.0, s, on))
@@ -186,17 +208,18 @@ def gather(
         _variance([w.apply(fast(x), 1.0, s, on) for x in g], len(names)) if w.guessed else 1.0 * on
         for g, s, on in zip(over, sudden, there, strict=True)
     ]
-    arrays = np.unique([base_name(name) for name in names], return_inverse=True)[1]
     scatter = np.sum(alone, axis=0) / np.maximum(np.sum(there, axis=0), 1)
     spell = max(1, round(SPELL / laboratory.decimation))
-    own, expected = [], np.zeros(y.size)
+    own, expected, allowed = [], np.zeros(y.size), np.zeros(y.size)
     for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
         simulated = [w.apply(x - means[i], 1.0, sudden[i], there[i]) for x in nominals[i]]
         single = alone[i] if like is None else like.scatter * there[i]
         level = counts[i] * (
             (_scatter(group, len(names)) if len(group) > 1 else single) + (_scatter(simulated, len(names)) if len(simulated) > 1 else 0.0)
         )
+        seen = (doubt[i] / np.hypot(sudden[i], np.sqrt((w.factor**2).sum(axis=1)))) ** 2  # part of a whitened sample that is discrepancy
         expected[block].reshape(-1, len(names))[:] = level
+        allowed[block].reshape(-1, len(names))[:] = level + seen.mean(axis=0) * there[i] / DEPENDENCE
         column = own_noise([group, simulated], len(names), spell)
         padded = np.zeros((y.size, column.shape[1]))
         padded[block] = column / np.sqrt(DEPENDENCE)
@@ -206,7 +229,36 @@ def gather(
     late = _late(space, clocks, names, LATENESS * laboratory.system.step) if like is None else like.late
     space = space.less(late)
     space.find_alike(sensitivities, scales)
-    return Evidence(space, w, active, nominals, sudden, residuals, sensitivities, counts, expected, scatter, late, arrays, there, halves)
+    judged = size > 0.0
+    return Evidence(
+        space,
+        w,
+        active,
+        nominals,
+        sudden,
+        residuals,
+        sensitivities,
+        counts,
+        expected,
+        allowed,
+        scatter,
+        late,
+        arrays,
+        judged,
+        there,
+        halves,
+    )
+
+
+def _discrepancy(
+    changes: Changes, sizes: Mapping[Address, float], tolerances: Mapping[Address, float], arrays: npt.NDArray[np.intp]
+) -> FloatArray:
+    """DISCREPANCY times what all tolerances do to an array, root of the mean square over time, elements and conditions, [channels]."""
+    square = np.zeros(len(arrays))
+    for a in [a for a in tolerances if a in changes]:
+        change = np.concatenate(list(changes[a]))
+        square += (change**2).mean(axis=0) * (tolerances[a] / sizes[a]) ** 2
+    return np.asarray(DISCREPANCY * np.sqrt((np.bincount(arrays, square) / np.bincount(arrays))[arrays]))
 
 
 def _late(space: Space, clocks: Sequence[Candidate], channels: Sequence[str], size: float) -> frozenset[Address]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import logsumexp
 
+from robomill.diagnosis.inference.adequacy import LEVEL, SPREAD
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
+from robomill.diagnosis.inference.sensitivities import per_scale
 from robomill.orchestration.slaves.protocol import FloatArray
 
 MACHINES = 2000
@@ -21,11 +23,12 @@ def p_none(search: Search, log_odds: float, seed: int = 0) -> float:
     """
     space = search.evidence.space
     columns = {a: i for i, a in enumerate(dict.fromkeys(a for c in search.candidates for a in c.addresses))}
-    starts = search.starts
-    v = np.stack([starts[a].signature / starts[a].x if a in starts else search.evidence.sensitivities[a] for a in columns], axis=1)
+    v = np.stack([per_scale(search.evidence, search.starts, a) for a in columns], axis=1)
     gram = space.dot(v, v)
     values, vectors = np.linalg.eigh(gram)
-    draws = np.random.default_rng(seed).standard_normal((MACHINES, len(gram)))
+    random = np.random.default_rng(seed)
+    level = np.maximum(random.normal(LEVEL, SPREAD, (MACHINES, 1)), 0.0)  # of the chi2 that a machine leaves
+    draws = np.sqrt(level) * random.standard_normal((MACHINES, len(gram)))
     products = draws @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
     odds = []
     nominal = log_priors([()], search.candidates)[0]

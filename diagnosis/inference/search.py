@@ -9,8 +9,8 @@ import numpy as np
 from robomill.diagnosis.catalogue import LOGGING, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
 from robomill.diagnosis.inference.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
-from robomill.diagnosis.inference.evidence import DEPENDENCE
-from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Sensitivities
+from robomill.diagnosis.inference.evidence import DEPENDENCE, GUESSED
+from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Sensitivities, per_scale
 from robomill.orchestration.slaves.protocol import FloatArray
 
 POLISH, POLISHED = 6, 8
@@ -62,6 +62,20 @@ class Search:
         """The fit of the nominal model, which has no effect: log evidence 0, signature 0."""
         s = self.evidence.space
         return Fit((), {}, {}, 0.0, s.chi2, np.zeros_like(s.y), np.zeros((s.y.size, 0)))
+
+    def explainable(self, left: FloatArray) -> float:
+        """chi2 that all candidates together explain of a residual [n], over what they explain of noise: the trace of the smoother.
+
+        Each has a normal prior of its own scale. After a right model nothing is left that others could explain; after the nearest thing in
+        a catalogue to something else there is.
+        """
+        columns = [per_scale(self.evidence, self.starts, a) for a in dict.fromkeys(a for c in self.candidates for a in c.addresses)]
+        space = self.evidence.space
+        gram = space.within(space.gram(np.column_stack([*columns, left])), range(len(columns) + 1))
+        inverse = np.linalg.inv(gram[:-1, :-1] + np.eye(len(columns)))
+        freedom = float(np.trace(inverse @ gram[:-1, :-1]))
+        guessed = GUESSED if self.evidence.whitening.guessed else 1.0
+        return float(gram[:-1, -1] @ inverse @ gram[:-1, -1]) / max(freedom, 1.0) / guessed
 
     def linear_fits(self, bases: Sequence[Fit]) -> list[Fit]:
         """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion: s + (ds/dx) (x - best) + v x'.

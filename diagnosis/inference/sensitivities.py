@@ -16,7 +16,7 @@ import numpy as np
 from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Simulator, setting
 from robomill.diagnosis.inference.estimation import Space
-from robomill.diagnosis.inference.evidence import gather
+from robomill.diagnosis.inference.evidence import Evidence, gather
 from robomill.diagnosis.inference.isolability import CONFUSABLE
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -110,7 +110,7 @@ class Sensitivities:
         tried = self._signatures(sizes)
         found: list[Candidate] = []
         for c in self.candidates:
-            told, kept = [np.stack([self._shown(a) for a in c.addresses], axis=1)], []
+            told, kept = [np.stack([per_scale(self.evidence, self.starts, a) for a in c.addresses], axis=1)], []
             for v in c.variants:
                 first = [(a, sizes[a][0]) for a in v.addresses if a in sizes]
                 if not first or not all(key in tried for key in first):
@@ -123,7 +123,7 @@ class Sensitivities:
                 self._take([(x, tried[a, x]) for x in sizes[a] if (a, x) in tried], a)
             found += [replace(v, locations=c.locations * (1 + len(kept))) for v in (c, *kept)]
         self.candidates = found
-        new = {a: self._shown(a) for c in found if c.fixed for a in c.addresses}
+        new = {a: per_scale(self.evidence, self.starts, a) for c in found if c.fixed for a in c.addresses}
         self.evidence.space.find_alike(new, self.scales)
 
     def _visible(self, candidate: Candidate) -> bool:
@@ -133,7 +133,8 @@ class Sensitivities:
             return space.chi2 - self._chi2(a, space.chi2) > WORTH * (space.chi2 - self._least())
         largest = candidate.bounds[1] / candidate.prior.scale
         own = space.without(candidate.addresses)
-        return bool(0.5 * largest**2 * own.chi2_of(np.stack([self._shown(b) for b in candidate.addresses], axis=1)).max() > NOTED)
+        does = np.stack([per_scale(self.evidence, self.starts, b) for b in candidate.addresses], axis=1)
+        return bool(0.5 * largest**2 * own.chi2_of(does).max() > NOTED)
 
     def _apart(self, candidate: Candidate, one: FloatArray, other: FloatArray, size: float) -> float:
         """Distance [deviations of noise] of what one variant does at a size [prior scales] from what another one does at its best size.
@@ -145,11 +146,6 @@ class Sensitivities:
         cross = products[:k, k:]
         left = np.diag(products[k:, k:] - cross.T @ np.linalg.pinv(products[:k, :k]) @ cross)
         return abs(size) * math.sqrt(max(float(left.max()), 0.0))
-
-    def _shown(self, address: Address) -> FloatArray:
-        """What a parameter does per prior scale: where its fit starts, or by its sensitivity."""
-        start = self.starts.get(address)
-        return self.evidence.sensitivities[address] if start is None else start.signature / start.x
 
     def _take(self, found: Sequence[tuple[float, FloatArray]], address: Address) -> None:
         """The sensitivity of a variant from its signatures at sizes [prior scales], and its start where there are several."""
@@ -249,6 +245,12 @@ class Sensitivities:
         results = self.simulator.many(tasks, "effects at other sizes")
         found = {key: self.evidence.signature(results[k * n : (k + 1) * n]) for k, key in enumerate(keys)}
         return {key: signature for key, signature in found.items() if signature is not None}
+
+
+def per_scale(evidence: Evidence, starts: Mapping[Address, Start], address: Address) -> FloatArray:
+    """What a parameter does per prior scale, [n]: where its fit starts, or by its sensitivity."""
+    start = starts.get(address)
+    return evidence.sensitivities[address] if start is None else start.signature / start.x
 
 
 def changed(

@@ -90,11 +90,13 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     assert signature is not None
     space = e.space
     before, after = _chi2(space, space.y, None), _chi2(space, space.y - signature, doubt * signature)
-    noise, size = e.noise, float(space.dot(signature, signature))
+    size = float(space.dot(signature, signature))
+    unsure, left = doubt * signature, space.y - signature
+    rest = left - unsure * float(space.dot(left, unsure)) / (1.0 + float(space.dot(unsure, unsure)))
     wide = space.widened(e.form(fit.model[:1], signature, np.zeros((0, 0)), np.zeros(0)))
     seen = float(wide.dot(signature, signature)) + 1e-300
     amplitude = float(wide.dot(signature, space.y)) / seen
-    return Transfer(before / noise, after / noise, 0.5 * (before - after), 0.5 * size, doubt, amplitude, seen**-0.5, misfit(fit.model))
+    return Transfer(e.level(space.y), e.level(rest), 0.5 * (before - after), 0.5 * size, doubt, amplitude, seen**-0.5, misfit(fit.model))
 
 
 def _chi2(space: Space, left: FloatArray, unsure: FloatArray | None) -> float:

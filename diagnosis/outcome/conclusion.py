@@ -13,7 +13,6 @@ from robomill.diagnosis.experiment.repeats import as_share
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, setting
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.inference import isolability
-from robomill.diagnosis.inference.adequacy import unexplained
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.machines import p_none
 from robomill.diagnosis.inference.priors import probabilities
@@ -29,7 +28,7 @@ from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Menu, Unkno
 from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, Closing, metrics
 from robomill.diagnosis.outcome.steps import steps
-from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, over_noise, tested
+from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, share_left, tested
 from robomill.orchestration.slaves.protocol import FloatArray
 
 SAID = {
@@ -110,7 +109,7 @@ class Conclusion:
             min(max(before - calibrated, 0.0), max(before, 0.0)),
             after,
             noise,
-            min(unexplained(over_noise(search, nominal), over_noise(search, self.best)), 1.0),
+            min(share_left(search, nominal, self.best), 1.0),
             self.search.evidence.whitening.guessed,
         )
         which = self.which(marginal, pairs, tests.p_fit)

@@ -16,9 +16,9 @@ import numpy as np
 from scipy.special import expit
 
 from robomill.diagnosis.catalogue import Candidate
-from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, SPREAD, agreement, left_by, misfit
+from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, SPREAD, agreement, left_by, misfit, unexplained
 from robomill.diagnosis.inference.estimation import Fit
-from robomill.diagnosis.inference.priors import log_priors
+from robomill.diagnosis.inference.priors import ANOTHER, log_priors
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
@@ -27,10 +27,11 @@ Verdict = Literal["none", "identified", "ambiguous", "unknown", "bad_log"]
 
 FALSE_ALARM = 0.02
 """Probability [1] of an effect on a machine that has none, where the user asks for no other (DIAGNOSIS: at most 2 % of the nulls)."""
-UNLISTED = 0.2
-"""Probability [1] before the data that what is wrong is in no catalogue (judgement; DIAGNOSIS: 15 % of the machines of its benchmark)."""
+UNLISTED = 0.25
+"""Probability [1] before the data that what is wrong is in no catalogue (judgement): more than 1 - IDENTIFIED, so that no answer is given
+as the only one where the data say nothing of whether it is right."""
 UNKNOWN = LEVEL + 3.0 * SPREAD
-"""chi2, over that of noise, from which there is a gap even if no candidate explains any of it: LEVEL and three times SPREAD."""
+"""Level [1] from which there is a gap even if no candidate explains any of it (`over_noise`): LEVEL and three times SPREAD."""
 IDENTIFIED = 0.8
 """Probability from which one answer is given."""
 
@@ -49,15 +50,35 @@ class Tests:
     """Probability of the nominal model, new conditions included."""
 
 
+def looks(search: Search, fit: Fit) -> tuple[float, float]:
+    """How much a model leaves over what noise and discrepancy do: in the worst array, and of what all candidates together could explain.
+
+    See `Evidence.level` and `Search.explainable`.
+    """
+    assert fit.signature is not None
+    left = search.evidence.space.y - fit.signature
+    return search.evidence.level(left), search.explainable(left)
+
+
 def over_noise(search: Search, fit: Fit) -> float:
-    """chi2 that a model leaves, over that which noise alone is expected to leave."""
-    return fit.chi2 / search.evidence.noise
+    """How much a model leaves, by the look that sees more of it (`looks`)."""
+    return max(looks(search, fit))
+
+
+def share_left(search: Search, nominal: Fit, best: Fit) -> float:
+    """Share of the gap of the nominal model that another one leaves (`unexplained`), by the look that sees more of it left."""
+    seen = sorted(zip(looks(search, nominal), looks(search, best), strict=True))
+    return max(unexplained(before, after) for before, after in seen if before > UNKNOWN or (before, after) == seen[-1])
 
 
 def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: float, moved: Transfer | None, alpha: float) -> Tests:
     """The tests of an answer; `nothing`: probability of the nominal model by the diagnosed runs, `moved`: new conditions."""
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
-    fits = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(over_noise(search, nominal), over_noise(search, best), misfit(best.model))
+    kinds = max(len({c.effect for c in best.model}), 1)  # several that are listed, against one that is not
+    fits = kinds * math.log(1.0 - UNLISTED) + (kinds - 1) * math.log(ANOTHER) - math.log(UNLISTED)
+    seen = sorted(zip(looks(search, nominal), looks(search, best), strict=True))
+    other, larger = (left_by(before, after, misfit(best.model)) for before, after in seen)
+    fits += larger + min(other, 0.0)  # where the gap is larger it is seen whether it closes; the other look may refute that
     fits += held_together(search, best)
     if moved is not None:
         odds += moved.gain
@@ -105,6 +126,6 @@ def believed(tests: Tests) -> bool:
 def changes(search: Search, best: Fit, other: Changing) -> bool:
     """Whether something that changes with time, which is in no catalogue, is likelier than the best model."""
     odds = best.log_evidence + log_priors([best.model], search.candidates)[0]
-    beyond = best.chi2 - LEVEL * search.evidence.noise  # of what a strong effect leaves, something always goes with time
+    beyond = best.chi2 - search.evidence.noise  # of what a strong effect leaves, something always goes with time
     likelier = other.log_odds + math.log(UNLISTED / (1.0 - UNLISTED)) > odds
     return likelier and other.by_change > 0.5 * MISFIT * max(beyond, 0.0)

@@ -97,13 +97,11 @@ def test_candidates_that_are_not_there_do_not_change_the_answer(tmp_path: Path, 
 
 
 def test_the_more_repeats_the_narrower_the_interval_and_one_is_wider_than_three(tmp_path: Path) -> None:
-    """Noise by the root of the number, tolerances and the form of the effect not at all."""
+    """Noise by the root of the number; tolerances, the discrepancy that they make, and the form of the effect not at all."""
     known = {n: first(answer(measure(SMALL, repeats=n), catalogue(tmp_path))) for n in (1, 3, 6)}
     for value, half in known.values():
         assert abs(value - 0.004) < half
-    assert known[1][1] > 1.2 * known[3][1]
-    assert known[3][1] > 1.1 * known[6][1]
-    assert known[6][1] > known[3][1] / 2.0**0.5
+    assert known[1][1] > known[3][1] > known[6][1] > known[3][1] / 2.0**0.5
 
 
 def by_noise(value: float, half: float) -> float:
@@ -111,7 +109,7 @@ def by_noise(value: float, half: float) -> float:
     return math.sqrt((half / 1.645) ** 2 - (BIAS * value) ** 2)
 
 
-@pytest.mark.parametrize(("seconds", "least"), [(7.0, 0.75), (8.0, 0.96)], ids=["all samples", "averaged in blocks"])
+@pytest.mark.parametrize(("seconds", "least"), [(7.0, 0.75), (8.0, 1.0)], ids=["all samples", "averaged in blocks"])
 def test_twice_the_data_narrows_the_interval(tmp_path: Path, seconds: float, least: float) -> None:
     """A second condition that is nearly the first: by the root of two; two of 8 s have more than ROWS samples, and gain less."""
     one = measure(SMALL, seconds=seconds)

@@ -85,11 +85,14 @@ class TestSmallest:
         assert found.state == "if large"
 
     def test_a_limit_shows_from_where_it_is_reached(self, tmp_path: Path) -> None:
-        """By proportion to what it does at its largest it would show at a hundredth of that."""
+        """By proportion to what it does at its largest it would show at a hundredth of that.
+
+        What is cut off must be more than the discrepancy, too: not from the first tenth of the range that is cut, but from the first fifth.
+        """
         runs = measure(repeats=3)
         reached = 1.0 - max(float(np.abs(x).max()) for x in runs[0].columns.values()) / 0.5
         found = of(checked(tmp_path, runs, RANGE), "range", "sensors")
-        assert reached < found.smallest < reached + 0.1 * (1.0 - reached)
+        assert reached < found.smallest < reached + 0.2 * (1.0 - reached)
 
 
 class TestSets:

@@ -19,7 +19,7 @@ from robomill.diagnosis.catalogue import COS, LOGGING, SIN, Candidate, Prior
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import Setting
 from robomill.diagnosis.gate import checks as gate
-from robomill.diagnosis.gate import phases
+from robomill.diagnosis.gate import phases, repeats
 from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.inference import adequacy, evidence, machines, priors, search, transfer
 from robomill.diagnosis.inference.estimation import Fit, Space
@@ -208,28 +208,46 @@ class TestPhases:
 
 
 EFFECT, CLOCK = candidate("p"), replace(candidate("lag a.*"), component=LOGGING)
-AROUND_NOISE: Any = SimpleNamespace(candidates=(EFFECT,), evidence=SimpleNamespace(expected=np.ones(1000), noise=1000.0))
+NOTHING_SEEN = Space(np.zeros(1), {"all": slice(0, 1)}, np.zeros((1, 0)))
+AROUND_NOISE: Any = SimpleNamespace(
+    candidates=(EFFECT,),
+    evidence=SimpleNamespace(noise=1000.0, space=NOTHING_SEEN, level=lambda left: float(left[0])),
+    explainable=lambda left: 0.0,
+)
 
 
 def fitted(left: float, *model: Candidate) -> Fit:
     """A model that leaves so many times what noise does."""
-    return Fit(model, {a: c.prior.scale for c in model for a in c.addresses}, {}, 0.0, 1000.0 * left)
+    return Fit(model, {a: c.prior.scale for c in model for a in c.addresses}, {}, 0.0, 1000.0 * left, np.array([-left]))
 
 
 def form() -> float:
     """Length of what the law of an effect may miss that is 100 deviations long."""
-    space = Space(np.zeros(1), {"all": slice(0, 1)}, np.zeros((1, 0)))
-    made: Any = SimpleNamespace(space=space, arrays=np.array([0]))
+    made: Any = SimpleNamespace(space=NOTHING_SEEN, arrays=np.array([0]))
     found = evidence.Evidence.form(made, (EFFECT,), np.array([100.0]), np.zeros((1, 1)), np.zeros(1))
     assert found is not None
     return float(found[0, 0])
 
 
+def discrepancy() -> float:
+    """That of an array which three deviations of a tolerance, simulated at once, change by 6."""
+    a = EFFECT.addresses[0]
+    return float(evidence._discrepancy({a: [np.full((10, 1), 6.0)]}, {a: 1.5}, {a: 0.5}, np.array([0]))[0])
+
+
+def stopped() -> bool:
+    """Whether a repeat that is unlike the others in three of five channels stops the log."""
+    rng = np.random.default_rng(1)
+    simulated, measured = (list(rng.normal(size=(n, 100, 5))) for n in (8, 4))
+    measured[-1][:, :3] += 20.0
+    (found,) = repeats.compared(measured, simulated, list("abcde"), list("1234"), STEP)
+    return found.fatal
+
+
 def rank() -> float:
     """That of odds which no simulated machine has."""
-    space = Space(np.zeros(1), {"all": slice(0, 1)}, np.zeros((1, 0)))
     a = EFFECT.addresses[0]
-    of: Any = SimpleNamespace(candidates=(EFFECT,), starts={}, evidence=SimpleNamespace(space=space, sensitivities={a: np.ones(1)}))
+    of: Any = SimpleNamespace(candidates=(EFFECT,), starts={}, evidence=SimpleNamespace(space=NOTHING_SEEN, sensitivities={a: np.ones(1)}))
     return machines.p_none(of, math.inf)
 
 
@@ -246,17 +264,19 @@ NOTICED: list[tuple[Any, str, float, Callable[[], Any], Any, Any]] = [
     (priors, "NOTHING", 2.0, lambda: math.exp(priors.log_priors([()], (EFFECT,))[0]), 0.3, 0.6),
     # a probability that cannot be doubled: twice the odds
     (priors, "ANOTHER", 4 / 3, lambda: math.exp(priors.log_priors([(EFFECT,)], (EFFECT,))[0]), 0.7 * 0.25, 0.7 / 9.0),
-    (adequacy, "LEVEL", 2.0, lambda: adequacy.unexplained(11.3, 3.3), 0.2, 0.7 / 8.7),
-    (adequacy, "SPREAD", 2.0, lambda: adequacy.left_by(5.0, 2.2, 0.05) > 0.0, False, True),
+    (adequacy, "LEVEL", 2.0, lambda: adequacy.unexplained(11.0, 3.0), 0.2, 1.0 / 9.0),
+    (adequacy, "SPREAD", 2.0, lambda: adequacy.left_by(9.0, 2.9, 0.05) > 0.0, False, True),
     (adequacy, "MISFIT", 2.0, lambda: adequacy.misfit((EFFECT,)), 0.05, 0.1),
     (adequacy, "MISFIT", 2.0, lambda: fits(50.0, 15.0, EFFECT) > 0.5, False, True),
     (adequacy, "EXACT", 2.0, lambda: adequacy.misfit((EFFECT, CLOCK)), 0.005, 0.01),
-    (adequacy, "EXACT", 2.0, lambda: fits(50.0, 3.4, CLOCK) > 0.5, False, True),
+    (adequacy, "EXACT", 2.0, lambda: fits(50.0, 4.2, CLOCK) > 0.5, False, True),
+    (evidence, "DISCREPANCY", 2.0, discrepancy, 0.8, 1.6),
     (evidence, "FORM", 2.0, form, 4.0, 8.0),
+    (repeats, "MOST_CHANNELS", 2.0, stopped, True, False),
     (machines, "MACHINES", 2, rank, 1.0 / 2001.0, 1.0 / 4001.0),
     (transfer, "KEEPS", 2.0, lambda: transfer.Transfer(5.0, 1.1, 1.0, 1.0, 0.0, 0.8, 0.1).promise > 0.0, False, True),
     (verdict, "UNLISTED", 2.0, lambda: fits(1.0, 1.0, EFFECT) > 0.7, True, False),
-    (verdict, "UNKNOWN", 2.0, lambda: judged(3.0, 0.9, 0.5), "unknown", "none"),
+    (verdict, "UNKNOWN", 2.0, lambda: judged(4.0, 0.9, 0.5), "unknown", "none"),
     (verdict, "IDENTIFIED", 1.2, lambda: judged(9.0, 0.9, 0.001), "identified", "ambiguous"),
 ]
 """Module, constant, times what, what depends on it, before and after."""

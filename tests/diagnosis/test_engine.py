@@ -46,7 +46,7 @@ class TestVerdict:
         """A simulation begins with its initial values, and settles."""
 
         def settling(t: Any, y: Any) -> Any:
-            return y + 50.0 * NOISE * np.exp(-t / 0.02) * (t < 0.09)
+            return y + 200.0 * NOISE * np.exp(-t / 0.02) * (t < 0.09)
 
         result = answer(tmp_path, changed(measure(seed=100), "sensors.y[1]", settling)).result
         assert result["verdict"] == "none"

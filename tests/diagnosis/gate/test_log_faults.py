@@ -44,6 +44,18 @@ class TestJudged:
         (finding,) = judged(1.05e-3 * VECTOR[:, :1], VECTOR[:, :1], NAMES[:1], np.array([1e-9]))
         assert finding.text == "is 0.00105 times what it should be: units for milli-; expected 1 (give the unit that it is logged in)"
 
+    @pytest.mark.parametrize("factor", FACTORS)
+    def test_a_unit_of_a_whole_array_is_found(self, factor: float) -> None:
+        even = np.stack([SINE, COSINE, OTHER], axis=1)
+        assert sorted(kinds(factor * even, even)) == [(name, "unit") for name in NAMES]
+
+    @pytest.mark.parametrize(("part", "found"), [(1.0, True), (1e-3, False)])
+    def test_an_element_that_hardly_moves_beside_its_array_has_neither_unit_nor_sign(self, part: float, found: bool) -> None:
+        """A thousandth of the others: a pose that is off by three degrees makes it 57 times as large, or turns its sign."""
+        s = VECTOR * [1.0, 1.0, part]
+        for factor, kind in ((180.0 / np.pi, "unit"), (-1.0, "sign")):
+            assert kinds(s * [1.0, 1.0, factor], s) == [(NAMES[2], kind)] * found
+
     @pytest.mark.parametrize("i", [0, 1, 2])
     def test_a_wrong_sign_is_found_with_an_effect_besides(self, i: int) -> None:
         x = 0.8 * VECTOR + 0.1 * np.cos(10.0 * np.pi * T)[:, None]

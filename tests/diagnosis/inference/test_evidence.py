@@ -11,7 +11,19 @@ import pytest
 
 from robomill.diagnosis.catalogue import LOGGING, Address
 from robomill.diagnosis.experiment.measured import DataError
-from robomill.diagnosis.inference.evidence import BEGINNING, DEPENDENCE, FORM, LATENESS, SETTLING, SUDDEN, TRUST, Evidence, gather
+from robomill.diagnosis.inference.evidence import (
+    BEGINNING,
+    DEPENDENCE,
+    DISCREPANCY,
+    FORM,
+    GUESSED,
+    LATENESS,
+    SETTLING,
+    SUDDEN,
+    TRUST,
+    Evidence,
+    gather,
+)
 from robomill.diagnosis.inference.noise import SPELL, own_noise
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import STEP
@@ -101,7 +113,7 @@ class TestRepeats:
 
 
 class TestScales:
-    """Without noise: the floor is all that there is."""
+    """Without noise: the floor, and the discrepancy of what tolerances change, are all that there is."""
 
     def evidence(self, repeats: int = 2) -> Evidence:
         """Two conditions; P was simulated at 4 and does 8, in the second condition -8; Q at 1, and does 2; a tolerance of 0.5, at 1.5."""
@@ -112,9 +124,12 @@ class TestScales:
     FLOOR = TRUST * 6.0 / math.sqrt(2.0)
     """The median of the rms changes 8, 2 and 6 / sqrt(2), the last of which is only in one of two conditions."""
 
-    def counted(self, size: float, other: float, repeats: int) -> FloatArray:
+    OFF = DISCREPANCY * 6.0 / math.sqrt(2.0) * 0.5 / 1.5
+    """From the rms of a deviation of the tolerance over both conditions. It is the same in all repeats: a mean is no better for them."""
+
+    def counted(self, size: float, other: float, repeats: int, off: float = OFF) -> FloatArray:
         """So large a change in the conditions, whitened."""
-        made = np.repeat([size, other], ROWS) / self.FLOOR * math.sqrt(repeats / DEPENDENCE)
+        made = np.repeat([size, other], ROWS) / math.hypot(self.FLOOR, math.sqrt(repeats) * off) * math.sqrt(repeats / DEPENDENCE)
         made[np.arange(2 * ROWS) % ROWS < BEGINNING] = 0.0
         return made
 
@@ -163,10 +178,11 @@ class TestScales:
         assert np.flatnonzero(found.space.y)[0] == int(SETTLING * rows)
 
     def test_other_conditions_are_counted_in_the_same_units(self) -> None:
+        """There no tolerance is told of, and nothing is off by one."""
         first = self.evidence()
         there = gathered([[still(7.0)] * 2], [[still()]], {P: [still(50.0)]}, {P: 1.0}, {P: 1.0}, {}, like=first)
         assert there.whitening is first.whitening
-        assert there.space.y == pytest.approx(self.counted(7.0, 0.0, 2)[:ROWS], rel=RIDGE)
+        assert there.space.y == pytest.approx(self.counted(7.0, 0.0, 2, off=0.0)[:ROWS], rel=RIDGE)
 
     def test_own_noise_of_single_runs_is_a_nuisance_of_its_condition_as_large_as_in_the_mean(self) -> None:
         """Repeats that are apart by an offset; a mean of n runs has 1 / n of its variance, and counts as n over DEPENDENCE."""
@@ -179,6 +195,85 @@ class TestScales:
         columns = found.space.nuisances.toarray()[:, -single.shape[1] :]
         assert not columns[:ROWS].any()
         assert columns[ROWS:] == pytest.approx(single / math.sqrt(DEPENDENCE), rel=ROUNDOFF)
+
+
+class TestDiscrepancy:
+    """Two conditions without noise, three channels of two arrays; two tolerances, of which the second alone changes the second array."""
+
+    NAMES = ("a.x[1]", "a.x[2]", "b.z")
+    FIRST, SECOND = ("a", "first"), ("b", "second")
+    FLOOR = TRUST * 10.0
+    """An effect of typical size changes each channel by 10: the tolerances, which change them by less, do not move the median."""
+
+    def evidence(self, second: bool = True, repeats: int = 2) -> Evidence:
+        """The first number (deviation 0.5, simulated at 1.5) changes the channels by 4, 2 and 0 per deviation, in the first condition only.
+
+        The second one changes the third channel by 3, in the second condition only.
+        """
+        first = [still() + np.array([12.0, 6.0, 0.0]), still(0.0, 3)]
+        changes = {P: [still(10.0, 3)] * 2, Q: [still(10.0, 3)] * 2, ("a", "r"): [still(10.0, 3)] * 2, self.FIRST: first}
+        sizes, tolerances = {**dict.fromkeys(changes, 1.0), self.FIRST: 1.5}, {self.FIRST: 0.5}
+        if second:
+            changes[self.SECOND], sizes[self.SECOND], tolerances[self.SECOND] = (
+                [still(0.0, 3), still() + np.array([0.0, 0.0, 3.0])],
+                1.0,
+                1.0,
+            )
+        laboratory = Calculated(lambda *_: None, ROWS, self.NAMES, 2)
+        names = [c.name for c in laboratory.conditions]
+        groups = [[still(0.0, 3)] * repeats] * 2
+        scales = {P: 1.0, Q: 1.0, ("a", "r"): 1.0}
+        return gather(laboratory, names, groups, [[still(0.0, 3)]] * 2, changes, sizes, scales, tolerances)
+
+    OFF = DISCREPANCY * np.array([math.sqrt((4.0**2 + 2.0**2) / 4.0)] * 2 + [3.0 / math.sqrt(2.0)])
+    """The root of the mean square of an array, over its elements and both conditions."""
+
+    def part(self, repeats: int, off: FloatArray) -> FloatArray:
+        """Variance of a whitened sample that is discrepancy, by channel."""
+        return repeats * off**2 / (self.FLOOR**2 + repeats * off**2)
+
+    @pytest.mark.parametrize("repeats", [2, 18])
+    def test_it_is_that_of_the_array_in_each_of_its_elements_and_no_less_for_repeats(self, repeats: int) -> None:
+        found = self.evidence(repeats=repeats)
+        assert found.judged.tolist() == [True] * 3
+        for sudden in found.sudden:
+            assert sudden == pytest.approx(np.tile(math.sqrt(repeats) * self.OFF, (ROWS, 1)), rel=ROUNDOFF)
+        expected = np.tile(self.part(repeats, self.OFF) / DEPENDENCE, 2 * ROWS)
+        assert found.allowed - found.expected == pytest.approx(expected, rel=RIDGE)
+        assert not found.expected.any()
+
+    def test_an_array_that_no_tolerance_changes_has_none_and_is_not_judged(self) -> None:
+        found = self.evidence(second=False)
+        assert found.judged.tolist() == [True, True, False]
+        assert not found.sudden[0][:, 2].any()
+        assert found.level(self.left(found, (0.0, 0.0, 7.0))) == 0.0
+
+    def left(self, found: Evidence, sizes: tuple[float, float, float]) -> FloatArray:
+        """So large in a channel, of one sign and the other in turn, where samples count; what is steady takes none of it."""
+        made = np.zeros((2, ROWS, 3))
+        made[:, BEGINNING + 1 :] = np.where(np.arange(ROWS - BEGINNING - 1) % 2, 1.0, -1.0)[:, None] * np.array(sizes)
+        assert (ROWS - BEGINNING - 1) % 2 == 0
+        assert found.space.explained(made.ravel()) == pytest.approx(np.zeros(made.size), abs=ROUNDOFF)
+        return made.ravel()
+
+    @pytest.mark.parametrize("repeats", [1, 2])
+    @pytest.mark.parametrize(("sizes", "worst"), [((3.0, 1.0, 2.0), "a.x"), ((1.0, 1.0, 2.0), "b.z"), ((0.0, 3.0, 1.0), "a.x")])
+    def test_the_level_is_that_of_the_worst_array(self, sizes: tuple[float, float, float], worst: str, repeats: int) -> None:
+        """Over that of noise and discrepancy; where nothing was repeated over GUESSED times that."""
+        found = self.evidence(repeats=repeats)
+        square = (ROWS - BEGINNING - 1) * np.array(sizes) ** 2
+        allowed = ROWS * self.part(repeats, self.OFF) / DEPENDENCE
+        levels = {"a.x": square[:2].sum() / allowed[:2].sum(), "b.z": square[2] / allowed[2]}
+        assert max(levels, key=lambda name: levels[name]) == worst
+        assert found.level(self.left(found, sizes)) == pytest.approx(levels[worst] / (GUESSED if repeats == 1 else 1.0), rel=RIDGE)
+
+    def test_what_nuisances_explain_is_not_counted(self) -> None:
+        """A deviation of a tolerance, whose own column takes s / (1 + s) of it, s its square."""
+        found = self.evidence(second=False)
+        column = found.space.nuisances.toarray()[:, found.space.names.index(self.FIRST)]
+        square = float(column @ column)
+        allowed = 2 * ROWS * self.part(2, self.OFF)[:2].sum() / DEPENDENCE
+        assert found.level(column) == pytest.approx(square / (1.0 + square) ** 2 / allowed, rel=1e2 * RIDGE)
 
 
 class TestLateness:

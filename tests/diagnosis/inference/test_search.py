@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,13 +17,18 @@ from robomill.diagnosis.catalogue import Address, Candidate, Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import sort_by_condition
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
-from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.estimation import Fit, Space
+from robomill.diagnosis.inference.evidence import GUESSED
 from robomill.diagnosis.inference.search import FAULT, SUBSTANTIAL, Search
+from robomill.diagnosis.inference.sensitivities import Start
+from robomill.diagnosis.outcome.verdict import UNKNOWN
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
 from robomill.orchestration.system.definition import Component, System
 from tests.diagnosis.demo import SYSTEM, WELL, Part, catalogue, changed, measure, real, resolve
+from tests.diagnosis.formula import candidate
+from tests.tolerances import ROUNDOFF, chance
 
 GAIN, RUBBING, CLOCK = ("sensors", "gain_error[1]"), ("masses", "friction[1]"), ("logging", "lag sensors.*")
 
@@ -164,3 +171,64 @@ def test_the_law_of_a_strong_effect_may_be_off_in_every_fit_of_it(tmp_path: Path
         assert form is not None
         assert best.form is not None
         assert best.form == pytest.approx(form, rel=WELL, abs=WELL)
+
+
+class TestExplainable:
+    """What all candidates together explain of what a model leaves; the catalogue has three effects, and one of them starts elsewhere."""
+
+    N, DRAWS = 400, 200
+    ENTRIES = tuple(candidate(name) for name in "abc")
+
+    def made(self, size: float, guessed: bool = False) -> tuple[Any, FloatArray, FloatArray]:
+        """All that is asked of a search; what its candidates do, [n, 3]; the covariance of noise and nuisances."""
+        rng = np.random.default_rng(7)
+        does, nuisances = size * rng.normal(size=(self.N, 3)), rng.normal(size=(self.N, 2)) * [0.3, 2.0]
+        does[:, 1] += does[:, 0]  # two that look alike
+        sensitivities = dict(zip((a for c in self.ENTRIES for a in c.addresses), does.T, strict=True))
+        (turns,) = self.ENTRIES[2].addresses
+        starts = {turns: Start(0.2, 0.2 * sensitivities[turns], np.zeros(self.N))}
+        sensitivities[turns] = rng.normal(size=self.N)
+        space = Space(np.zeros(self.N), {"all": slice(0, self.N)}, nuisances)
+        evidence = SimpleNamespace(space=space, sensitivities=sensitivities, whitening=SimpleNamespace(guessed=guessed))
+        return SimpleNamespace(candidates=self.ENTRIES, evidence=evidence, starts=starts), does, np.eye(self.N) + nuisances @ nuisances.T
+
+    def smoother(self, does: FloatArray, covariance: FloatArray) -> FloatArray:
+        """By the covariance of data that have all effects: C^-1 - (C + V V')^-1, of which the trace is that of the smoother times C^-1."""
+        return np.asarray(np.linalg.inv(covariance) - np.linalg.inv(covariance + does @ does.T))
+
+    @pytest.mark.parametrize("guessed", [False, True])
+    def test_it_is_what_a_fit_with_priors_explains_over_the_trace_of_its_smoother(self, guessed: bool) -> None:
+        of, does, covariance = self.made(0.1, guessed)
+        left = np.random.default_rng(1).normal(size=self.N)
+        smoother = self.smoother(does, covariance)
+        freedom = float(np.trace(smoother @ covariance))
+        assert 1.0 < freedom < 3.0
+        expected = float(left @ smoother @ left) / freedom / (GUESSED if guessed else 1.0)
+        assert Search.explainable(of, left) == pytest.approx(expected, rel=1e4 * ROUNDOFF)
+
+    def test_of_noise_it_is_one_and_of_less_than_one_degree_of_freedom_less(self) -> None:
+        """In the mean over draws, noise and nuisances within their deviations: variance of a quadratic form x' A x is 2 tr (A C)^2."""
+        for size in (0.1, 0.01):
+            of, does, covariance = self.made(size)
+            draws = np.linalg.cholesky(covariance) @ np.random.default_rng(2).normal(size=(self.N, self.DRAWS))
+            product = self.smoother(does, covariance) @ covariance
+            freedom = float(np.trace(product))
+            assert (freedom > 1.0) is (size == 0.1)
+            mean = float(np.mean([Search.explainable(of, x) for x in draws.T]))
+            scatter = math.sqrt(2.0 * float(np.trace(product @ product)) / self.DRAWS)
+            assert mean == pytest.approx(min(freedom, 1.0), abs=chance(scatter / max(freedom, 1.0)))
+
+    @pytest.mark.parametrize("i", [0, 1, 2])
+    def test_it_is_large_where_a_model_leaves_what_another_candidate_does(self, i: int) -> None:
+        """Five prior scales of it beside noise, in the mean over draws: with s what it does, s' A s more."""
+        of, does, covariance = self.made(0.1)
+        smoother = self.smoother(does, covariance)
+        draws = np.linalg.cholesky(covariance) @ np.random.default_rng(3).normal(size=(self.N, self.DRAWS))
+        added = 5.0 * does[:, i]
+        more = float(added @ smoother @ added) / float(np.trace(smoother @ covariance))
+        assert more > 10.0
+        found = [Search.explainable(of, x + added) for x in draws.T]
+        product = smoother @ covariance
+        variance = 2.0 * float(np.trace(product @ product)) + 4.0 * float(added @ smoother @ covariance @ smoother @ added)
+        assert float(np.mean(found)) == pytest.approx(1.0 + more, abs=chance(math.sqrt(variance / self.DRAWS) / float(np.trace(product))))
+        assert min(found) > UNKNOWN

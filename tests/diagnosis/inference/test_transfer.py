@@ -17,7 +17,7 @@ from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.simulation import Simulator
 from robomill.diagnosis.inference.adequacy import EXACT, MISFIT, left_by
 from robomill.diagnosis.inference.estimation import Fit
-from robomill.diagnosis.inference.evidence import DEPENDENCE, FORM, Evidence, gather
+from robomill.diagnosis.inference.evidence import DEPENDENCE, DISCREPANCY, FORM, Evidence, gather
 from robomill.diagnosis.inference.transfer import KEEPS, Transfer, transfer
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -189,10 +189,14 @@ class TestGain:
         assert s is not None
         nuisances = there.space.nuisances.toarray()
         covariance = np.eye(self.ROWS) + nuisances @ nuisances.T
-        y, noise = there.space.y, float(there.expected.sum())
-        before = y @ np.linalg.solve(covariance, y)
-        after = (y - s) @ np.linalg.solve(covariance + doubt**2 * np.outer(s, s), y - s)
-        expected = (before / noise, after / noise, 0.5 * (before - after), 0.5 * (s @ np.linalg.solve(covariance, s)), doubt)
+        y, unsure = there.space.y, covariance + doubt**2 * np.outer(s, s)
+        before, after = y @ np.linalg.solve(covariance, y), (y - s) @ np.linalg.solve(unsure, y - s)
+        # one array, twice as large here; three repeats that are all off by the same; (1 + N N')^-1 takes away what nuisances N explain
+        off = math.sqrt(3.0) * DISCREPANCY * 2.0 * self.NUISANCE.scale * math.sqrt(float((np.sin(3.0 * self.T + 0.5) ** 2).mean()))
+        part = off / np.hypot(there.sudden[0], there.whitening.factor[0, 0])
+        allowed = float(there.expected.sum() + (part**2).sum() / DEPENDENCE)
+        levels = [float((np.linalg.solve(c, x) ** 2).sum()) / allowed for c, x in ((covariance, y), (unsure, y - s))]
+        expected = (*levels, 0.5 * (before - after), 0.5 * (s @ np.linalg.solve(covariance, s)), doubt)
         assert (found.before, found.after, found.gain, found.expected_gain, found.doubt) == pytest.approx(expected, rel=1e4 * ROUNDOFF)
         # one condition and one array: what the law may miss there is one column
         wide = np.linalg.inv(covariance + FORM**2 * np.outer(s, s))
