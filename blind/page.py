@@ -55,7 +55,7 @@ def page(contents: Sequence[Mapping[str, Any]], command: str, reasons: Reasons |
     lines = [
         "# The blind benchmark: results",
         "",
-        f"Written by `{command}`. What the sets and figures are: [blind.md](../blind.md).",
+        f"Written by `{command}`. What the sets and figures are: [blind.md](../maintainers/blind.md).",
         "Intervals are 95 %. A figure without cases is neither within its bound nor outside.",
         "",
         *_table(["figure", "set", "tier", "value", "95 %", "cases", *(f"{m} generator" for m in _MAKERS), "bound", "met"], rows),
