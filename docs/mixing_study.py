@@ -18,7 +18,7 @@ from robomill.orchestration.errors import SystemFileError
 from robomill.orchestration.system.definition import Connection
 
 ROOT = Path(__file__).parents[1]
-PAGE = Path(__file__).parent / "mixing.md"
+PAGE = Path(__file__).parent / "explanation" / "mixing.md"
 SCENARIOS = ROOT / "scenarios"
 ROBOTS = {"KR 300": "kr300_r2500_ultra", "KR 500": "kr500_r2830", "KR 210": "kr210_2", "IRB 6400": "irb6400r_25_150"}
 """By title: the file in scenarios/robots, with the place of the part."""

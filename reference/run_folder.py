@@ -50,6 +50,7 @@ class RunKeys(Keys):
     description = optional(keys.text(blank=True), "what the system is, or what was recorded")
     source = optional(keys.text(), "where the log comes from (measured)")
     licence = optional(keys.text(), "licence of the data (measured)")
+    imported = optional(keys.anything("table"), "file, mapping and time of the log that the run was imported from (measured)")
     algorithm = optional(keys.text(), "how the components were stepped (simulated)")
     warnings = optional(keys.texts(), "what was to be said of the system (simulated)")
     rates = default({}, keys.named(keys.number(), "component"), "steps of a component in each step of the system, where not 1")

@@ -303,7 +303,7 @@ def parser() -> argparse.ArgumentParser:
     )
     krc.add_when_used("rsi_command", "add_robot_arguments")
     completion = _command(
-        commands, "completion", "print what makes a shell complete commands, options and files", 'eval "$(robomill completion bash)"'
+        commands, "completion", "print what makes a shell complete commands, options and files", "robomill completion bash"
     )
     completion.add_argument("shell", choices=SHELLS, help="which shell; docs/how_to/python.md says where the text belongs")
     return main_parser

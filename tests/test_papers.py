@@ -26,7 +26,8 @@ def sections() -> dict[str, list[list[str]]]:
     """Rows of the table of each paper."""
     found = {}
     for text in re.split(r"^## Paper ", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]:
-        rows = [[c.strip() for c in line.strip().strip("|").split("|")] for line in text.splitlines() if line.startswith("|")]
+        lines = text.split("\n## ")[0].splitlines()  # the sources stand behind the papers
+        rows = [[c.strip() for c in line.strip().strip("|").split("|")] for line in lines if line.startswith("|")]
         assert rows[0] == HEAD
         found[text[:3]] = rows[2:]
     return found

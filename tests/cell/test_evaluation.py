@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -10,13 +12,13 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from robomill.cell import milling, pictures
 from robomill.cell.evaluation import Result, evaluate
+from robomill.cell.milled import Runs
 from robomill.cell.reaction import reaction_time
 from robomill.cell.scenario import Scenario, Workpiece
-from robomill.commands import _largest, _table
+from robomill.commands import _show_milled
 from robomill.models.process import tool_table
 from robomill.models.process.cutting import EndMill
 from robomill.orchestration.runs.run import Run
@@ -72,10 +74,10 @@ def result(run: Recorded) -> Result:
 
 
 def table(one: Result) -> str:
-    console = Console(width=200, record=True, file=None, quiet=False)
-    with console.capture() as shown:
-        console.print(_table(cast(Scenario, SimpleNamespace(title="a scenario", paper={})), [one]))
-    return shown.get()
+    scenario = cast(Scenario, SimpleNamespace(title="a scenario", paper={}))
+    with contextlib.redirect_stdout(io.StringIO()) as shown:
+        _show_milled(Runs(scenario, Path(), (one,)))
+    return shown.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -94,7 +96,7 @@ def test_no_figures_where_nothing_is_cut(z: float, depth: float, why: str, tmp_p
     json.dumps(asdict(nothing.figures), allow_nan=False)
     row = next(text for text in table(nothing).splitlines() if "a variant" in text)
     assert row.split()[2:] == ["-"] * 5 + ["1"]
-    assert _largest(nothing.figures) == nothing.figures.note
+    assert f"a variant: {nothing.figures.note}" in table(nothing)
     assert np.isnan(reaction_time(cast(Run, Recorded(along(0.0, z), (0.0, 1e-3, 0.0), 0.0))))
     figure = pictures.surfaces([nothing], BLOCK)
     assert "nothing is cut" in [text.get_text() for text in figure.axes[0].texts]
@@ -117,12 +119,12 @@ def test_a_limit_of_the_measure_is_said_in_table_json_and_picture() -> None:
     limited = result(Recorded(along(0.021, -0.01), (0.0, 2.5e-3, 0.0), 0.01))
     assert limited.figures.max_deviation_limited is True
     assert ">= 2.50" in table(limited)
-    assert ">= 2.50 mm (limit of the measure)" in _largest(limited.figures)
+    assert ">= 2.50 mm (limit of the measure)" in table(limited)
     figure = pictures.surfaces([limited], BLOCK)
     assert "max >= 2.50 mm" in figure.axes[0].get_title()
     plain = result(Recorded(along(0.0, -0.01), (0.0, 2.5e-3, 0.0), 0.01))
     assert plain.figures.max_deviation_limited is False
-    assert ">=" not in table(plain) + _largest(plain.figures) + pictures.surfaces([plain], BLOCK).axes[0].get_title()
+    assert ">=" not in table(plain) + pictures.surfaces([plain], BLOCK).axes[0].get_title()
 
 
 def test_edges_have_a_figure_of_their_own() -> None:

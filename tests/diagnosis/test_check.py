@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from robomill.check_table import show
 from robomill.diagnosis.check import Checked, Shown, check
@@ -153,11 +151,11 @@ def test_the_simulations_serve_the_next_call(tmp_path: Path) -> None:
     assert second.effects == first.effects
 
 
-def test_screen_and_json_say_the_same(tmp_path: Path) -> None:
+def test_screen_and_json_say_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = checked(tmp_path, measure(repeats=3), TWINS)
-    console = Console(width=160, record=True, file=StringIO())
-    show(found, console)
-    text = console.export_text()
+    capsys.readouterr()
+    show(found)
+    text = capsys.readouterr().out
     data = json.loads(as_json(found.result))
     assert data["schema"] == "robomill-check/1"
     assert len({e["effect"] for e in data["effects"]}) == 6

@@ -101,7 +101,10 @@ def test_an_input_that_is_not_finite_is_refused_by_name(bad: float) -> None:
     [
         ({"stiffness[2,1]": -5.0}, "springs: parameter stiffness[2,1] = -5.0 N/m is below its minimum 0 N/m"),
         ({"stiffness": [[1.0], [2e6]]}, "springs: parameter stiffness[2,1] = 2000000.0 N/m is above its maximum 1000000 N/m"),
-        ({"stiffness": [1.0, 2.0, 3.0]}, "springs: parameter stiffness has shape [2, 1]; found a value of shape [3]"),
+        (
+            {"stiffness": [1.0, 2.0, 3.0]},
+            "springs: parameter stiffness has shape [2, 1]; found a value of shape [3]; give a value of that shape",
+        ),
         ({"drift": float("nan")}, "springs: parameter drift = nan N/s is not a finite number"),
         ({"drift": "fast"}, "springs: parameter drift = 'fast' N/s: expected a number"),
         ({"drfit": 1.0}, "springs: unknown parameter 'drfit'; available: stiffness, drift, curve"),

@@ -207,7 +207,7 @@ def test_a_recorded_robot_without_tool_tip_repeats_or_held_out_runs(tmp_path: Pa
     import_log(DATA / "map.toml", DATA / "recording_A.npz", tmp_path / "A")
     (tmp_path / "robot.toml").write_text(RECORDED)
     command = ["diagnose", "robot.toml", "A", "--catalogue", "catalogue.toml", "--out", "answer", "--jobs", "1"]
-    shutil.copy(DATA / "catalogue.toml", tmp_path)
+    shutil.copy(ROOT / "scenarios" / "recordings" / "kuka_kr300" / "catalogue.toml", tmp_path)
     with contextlib.chdir(tmp_path):
         assert main(command) == 0
     result = json.loads((tmp_path / "answer" / "diagnosis.json").read_text(), parse_constant=_no_number)

@@ -116,9 +116,9 @@ def test_a_cause_that_is_not_listed_is_unknown_and_what_integrates_is_not_replay
     answer = shell.answer("axis/unknown")
     assert answer["verdict"] == "unknown"
     assert not [w for w in answer["which"] if w["probability"] > 0.5]
-    (sentence,) = (line for line in said.splitlines() if line.startswith("where: not replayed alone"))
-    assert sentence in PAGE.read_text(encoding="utf-8")
-    assert sentence.removeprefix("where: ") == answer["not_replayed"]
+    sentence = f"where: {answer['not_replayed']}"
+    assert sentence in " ".join(said.split())
+    assert sentence in " ".join(PAGE.read_text(encoding="utf-8").split())
     assert "Not replayed alone: " in (shell.folder / "axis" / "unknown" / "report.html").read_text(encoding="utf-8")
 
 

@@ -131,7 +131,7 @@ def test_hammer_simulated_and_from_its_runs(tmp_path: Path, capsys: pytest.Captu
     said = capsys.readouterr().out
     assert f"left out: {first['dropped'][0]}" in said
     assert said.count(", determined") == 3
-    assert main(["identify", "modes", *again[:2], "--compliance", TABLE, "--duration", "4", "--out", str(out)]) == 0
+    assert main(["identify", "modes", *again[:2], "--compliance", TABLE, "--duration", "4", "--out", str(out), "--overwrite"]) == 0
     said = capsys.readouterr().out
     assert "9.44  A1 drive 44 %, A3 tilt x 40 %" in said
     assert (out / "shapes.png").stat().st_size > 10_000

@@ -36,7 +36,7 @@ class TestEach:
         text = refused(tmp_path, runs, [replace(runs[2], folder=Path("other"))])
         assert text == (
             "other is held out, and run2, which is diagnosed, has the same signals but for rounding, as far as both go; "
-            "a run cannot confirm what was found in it"
+            "a run cannot confirm what was found in it; leave it out of one of the two"
         )
 
     def test_a_held_out_run_that_is_diagnosed_by_its_folder(self, tmp_path: Path) -> None:

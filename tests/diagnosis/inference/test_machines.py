@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 from scipy.stats import kstest
 
 from robomill.diagnosis.catalogue import COS, SIN, Candidate
+from robomill.diagnosis.inference import machines
 from robomill.diagnosis.inference.estimation import Space, quadratic_fit
 from robomill.diagnosis.inference.machines import MACHINES, p_none
 from robomill.diagnosis.inference.priors import log_posteriors, log_priors
@@ -23,6 +24,14 @@ from tests.diagnosis.inference.test_estimation import candidate, log_density
 from tests.tolerances import chance
 
 N = 60
+
+
+@pytest.fixture(autouse=True)
+def _alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Machines that all leave what noise and discrepancy do."""
+    monkeypatch.setattr(machines, "SPREAD", 0.0)
+
+
 RANKS = 60
 GRID = 1e-3
 """Largest log odds differ by far more between two of 2000 machines in the middle of them."""

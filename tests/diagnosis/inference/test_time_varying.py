@@ -56,10 +56,10 @@ def test_what_changes_with_time_is_unknown_and_says_what_it_is_like(
 
 
 def test_without_that_a_gain_that_grows_a_little_would_be_named_as_a_gain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By 0.3 %: the steady part explains so much of it that what is left looks like the law of a gain that is a little off."""
+    """By 0.6 %: the steady part explains so much of it that what is left looks like the law of a gain that is a little off."""
 
     def slowly(t: FloatArray, y: FloatArray) -> FloatArray:
-        return y * (1.001 + 0.003 * t / SECONDS)
+        return y * (1.002 + 0.006 * t / SECONDS)
 
     assert answer(tmp_path, slowly).result["verdict"] == "unknown"
     monkeypatch.setattr("robomill.diagnosis.outcome.conclusion.changing", lambda _: None)

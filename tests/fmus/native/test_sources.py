@@ -68,6 +68,7 @@ def test_the_same_bits_when_gcc_compiles_it(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not shutil.which("cmake"), reason="FMPy compiles with CMake")
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_the_same_bits_when_fmpy_compiles_it(tmp_path: Path) -> None:
     from fmpy.build import build_platform_binary
 

@@ -67,7 +67,7 @@ def test_the_archive_holds_what_an_fmu_should(built: Built) -> None:
     assert {"modelDescription.xml", "model.png", "binaries/linux64/robot_compliance.so", "binaries/win64/robot_compliance.dll"} <= names
     assert {"documentation/licenses/license.txt", "documentation/licenses/pythonfmu.txt", "documentation/reference/out.csv"} <= names
     assert "stiffness[11,3]" in html
-    assert not [n for n in names if "__pycache__" in n or "test" in n]
+    assert not [n for n in names if "__pycache__" in n or "tests/" in n]
 
 
 def test_nothing_bundled_imports_the_repositorys_packages(built: Built) -> None:

@@ -190,7 +190,10 @@ class TestTwoLibraries:
 
 
 def test_a_step_that_is_no_whole_number_of_nanoseconds():
-    with pytest.raises(SystemFileError, match=r"step = 0.0333\d* s is not a positive whole .* is counted; the nearest is 0.033333333 s$"):
+    with pytest.raises(
+        SystemFileError,
+        match=r"step = 0.0333\d* s is not a positive whole .* is counted; the nearest is 0.033333333 s; choose such a number$",
+    ):
         run(System("t", 1 / 30, (), stop=1.0))
 
 

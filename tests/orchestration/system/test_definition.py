@@ -146,9 +146,9 @@ ERRORS = [
     (
         'source = "robot_drive"',
         "sauce = 1",
-        "system.toml:11: [components] drive.sauce: unknown key 'sauce'; did you mean 'source'? available: every, inputs, isolate,",
+        "system.toml:11: [components] drive.sauce: unknown key 'sauce'; did you mean 'source'? available: correction, every, inputs, isolate,",
     ),
-    ('source = "robot_drive"\n', "", "system.toml:10: [components] drive: missing: source; known keys: every, inputs,"),
+    ('source = "robot_drive"\n', "", "system.toml:10: [components] drive: missing: source; known keys: correction, every, inputs,"),
     (
         "[components.drive]",
         "[components.1drive]",
