@@ -401,7 +401,7 @@ def late_clock(pattern: str, delay: float) -> Changes:
 OUTSIDE_BY_NAME: Mapping[str, Outside] = {o.name: o for o in OUTSIDE}
 FORMED = (
     *(OUTSIDE_BY_NAME[name] for name in ("axis_coupling", "quadratic_windup", "quadratic_sensor", "cogging_torque")),
-    Outside("cubic_spring", "compliance", 100e-6, 800e-6, "rad", _cubic_spring, "deflection with the third power of the torque"),
+    Outside("cubic_spring", "compliance", 1e-3, 4e-3, "rad", _cubic_spring, "deflection with the third power of the torque"),
     Outside("drive_wave", "drive", 30e-6, 150e-6, "rad", _drive_wave, "error of a gear with a period that no gear has"),
     Outside("cross_square", "sensor", 0.05, 0.3, "1", _cross_square, "a force that shows on another axis with its square"),
 )

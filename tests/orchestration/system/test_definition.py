@@ -146,7 +146,7 @@ ERRORS = [
     (
         'source = "robot_drive"',
         "sauce = 1",
-        "system.toml:11: [components] drive.sauce: unknown key 'sauce'; did you mean 'source'? available: correction, every, inputs, isolate,",
+        "system.toml:11: [components] drive.sauce: unknown key 'sauce'; did you mean 'source'? available: correction, every, inputs, isolate,",  # noqa: E501
     ),
     ('source = "robot_drive"\n', "", "system.toml:10: [components] drive: missing: source; known keys: correction, every, inputs,"),
     (
