@@ -32,4 +32,4 @@ def test_a_log_with_a_wrong_sign_ends_in_a_report_that_says_so(tmp_path: Path, c
     result = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
     assert [(f["channel"], f["kind"]) for f in result["gate"]["findings"] if f["fatal"]] == [("sensor.f_S_raw[1]", "sign")]
     assert "sensor.f_S_raw[1] has the wrong sign" in (out / "report.html").read_text(encoding="utf-8")
-    assert f"report: {out / 'report.html'}" in capsys.readouterr().out
+    assert f"report: {out / 'report.html'}" in capsys.readouterr().out.replace("\n", "")
