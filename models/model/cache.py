@@ -152,9 +152,15 @@ def _followed(module: str, own: set[str]) -> bool:
     return file is not None and not any(Path(sysconfig.get_path(kind)) in file.parents for kind in ("purelib", "platlib", "stdlib"))
 
 
-@cache
 def _file(module: str) -> Path | None:
     """Source file of a module, None if there is no such module or it has none (built in, extension, namespace)."""
+    loaded = getattr(sys.modules.get(module), "__file__", None)  # another file may be loaded under the name of one before
+    return Path(loaded) if loaded is not None and loaded.endswith(".py") else _found(module)
+
+
+@cache
+def _found(module: str) -> Path | None:
+    """Source file of a module that need not be loaded; see `_file`."""
     with suppress(ImportError, AttributeError, ValueError):
         spec = importlib.util.find_spec(module)
         if spec is not None and spec.origin is not None and spec.origin.endswith(".py"):

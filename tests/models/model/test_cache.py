@@ -9,6 +9,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -125,6 +126,18 @@ def test_relative_imports_and_packages_that_hold_something_are_followed(tmp_path
         "followed_package.model",
         "followed_package.other",
     ]
+
+
+def test_a_file_under_the_name_of_another_one_before_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Components of users are files: two of them may have one name."""
+    for folder in ("one", "other"):
+        file = tmp_path / folder / "twin.py"
+        file.parent.mkdir()
+        file.write_text("")
+        module = ModuleType("twin")
+        module.__file__ = str(file)
+        monkeypatch.setitem(sys.modules, "twin", module)
+        assert source_files("twin") == {"twin": file}
 
 
 def test_the_key_depends_on_functions_and_compiler() -> None:
