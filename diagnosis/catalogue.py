@@ -556,7 +556,9 @@ def _effect(entry: Entry) -> list[Candidate]:
         parameters, size = _names(spot["parameters"], component), prior
         if phase is not None:
             if len(parameters) != 1 or component == LOGGING:
-                raise spot["phase"].fail(f"{phase!r} needs one parameter of a component beside it, its amplitude; write parameters = [AMPLITUDE]")
+                raise spot["phase"].fail(
+                    f"{phase!r} needs one parameter of a component beside it, its amplitude; write parameters = [AMPLITUDE]"
+                )
             parameters, size = (parameters[0] + COS + phase, parameters[0] + SIN + phase), Prior("normal", prior.scale)
         if per_run and phase is None:
             raise spot["per"].fail("'run' is for a phase, which is not there; add phase = PARAMETER")

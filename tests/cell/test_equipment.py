@@ -203,8 +203,9 @@ class TestErrors:
         assert "irb6400r_25_150" in text
 
     def test_robot_without_springs_or_closed_form(self, tmp_path: Path) -> None:
-        assert "component 'path' needs q_start; choose another robot: robot 'UR10' has no inverse kinematics in closed form" in self.refused(
-            cell(tmp_path, "kr300_r2500_ultra", "ur10")
+        assert (
+            "component 'path' needs q_start; choose another robot: robot 'UR10' has no inverse kinematics in closed form"
+            in self.refused(cell(tmp_path, "kr300_r2500_ultra", "ur10"))
         )
         (tmp_path / "static.toml").write_text(
             'name = "s"\nstep = "4 ms"\n[robot]\nname = "ur10"\n[components.compliance]\nsource = "robot_compliance"\n'
