@@ -1,4 +1,4 @@
-"""Screenshots of the built site for docs/maintainers/documentation.md: `python docs/site_pictures.py results/site` writes docs/pictures/site.
+"""Screenshots of the built site, in docs/pictures/site: `python docs/site_pictures.py results/site` after `make docs`.
 
 Needs Chromium. A page stands in a frame as wide as the screen it is shown for, because a window of Chromium has a least width.
 """

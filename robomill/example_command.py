@@ -78,8 +78,8 @@ def run(options: Namespace) -> int:
 def copy(name: str, folder: Path | None = None) -> list[Path]:
     """Copy an example and all files that it refers to; returns them, the named one first.
 
-    They stand to each other as in robomill: below `folder`, or `scenarios` (the folder of the example for those of `FOLDERS` elsewhere). ValueError lists the
-    examples. FileExistsError names what is there with another content, before anything is written; equal files stay.
+    They stand to each other as in robomill: below `folder`, or `scenarios` (its own folder for an example elsewhere).
+    ValueError lists the examples. FileExistsError names what is there with another content, before anything is written; equal files stay.
     """
     known = examples()
     if name not in known:

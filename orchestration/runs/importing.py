@@ -53,7 +53,8 @@ def write_run(
         refuse_taken(folder)
     if len(t) == 0 or not np.all(np.isfinite(t)) or not np.all(np.diff(t) > 0.0):
         raise ResultsError(
-            f"{folder}: time must be finite and increase from row to row; there are {len(t)} rows; sort them, and remove those without a time"
+            f"{folder}: time must be finite and increase from row to row; there are {len(t)} rows; "
+            "sort them, and remove those without a time"
         )
     for name, values in columns.items():
         if values.shape != t.shape:

@@ -212,7 +212,8 @@ class TestErrors:
         )
         text = self.refused(tmp_path / "static.toml")
         assert text.startswith(
-            "static.toml:4: [robot] name: component 'compliance' needs stiffness; choose another robot: robot 'UR10' has no virtual joints; there are those of "
+            "static.toml:4: [robot] name: component 'compliance' needs stiffness; choose another robot: robot 'UR10' has no virtual "
+            "joints; there are those of "
         )
         assert text.endswith('or give [robot] compliance = "my_springs.toml"')
 
