@@ -16,7 +16,7 @@ from PIL import Image
 
 PICTURES = Path(__file__).parent / "pictures" / "site"
 COLOURS = 128
-"""Of a picture: text and few areas; twice as many make the files half as large again and look the same."""
+"""Number of colours in a picture: text and few areas. Twice as many make the files half as large again and look the same."""
 SETTLED = 3000
 """ms of virtual time until a page has laid itself out."""
 
