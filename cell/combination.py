@@ -47,7 +47,7 @@ def _check_source_of_force(system: System) -> None:
             raise SystemFileError(
                 f"{system.where(component.line)}component {source!r} ({component.source}) cannot feed {target!r}: it gives "
                 f"{', '.join(outputs)}, and no force vector {signal}. A deflection has a direction, so its compensation needs sensor_chain "
-                f"or spindle_holder there; {component.source} can lead a rate_controller"
+                f"or spindle_holder there; use one of these, or let {component.source} lead a rate_controller"
             )
 
 

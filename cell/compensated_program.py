@@ -37,7 +37,7 @@ def check_formats(names: Sequence[str]) -> None:
     """CompensationError for a format that cannot be written."""
     for name in names:
         if name not in FORMATS:
-            raise CompensationError(f"format {name!r} is not known; there are {', '.join(f'{k} ({v[2]})' for k, v in FORMATS.items())}")
+            raise CompensationError(f"format {name!r} is not known; available: {', '.join(f'{k} ({v[2]})' for k, v in FORMATS.items())}")
 
 
 def write_programs(result: Compensation, folder: Path, formats: Sequence[str] = DEFAULT_FORMATS) -> list[Path]:

@@ -132,7 +132,7 @@ def _equipped(system: System) -> System:
         for role, part in parts.items():
             for name, members in arrays(ports).items():
                 if name in part.lacks:
-                    raise part.entry.fail(f"component {c.name!r} needs {name}: {part.lacks[name]}")
+                    raise part.entry.fail(f"component {c.name!r} needs {name}; choose another {role}: {part.lacks[name]}")
                 if name not in part.values or not _fits(members, part.values[name]):
                     continue
                 used[role] = True

@@ -418,7 +418,10 @@ def _require(system: System) -> None:
     names = [c.name for c in system.components]
     missing = [part for part in PARTS if part not in names]
     if missing:
-        raise ScenarioError(f"{system.file}: a milling scenario needs components named {', '.join(PARTS)}; missing: {', '.join(missing)}")
+        raise ScenarioError(
+            f"{system.file}: a milling scenario needs components named {', '.join(PARTS)}; missing: {', '.join(missing)}; "
+            "add them, or rename those that play these parts"
+        )
 
 
 def _names_tool(system: System) -> bool:

@@ -156,7 +156,7 @@ def load_kinds(file: Path = KINDS) -> tuple[RunKind, ...]:
     for entry in KindsKeys.of(Entry.load(file, ScenarioError, convert))["kind"].each():
         kind = _kind(entry)
         if kind.name in found:
-            raise entry["name"].fail(f"{kind.name!r} is there twice; every kind needs a name of its own")
+            raise entry["name"].fail(f"{kind.name!r} is there twice; give every kind a name of its own")
         found[kind.name] = kind
     return tuple(found.values())
 

@@ -301,7 +301,7 @@ def _guiding(entry: Entry) -> dict[str, Any]:
     if "lead_through" in entry:
         for key in ("operator", "start"):
             if key not in entry:
-                raise entry.fail(f"lead_through needs {key}")
+                raise entry.fail(f"lead_through needs {key}; add {key} = ..., or remove lead_through")
         found["system"], found["start"] = entry["lead_through"].file(), entry["start"].vector("m")
         found["operator"] = _columns(entry["operator"], LEAD_COLUMNS)
         found["operator"][:, 4:7] = np.deg2rad(found["operator"][:, 4:7])

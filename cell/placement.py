@@ -217,7 +217,7 @@ def place(
     the range can be reached.
     """
     if unknown := [v for v in free if v not in VARIABLES]:
-        raise PlacementError(f"{unknown[0]!r} cannot be free; there are {', '.join(VARIABLES)}")
+        raise PlacementError(f"{unknown[0]!r} cannot be free; available: {', '.join(VARIABLES)}")
     judged, _ = prepare(scenario, folder, progress)
     assert scenario.workpiece is not None
     w = scenario.workpiece

@@ -87,7 +87,7 @@ def _path(top: Entry) -> PointPath:
     interpolation = PathKeys.orientation.of(PathKeys.of(top))
     entries = PathKeys.point.entry(top).each()
     if not entries[1:]:
-        raise top.fail(f"a path needs at least two [[point]] tables; found {len(entries)}")
+        raise top.fail(f"expected at least two [[point]] tables; found {len(entries)}")
     points: list[PathPoint] = []
     k, current = PointKeys, top
     for entry in entries:

@@ -264,7 +264,7 @@ def _profile(cut: Entry, burs: Sequence[Bur]) -> FloatArray:
     for i in np.flatnonzero(np.diff(table[:, 0]) <= 0.0):
         raise rows[i + 1].fail(
             f"the way {table[i + 1, 0]:g} m is not behind that of the row before, {table[i, 0]:g} m; "
-            "a step of the depth needs two rows a little apart"
+            "write a step of the depth as two rows a little apart"
         )
     if (table[:, 1] < 0.0).any():
         raise cut["rows"].fail("a depth of cut is negative; air is 0; expected 0 or more")

@@ -444,7 +444,7 @@ def _reading(head: Entry, offsets: Mapping[float, Vector]) -> Setup:
 def _tool(name: str, entry: Entry) -> tuple[int, EndMill]:
     """`[tools.1]`: T number and end mill."""
     if not name.isdecimal() or int(name) < 1:
-        raise entry.fail("a tool is called by its T number, 1 or more, such as [tools.1]")
+        raise entry.fail("a tool is called by its T number; expected 1 or more, such as [tools.1]")
     k = ToolKeys
     k.of(entry)
     for key in (k.diameter, k.cutting_length):

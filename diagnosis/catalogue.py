@@ -264,7 +264,7 @@ class Tolerance:
         component, name = self.address
         elements = [e for e in nominal if e == name or e.partition("[")[0] == name]
         if not elements:
-            raise CatalogueError(f"nuisance {component}.{name}: there is no such parameter; there are {', '.join(sorted(nominal))}")
+            raise CatalogueError(f"nuisance {component}.{name}: there is no such parameter; available: {', '.join(sorted(nominal))}")
         found = [Nuisance((component, e), self.size * (abs(nominal[e]) if self.relative else 1.0), nominal[e]) for e in elements]
         return [n for n in found if 0.0 < n.scale < math.inf]
 
@@ -556,7 +556,9 @@ def _effect(entry: Entry) -> list[Candidate]:
         parameters, size = _names(spot["parameters"], component), prior
         if phase is not None:
             if len(parameters) != 1 or component == LOGGING:
-                raise spot["phase"].fail(f"{phase!r} needs one parameter of a component beside it, its amplitude")
+                raise spot["phase"].fail(
+                    f"{phase!r} needs one parameter of a component beside it, its amplitude; write parameters = [AMPLITUDE]"
+                )
             parameters, size = (parameters[0] + COS + phase, parameters[0] + SIN + phase), Prior("normal", prior.scale)
         if per_run and phase is None:
             raise spot["per"].fail("'run' is for a phase, which is not there; add phase = PARAMETER")

@@ -39,5 +39,7 @@ html_theme_options = {
 }
 html_copy_source = False
 html_show_sourcelink = False
+html_static_path = ["_static"]
+html_css_files = ["narrow.css"]
 html_extra_path = ["_root"]  # index.html: from the root of the site to the start page
 html_use_index = False

@@ -55,7 +55,7 @@ class InProcessSlave:
             port = self.interface.by_name.get(name)
             ports = (port,) if port is not None else self._elements(name)
             if ports[0].causality not in ("parameter", "input"):
-                raise ComponentError(f"{self.name}: {name} is an {ports[0].causality}; only parameters and inputs can be set")
+                raise ComponentError(f"{self.name}: {name} is an {ports[0].causality}; set parameters and inputs only")
             values = [value] if port is not None else self._values(name, value, len(ports))
             for p, v in zip(ports, values, strict=True):
                 instance.set(p, v)

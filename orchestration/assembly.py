@@ -159,7 +159,7 @@ def run(
         raise OrchestrationError("stop is not a number (NaN); give a time in s")
     if folder is None:
         if resume:
-            raise OrchestrationError("resume needs the folder of the run")
+            raise OrchestrationError("resume needs the folder of the run; pass folder")
         with assemble(system, resolver, convert) as assembly:
             memory = Memory(assembly.about())
             master_of(assembly, (memory, *observers), manipulators).run(end, start, progress, system.stop_when)

@@ -161,13 +161,13 @@ def _short(node: ast.expr) -> str:
 
 
 _ALLOWED = re.compile(
-    r"\b(expected|available|known keys|must|needs?|it holds|at least|at most|minimum|maximum|one of|there are|(it|they|which) (has|have)|"
-    r"such as|only|instead|variants:|conditions:|items:|files in that folder:|from 0 to|ends in its unit)"
+    r"\b((expected|available|known keys|one of|instead|ends in its unit|minimum|maximum|must (be|increase)|"
+    r"at most [^;]* (are|is) (allowed|possible))\b|(variants|conditions|items|files in that folder):)"
 )
-"""Words that say what is allowed or what there is."""
+"""Words before what is allowed or what there is; a list of what was found is none of it."""
 _VERBS = (
     "add|allow|ask|break|build|call|check|choose|close|compensate|connect|convert|copy|correct|cut|delete|describe|divide|exchange|export|"
-    "fill|free|get|give|identify|import|increase|install|keep|leave|let|load|look|lower|make|mark|move|name|open|output|pack|pass|place|"
+    "fill|free|get|give|identify|import|increase|install|keep|leave|let|load|look|lower|make|map|mark|mend|move|name|open|output|pack|pass|place|"
     "program|put|raise|record|reduce|remove|rename|repair|replace|reset|run|save|say|score|search|see|set|split|start|state|take|try|"
     "turn|unpack|use|wait|widen|write"
 )

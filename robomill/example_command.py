@@ -34,17 +34,18 @@ FOLDERS = {
         "A servo axis: model, mapping, catalogue, answer, for docs/tutorials/bring_your_own_system.md",
     ),
     "tutorial": (
-        Path("docs") / "tutorials" / "log",
+        SCENARIOS / "tutorial",
         "A raw log with its mapping, for docs/tutorials/diagnose_a_log.md: from the log to an adopted effect",
     ),
 }
-"""Examples that are a whole folder, with the folders in it."""
+"""Examples that are a whole folder, with the folders in it; one of the scenarios comes with the files that it refers to."""
 
 
 def examples() -> dict[str, str]:
     """Name -> title of everything that can be copied."""
     found = {name: title for name, (_, title) in FOLDERS.items()}
-    for file in sorted((FILES / SCENARIOS).rglob("*.toml")):
+    whole = [FILES / home for home, _ in FOLDERS.values()]
+    for file in sorted(f for f in (FILES / SCENARIOS).rglob("*.toml") if not set(whole) & set(f.parents)):
         head = tomllib.loads(file.read_text(encoding="utf-8")).get("scenario")
         if isinstance(head, dict):
             name = file.relative_to(FILES / SCENARIOS).with_suffix("").as_posix()
@@ -77,8 +78,8 @@ def run(options: Namespace) -> int:
 def copy(name: str, folder: Path | None = None) -> list[Path]:
     """Copy an example and all files that it refers to; returns them, the named one first.
 
-    They stand to each other as in robomill: below `folder`, or `scenarios` (the folder of the data for those). ValueError lists the
-    examples. FileExistsError names what is there with another content, before anything is written; equal files stay.
+    They stand to each other as in robomill: below `folder`, or `scenarios` (its own folder for an example elsewhere).
+    ValueError lists the examples. FileExistsError names what is there with another content, before anything is written; equal files stay.
     """
     known = examples()
     if name not in known:
@@ -88,7 +89,10 @@ def copy(name: str, folder: Path | None = None) -> list[Path]:
         sources = [f for f in sorted((FILES / home).rglob("*")) if f.is_file() and "__pycache__" not in f.parts]
     else:
         home = SCENARIOS
-        sources = list(dict.fromkeys(_with_references(FILES / SCENARIOS / f"{name}.toml")))
+        sources = [FILES / SCENARIOS / f"{name}.toml"]
+    if SCENARIOS in (home, *home.parents):
+        home = SCENARIOS
+        sources = list(dict.fromkeys(f for source in sources for f in _with_references(source)))
     target = home if folder is None else folder
     pairs = [(source, target / source.relative_to(FILES / home)) for source in sources]
     taken = [t for s, t in pairs if t.exists() and (not t.is_file() or t.read_bytes() != s.read_bytes())]

@@ -173,7 +173,7 @@ def _machine(options: Namespace, run: Run | None) -> ElasticMachine:
 def _simulate(options: Namespace) -> list[Path]:
     """Runs of blows along x, y and z on the elastic robot."""
     if options.angles is None:
-        raise MeasuredSetError("--simulate needs --robot, --tool and --angles")
+        raise MeasuredSetError("--simulate needs --robot, --tool and --angles; add --angles A1 A2 A3 A4 A5 A6")
     machine = _machine(options, None)
     q = np.deg2rad(options.angles)
     modes = elastic_modes(machine, q)

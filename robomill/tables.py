@@ -55,7 +55,7 @@ def show(title: str, headings: Sequence[Heading], rows: Iterable[Sequence[Conten
     for i, h in enumerate(headings):
         cells = [Text(h.text), *(row[i] for row in listed)]
         whole = 0 if h.folds else max(line.cell_len for cell in cells for line in cell.split())
-        table.add_column(cells[0], justify=h.justify, min_width=whole, overflow="fold")
+        table.add_column(cells[0], justify=h.justify, min_width=whole, no_wrap=not h.folds, overflow="fold")
     for row in listed:
         table.add_row(*row)
     if Measurement.get(screen, screen.options.update(max_width=10_000), table).minimum <= screen.width:

@@ -64,6 +64,12 @@ def test_a_broken_link_is_found(tmp_path: Path) -> None:
     assert broken_ones == ["link to page.md#three", "link to nowhere.md"]
 
 
+@pytest.mark.parametrize("page", [p for p in PAGES if not name(p).startswith(HISTORY)], ids=name)
+def test_no_page_cites_a_file_that_is_not_here(page: Path) -> None:
+    """The specification of the project is no part of the repository; a page says what stands in it, or names the paper."""
+    assert not (found := re.findall(r".*\b(?:FACTS\d*|DIAGNOSIS2?|DESIGN|ANCHORS)\b.*", page.read_text(encoding="utf-8"))), found
+
+
 def test_every_page_is_reached_from_the_readme() -> None:
     reached, new = set(), {ROOT / "README.md"}
     while new:

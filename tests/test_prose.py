@@ -22,14 +22,15 @@ LONGEST = 40
 
 SKIPPED = re.compile(r"^(```|~~~).*?^\1|^<!--.*?-->|^(?: {4}|\t).*?$", re.MULTILINE | re.DOTALL)
 ONE_WORD = re.compile(r"`[^`]*`|!?\[([^\]]*)\]\([^)]*\)")
-END = re.compile(r"(?<=[.!?;:])[)\"*_]*\s+|\n\s*\n|\n(?=\s*(?:[-*|#]|\d+\. ))|\s\|\s|\|")
-"""Where an idea ends: punctuation, a paragraph, an item of a list, a cell of a table."""
+ABBREVIATED = re.compile(r"\b((?:e\.g|i\.e|sec|Sec|Fig|Figs|Eq|Eqs|No|p|pp|vs|cf)\.) ")
+END = re.compile(r"(?<=[.!?])[)\"*_]*\s+|\n\s*\n|\n(?=\s*(?:[-*|#]|\d+\. ))|\|")
+"""Where a sentence ends: full stop, a paragraph, an item of a list, a cell of a table. A colon or a semicolon goes on with it."""
 
 
 def long_sentences(text: str) -> Iterator[str]:
     """Sentences of a page above LONGEST words, without code and tables of numbers."""
     prose = ONE_WORD.sub(lambda m: m[1] or "code", SKIPPED.sub("", text))
-    for sentence in END.split(prose):
+    for sentence in END.split(ABBREVIATED.sub(r"\1", prose)):
         words = [w for w in sentence.split() if re.search(r"[A-Za-z]", w)]
         if len(words) > LONGEST:
             yield f"{len(words)} words: {' '.join(words)}"
@@ -45,6 +46,12 @@ def test_a_long_sentence_is_found() -> None:
     short = "word " * LONGEST
     text = f"# Title\n\n{long}end.\n\n```\n{long}\n```\n- {short}\n- {short}\n\n| {short} | {short} |\n"
     assert [s.partition(" ")[0] for s in long_sentences(text)] == [str(LONGEST + 2)]
+
+
+@pytest.mark.parametrize(("between", "found"), [(". ", 0), ("? ", 0), ("; ", 1), (": ", 1), (" (sec. ", 1), ("\n\n", 0)])
+def test_only_a_full_stop_ends_a_sentence(between: str, found: int) -> None:
+    half = "word " * (LONGEST - 1) + "word"
+    assert len(list(long_sentences(f"{half}{between}{half}.\n"))) == found
 
 
 def test_words_are_spelled_as_in_the_dictionary() -> None:

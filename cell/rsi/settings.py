@@ -298,5 +298,5 @@ def _watch(entry: Entry) -> WatchSettings:
     k = WatchdogKeys
     silence, end = k.silence.of(entry), k.end.of(entry)
     if end <= silence:
-        raise entry.fail(f"end ({end:g} s) must be longer than silence ({silence:g} s)")
+        raise entry.fail(f"end ({end:g} s) must be longer than silence ({silence:g} s); increase end, or lower silence")
     return WatchSettings(silence, k.ramp.of(entry), end, k.gap.of(entry), k.unusable.of(entry), k.ipoc.of(entry))

@@ -140,7 +140,7 @@ def load_campaign(path: str | Path, load_system: Callable[[Path], System]) -> Ca
     for entry in CampaignKeys.condition.of(top):
         called, role = k.name.of(entry), k.role.of(entry)
         if called in parts:
-            raise entry["name"].fail(f"{called!r} is there twice; every condition needs a name of its own")
+            raise entry["name"].fail(f"{called!r} is there twice; give every condition a name of its own")
         place = k.system.of(entry)
         if place not in systems:
             systems[place] = load_system(place)

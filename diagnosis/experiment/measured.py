@@ -179,5 +179,5 @@ def common_grid(runs: Sequence[Run], step: float) -> FloatArray:
     first, last = math.ceil(max(start, 0.0) / step - 1e-6), math.floor(end / step + 1e-6)
     if last - first < LEAST_STEPS:
         found = f"the repeats have {max(last - first, 0)} steps of {step:g} s in common"
-        raise DataError(f"{runs[0].folder}: {found}; at least {LEAST_STEPS} are needed")
+        raise DataError(f"{runs[0].folder}: {found}; expected at least {LEAST_STEPS}: record longer runs, or leave out the short one")
     return np.asarray(np.arange(first, last + 1) * step)

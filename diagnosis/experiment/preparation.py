@@ -150,7 +150,10 @@ def _with_channels(laboratory: Laboratory, n: int) -> tuple[list[Condition], dic
         if i < n:
             ports = ports | {name: p for name, p in shown.items() if name not in ports}
         elif not shown.keys() & ports.keys():
-            raise DataError(f"{c.name}: is held out, and no diagnosed run has a channel that it has: {', '.join(sorted(shown))}")
+            raise DataError(
+                f"{c.name}: is held out, and no diagnosed run has a channel that it has: {', '.join(sorted(shown))}; "
+                "leave it out, or add runs that have one of these"
+            )
         made.append(
             replace(c, runs=tuple(in_units(r, shown, laboratory.convert) for r in c.runs), channels=frozenset(shown.keys() & ports.keys()))
         )

@@ -55,11 +55,13 @@ class Iteration:
             if value not in allowed:
                 raise SystemFileError(unknown(key, value, allowed))
         if not 0.0 <= self.tolerance < 1.0:
-            raise SystemFileError(f"the iteration's tolerance is a relative change, from 0 to below 1; found {self.tolerance}")
+            raise SystemFileError(f"the iteration's tolerance is a relative change; expected 0 to below 1, found {self.tolerance}")
         if not 0.0 < self.relaxation <= 1.0:
-            raise SystemFileError(f"the iteration's relaxation is above 0 and at most 1; found {self.relaxation}")
+            raise SystemFileError(f"the iteration's relaxation: expected above 0 and at most 1, found {self.relaxation}")
         if self.max_iterations < 1 or self.depth < 1:
-            raise SystemFileError(f"the iteration's max_iterations and depth are at least 1; found {self.max_iterations} and {self.depth}")
+            raise SystemFileError(
+                f"the iteration's max_iterations and depth: expected 1 or more, found {self.max_iterations} and {self.depth}"
+            )
 
 
 DEFAULT = Iteration()

@@ -126,10 +126,12 @@ def check_savable(slaves: Mapping[str, Any]) -> None:
         except TypeError as error:
             raise SlaveError(
                 f"component {name!r} cannot save its state beyond this process, which checkpoint_every needs: {error} "
-                "(an FMU must declare canSerializeFMUstate)"
+                "(an FMU must declare canSerializeFMUstate); leave out checkpoint_every"
             ) from None
         except Exception as error:
-            raise SlaveError(f"component {name!r} cannot save its state, which checkpoint_every needs: {describe(error)}") from error
+            raise SlaveError(
+                f"component {name!r} cannot save its state, which checkpoint_every needs: {describe(error)}; leave out checkpoint_every"
+            ) from error
 
 
 def alike(example: Any, state: Any) -> Any:

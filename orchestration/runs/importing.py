@@ -52,7 +52,10 @@ def write_run(
     if not overwrite:
         refuse_taken(folder)
     if len(t) == 0 or not np.all(np.isfinite(t)) or not np.all(np.diff(t) > 0.0):
-        raise ResultsError(f"{folder}: time must be finite and increase from row to row; there are {len(t)} rows")
+        raise ResultsError(
+            f"{folder}: time must be finite and increase from row to row; there are {len(t)} rows; "
+            "sort them, and remove those without a time"
+        )
     for name, values in columns.items():
         if values.shape != t.shape:
             raise ResultsError(f"{folder}: column {name!r} has shape {values.shape}, time has {t.shape}; give one value per row")

@@ -192,7 +192,10 @@ def load(folder: Path) -> Run:
         info["message"] = flight.ended(flight.called(folder))
     table = _read_table(folder)
     if table.num_columns == 0 or "t" not in table.column_names:
-        raise ResultsError(f"{folder}: the signals have no column 't' (time in s); they have {', '.join(table.column_names[:20])}")
+        raise ResultsError(
+            f"{folder}: the signals have no column 't' (time in s); they have {', '.join(table.column_names[:20])}; "
+            "import a log with `robomill import`, which writes one"
+        )
     described = info.get("columns", {})
     columns: dict[str, FloatArray] = {}
     ports: dict[str, PortData] = {}
@@ -239,7 +242,10 @@ def read_info(folder: Path) -> dict[str, Any]:
     file = folder / RUN
     if not file.is_file():
         held = ", ".join(sorted(f.name for f in folder.iterdir())[:20])
-        raise ResultsError(f"{folder} is not a run: there is no {RUN} in it; it holds {held or 'nothing'}")
+        raise ResultsError(
+            f"{folder} is not a run: there is no {RUN} in it; it holds {held or 'nothing'}; "
+            "name a folder that `robomill run` or `robomill import` has written"
+        )
     try:
         return parse(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

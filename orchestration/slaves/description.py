@@ -125,7 +125,10 @@ def describe(file: Path, folder: Path, names: Sequence[str]) -> FmuDescription:
     xml = folder / "modelDescription.xml"
     if not xml.is_file():
         top = sorted({n.split("/")[0] for n in names})
-        raise SlaveError(f"{file}: no modelDescription.xml in it, so not an FMU; it holds {', '.join(top[:20]) or 'nothing'}")
+        raise SlaveError(
+            f"{file}: no modelDescription.xml in it, so not an FMU; it holds {', '.join(top[:20]) or 'nothing'}; "
+            "pack the folder that holds modelDescription.xml, not the folder around it"
+        )
     known = _content(file, xml)
     made = replace(
         known,
@@ -240,8 +243,11 @@ def _library(file: Path, folder: Path, identifier: str, names: Sequence[str], pl
     if not library.is_file():
         place = library.relative_to(folder)
         there = sorted({n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1})
-        sources = "; it has C sources, which can be compiled" if any(n.startswith("sources/") for n in names) else ""
-        raise SlaveError(f"{file}: no binary for this platform ({place}); it has binaries for {', '.join(there) or 'no platform'}{sources}")
+        sources = " and C sources, which can be compiled" if any(n.startswith("sources/") for n in names) else ""
+        raise SlaveError(
+            f"{file}: no binary for this platform ({place}); it has binaries for {', '.join(there) or 'no platform'}{sources}; "
+            "export it for this platform"
+        )
     wrong = problem(library)
     if wrong:
         raise SlaveError(f"{file}: its binary {library.relative_to(folder)} {wrong}")

@@ -54,7 +54,7 @@ class Files:
         if not uri or parts.scheme or parts.netloc or parts.fragment or path.is_absolute() or ".." in path.parts:
             raise self.fail(f"{what}: source {uri!r} is not a file within the package; pack the file into it, or correct the source")
         if str(path) not in self.names:
-            raise self.fail(f"{what}: there is no {path} in the package; it holds {available(sorted(self.names), 20)}")
+            raise self.fail(f"{what}: there is no {path} in the package; available: {available(sorted(self.names), 20)}")
         return str(path)
 
     def xml(self, name: str, root: str) -> Element:

@@ -56,7 +56,10 @@ def open_ssp(file: str | Path, step: float | None = None) -> Iterator[Package]:
         folder = Path(name).resolve()
         names = unpack(file, folder, kind="SSP")
         if SSD not in names:
-            raise SystemFileError(f"{file}: no {SSD} in it, so not an SSP; it holds {available(sorted(names), 20)}")
+            raise SystemFileError(
+                f"{file}: no {SSD} in it, so not an SSP; it holds {available(sorted(names), 20)}; "
+                f"pack the folder that holds {SSD}, not the folder around it"
+            )
         yield _Reader(Files(file, folder, set(names)), step).package()
 
 

@@ -117,9 +117,9 @@ class Recording:
     def __post_init__(self) -> None:
         """Check the values. SystemFileError says what is wrong."""
         if self.every < 1 or self.chunk < 1:
-            raise SystemFileError(f"the recording's every and chunk are at least 1; found {self.every} and {self.chunk}")
+            raise SystemFileError(f"the recording's every and chunk: expected 1 or more, found {self.every} and {self.chunk}")
         if self.chunk > MAX_CHUNK:
-            raise SystemFileError(f"the recording's chunk is at most {MAX_CHUNK} rows, which are kept in memory; found {self.chunk}")
+            raise SystemFileError(f"the recording's chunk: expected at most {MAX_CHUNK} rows, which are kept in memory, found {self.chunk}")
         if self.checkpoint_every < 0:
             raise SystemFileError(
                 f"the recording's checkpoint_every counts steps, 0 = never; found {self.checkpoint_every}; give 0 or more"
@@ -334,7 +334,9 @@ def _component(name: str, entry: Entry) -> Component:
     k.of(entry)
     isolate = k.isolate.of(entry)
     if k.time_limit.name in entry and not isolate:
-        raise entry["time_limit"].fail("needs isolate = true: only a process of its own can be ended")
+        raise entry["time_limit"].fail(
+            "needs isolate = true: only a process of its own can be ended; add isolate = true, or remove time_limit"
+        )
     return Component(
         name,
         k.source.of(entry),

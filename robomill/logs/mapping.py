@@ -295,7 +295,7 @@ def _clock(entry: Entry) -> Clock:
             raise entry["unit"].fail(f"{unit!r} does not measure time; expected s, ms, min or h, or format = 'iso' for dates and times")
     rate, step = k.rate.of(entry), k.step.of(entry)
     if rate < 0.0 or ("rate" in entry and rate == 0.0) or step < 0.0:
-        raise entry.fail("rate and step must be positive")
+        raise entry.fail(f"expected rate and step above zero; found rate {rate:g} and step {step:g}")
     return Clock(column, unit, form, k.offset.of(entry), rate, step)
 
 

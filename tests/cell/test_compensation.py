@@ -320,7 +320,7 @@ def test_a_program_needs_a_cell_and_formats_a_name(tmp_path: Path, capsys: pytes
     assert main(["compensate", "cut.ngc", "--out", str(tmp_path)]) == 2
     assert "cut.ngc is a program: say in which cell it is milled, --cell SCENARIO.toml" in capsys.readouterr().err
     assert main(["compensate", str(PART), "--format", "heidenhain", "--out", str(tmp_path)]) == 2
-    assert "format 'heidenhain' is not known; there are gcode (G-code, G1 with G64 P), krl (KUKA KRL" in capsys.readouterr().err
+    assert "format 'heidenhain' is not known; available: gcode (G-code, G1 with G64 P), krl (KUKA KRL" in capsys.readouterr().err
     assert main(["compensate", str(PART), "--variant", "none", "--out", str(tmp_path)]) == 2
     assert "no variant none; variants: uncompensated, online" in capsys.readouterr().err
     assert main(["compensate", str(SCENARIOS / "static_loads.toml"), "--out", str(tmp_path)]) == 2

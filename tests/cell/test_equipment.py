@@ -203,15 +203,17 @@ class TestErrors:
         assert "irb6400r_25_150" in text
 
     def test_robot_without_springs_or_closed_form(self, tmp_path: Path) -> None:
-        assert "component 'path' needs q_start: robot 'UR10' has no inverse kinematics in closed form" in self.refused(
-            cell(tmp_path, "kr300_r2500_ultra", "ur10")
+        assert (
+            "component 'path' needs q_start; choose another robot: robot 'UR10' has no inverse kinematics in closed form"
+            in self.refused(cell(tmp_path, "kr300_r2500_ultra", "ur10"))
         )
         (tmp_path / "static.toml").write_text(
             'name = "s"\nstep = "4 ms"\n[robot]\nname = "ur10"\n[components.compliance]\nsource = "robot_compliance"\n'
         )
         text = self.refused(tmp_path / "static.toml")
         assert text.startswith(
-            "static.toml:4: [robot] name: component 'compliance' needs stiffness: robot 'UR10' has no virtual joints; there are those of "
+            "static.toml:4: [robot] name: component 'compliance' needs stiffness; choose another robot: robot 'UR10' has no virtual "
+            "joints; there are those of "
         )
         assert text.endswith('or give [robot] compliance = "my_springs.toml"')
 

@@ -122,7 +122,7 @@ def test_command_writes_map_json_and_lines(tmp_path: Path, capsys: pytest.Captur
 
 def test_what_cannot_be_is_said(found: Placing, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["place", str(SLOT), "--free", "w", "--out", str(tmp_path)]) == 2
-    assert "'w' cannot be free; there are x, y, z, turn, spindle" in capsys.readouterr().err
+    assert "'w' cannot be free; available: x, y, z, turn, spindle" in capsys.readouterr().err
     far = found.present.copy()
     far[0] = 9.0
     assert found.task.criterion(found.placement(far)) == OUT_OF_REACH

@@ -303,7 +303,7 @@ def write(folder: Path, text: str) -> Path:
         (
             '["10 mm", "1 mm"]',
             '["0 mm", "2 mm"]',
-            "the way 0 m is not behind that of the row before, 0 m; a step of the depth needs two rows",
+            "the way 0 m is not behind that of the row before, 0 m; write a step of the depth as two rows",
         ),
         ('["10 mm", "1 mm"]', '["10 mm"]', "expected way along the path and depth of cut; found ['10 mm']"),
         (', ["10 mm", "1 mm"]', "", "expected two rows at least: where the path begins and where it ends"),

@@ -274,7 +274,7 @@ def test_an_fmu_for_another_platform(tmp_path: Path) -> None:
     last = check_fmu(file)[-1]
     assert (last.check, last.outcome) == ("model description", "failed")
     assert last.detail.startswith("no binary for this platform (binaries/")
-    assert last.detail.endswith("; it has binaries for z80-cpm")
+    assert last.detail.endswith("; it has binaries for z80-cpm; export it for this platform")
 
 
 def test_an_fmu_for_model_exchange_only(tmp_path: Path) -> None:

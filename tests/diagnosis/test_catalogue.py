@@ -76,7 +76,7 @@ def test_tolerances_are_resolved_for_each_element() -> None:
     relative = Tolerance(("a", "k"), 0.01, relative=True).nuisances(nominal)
     assert [(n.address[1], n.scale, n.nominal) for n in relative] == [("k[1]", 2.0, 200.0), ("k[2]", 0.5, -50.0)]
     assert Tolerance(("a", "m"), 0.1, relative=False).nuisances(nominal)[0].scale == 0.1
-    with pytest.raises(CatalogueError, match=r"nuisance a\.c: there is no such parameter; there are"):
+    with pytest.raises(CatalogueError, match=r"nuisance a\.c: there is no such parameter; available:"):
         Tolerance(("a", "c"), 0.1, relative=False).nuisances(nominal)
 
 

@@ -327,5 +327,5 @@ class TestErrors:
             answer(tmp_path, measure(held_out=True))
 
     def test_too_short(self, tmp_path: Path) -> None:
-        with pytest.raises(DataError, match=r"10 steps of 0.01 s in common; at least 20 are needed"):
+        with pytest.raises(DataError, match=r"10 steps of 0.01 s in common; expected at least 20: record longer runs"):
             answer(tmp_path, measure(seconds=0.1))

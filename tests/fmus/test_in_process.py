@@ -108,7 +108,7 @@ def test_an_input_that_is_not_finite_is_refused_by_name(bad: float) -> None:
         ({"drift": float("nan")}, "springs: parameter drift = nan N/s is not a finite number"),
         ({"drift": "fast"}, "springs: parameter drift = 'fast' N/s: expected a number"),
         ({"drfit": 1.0}, "springs: unknown parameter 'drfit'; available: stiffness, drift, curve"),
-        ({"force": [1.0, 2.0]}, "springs: force is an output; only parameters and inputs can be set"),
+        ({"force": [1.0, 2.0]}, "springs: force is an output; set parameters and inputs only"),
         (
             {"curve": np.zeros((11, 3))},
             "springs: table curve: has shape (11, 3), expected rows of 2 columns",

@@ -26,7 +26,7 @@ READERS: list[tuple[str, Callable[[Path], object]]] = [
     ("scenarios/milling_cell.toml", load_system),
     ("scenarios/experiments/tap_test.toml", load_experiment),
     ("scenarios/next_runs/kinds.toml", load_kinds),
-    ("docs/tutorials/log/map.toml", load_mapping),
+    ("scenarios/tutorial/map.toml", load_mapping),
     ("scenarios/catalogue.toml", Catalogue.load),
     ("scenarios/parts/tilted_square.toml", read_points),
 ]
@@ -76,8 +76,7 @@ def damaged(text: str, random_: random.Random) -> str:
 
 @pytest.mark.parametrize(("name", "read"), READERS, ids=[name for name, _ in READERS])
 def test_a_damaged_value_is_read_or_refused_with_its_file(name: str, read: Callable[[Path], object], tmp_path: Path) -> None:
-    for folder in ("scenarios", "docs/tutorials/log"):  # files name others relative to their own folder
-        shutil.copytree(ROOT / folder, tmp_path / folder)
+    shutil.copytree(ROOT / "scenarios", tmp_path / "scenarios")  # files name others relative to their own folder
     random_, file = random.Random(2030), tmp_path / name
     text, refused = file.read_text(encoding="utf-8"), []
     for _ in range(80):

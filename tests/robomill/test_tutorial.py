@@ -12,7 +12,7 @@ import pytest
 
 from robomill.cli import main
 
-TUTORIAL = Path("docs/tutorials/log")
+TUTORIAL = Path("scenarios/tutorial")
 
 
 @pytest.mark.slow

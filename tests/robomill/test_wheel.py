@@ -144,6 +144,12 @@ def test_every_example_is_copied_with_what_it_refers_to(tmp_path: Path) -> None:
     assert {f.name for f in copy("groove", tmp_path / "g")} == {"groove.toml", "groove.ngc", "milling_cell.toml", "catalogue.toml"}
 
 
+def test_the_tutorial_of_the_log_brings_system_catalogue_and_program(tmp_path: Path) -> None:
+    written = {f.relative_to(tmp_path).as_posix() for f in copy("tutorial", tmp_path)}
+    own = {f"tutorial/{name}" for name in ("logs.py", "machine.toml", "map.toml")}
+    assert written == own | {"milling_cell.toml", "catalogue.toml", "experiments/programs/slots.ngc"}
+
+
 def test_a_component_of_your_own_is_copied_with_its_package(tmp_path: Path) -> None:
     written = {f.relative_to(tmp_path).as_posix() for f in copy("kalman_sensor", tmp_path)}
     assert {"README.md", "cell.toml", "pyproject.toml", "kalman_sensor/model.py", "kalman_sensor/catalogue.toml"} <= written

@@ -223,7 +223,7 @@ class TestFile:
         [
             ({"role": "fitted"}, DataError, r"campaign.toml:15: condition 2 'weight': role.*'fitted'.*diagnose, held_out"),
             ({"runs": "runs/c-*"}, DataError, r"campaign.toml:14: .*'runs/c-\*' matches no folder below .*; expected folders of runs"),
-            ({"second": "chirp"}, DataError, r"campaign.toml:12: .*'chirp' is there twice; every condition needs a name of its own"),
+            ({"second": "chirp"}, DataError, r"campaign.toml:12: .*'chirp' is there twice; give every condition a name of its own"),
             ({"system": "springs.tml"}, FileNotFoundError, r"'springs.tml': no such file; beside it are campaign.toml, hung.toml, springs"),
             (
                 {"runs": "runs/a-*"},

@@ -381,10 +381,10 @@ class TestSystemFile:
             ('"anderson"', '"andersen"', "unknown method 'andersen'; did you mean 'anderson'"),
             ('"mean"', '"start"', "unknown hold 'start'; available: end, mean"),
             ('"accept"', '"ignore"', "unknown unconverged 'ignore'"),
-            ("1e-7", "-1.0", "tolerance is a relative change, from 0 to below 1; found -1.0"),
+            ("1e-7", "-1.0", "tolerance is a relative change; expected 0 to below 1, found -1.0"),
             ("1e-7", '"1e-7"', "[iteration] tolerance: expected a finite number; found '1e-7'"),
-            ("= 0.5", "= 1.5", "relaxation is above 0 and at most 1; found 1.5"),
-            ("= 12", "= 0", "max_iterations and depth are at least 1"),
+            ("= 0.5", "= 1.5", "relaxation: expected above 0 and at most 1, found 1.5"),
+            ("= 12", "= 0", "max_iterations and depth: expected 1 or more"),
             ("depth", "dept", "[iteration] dept: unknown key 'dept'; did you mean 'depth'"),
         ],
     )

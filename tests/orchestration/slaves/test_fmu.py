@@ -322,7 +322,7 @@ class TestRefused:
             (
                 BAD,
                 {"binaries/vax780/euler.exe": b"", "binaries/win32/euler.dll": b"", "sources/a.c": b""},
-                "it has binaries for vax780, win32; it has C sources, which can be compiled",
+                "it has binaries for vax780, win32 and C sources, which can be compiled; export it for this platform",
             ),
             (BAD, LIBRARY, f"its binary binaries/{fmpy.platform}/euler{c_fmu.SUFFIX} is no Linux library (13 bytes"),
             (BAD.replace("<ModelVariables>", "<Variables>"), LIBRARY, "modelDescription.xml is not valid XML: mismatched tag"),

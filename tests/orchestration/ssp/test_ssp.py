@@ -325,7 +325,7 @@ class TestOthers:
             ),
             (
                 ('source="fmus/eul%C3%A9r.fmu" impl', 'source="fmus/x.fmu" impl'),
-                r"there is no fmus/x.fmu in the package; it holds .*fmus/eulér.fmu",
+                r"there is no fmus/x.fmu in the package; available: .*fmus/eulér.fmu",
             ),
             (("all%20of%20them", "none"), r"parameters of the system: there is no parameters/none.ssv in the package"),
             (('prefix="ga"', 'type="text/csv"'), r"component 'the first.one': parameters of type 'text/csv' cannot be read"),

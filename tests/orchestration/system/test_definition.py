@@ -162,7 +162,7 @@ ERRORS = [
     ),
     ('to = "drive.d"', 'to = "drive"', "system.toml:25: connections 2: to: expected component.port; found 'drive'"),
     ('to = "drive.d"\n', "", "system.toml:23: connections 2: missing: to; known keys: delayed, from, to"),
-    ("every = 2", "every = 0", "system.toml:28: [recording]: the recording's every and chunk are at least 1; found 0 and 250"),
+    ("every = 2", "every = 0", "system.toml:28: [recording]: the recording's every and chunk: expected 1 or more, found 0 and 250"),
     (
         "every = 2",
         "rows = 2",
