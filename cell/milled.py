@@ -141,7 +141,7 @@ def chosen(scenario: Scenario, names: Sequence[str] | None) -> Scenario:
     known = {v.name: v for v in scenario.variants}
     if missing := [n for n in names if n not in known]:
         raise ScenarioError(f"{scenario.file}: no variant {', '.join(missing)}; variants: {', '.join(known)}")
-    return replace(scenario, variants=tuple(known[n] for n in names))
+    return replace(scenario, variants=tuple(known[n] for n in dict.fromkeys(names)))
 
 
 def with_parameters(scenario: Scenario, parameters: Mapping[str, Mapping[str, Any]]) -> Scenario:

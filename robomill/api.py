@@ -41,6 +41,7 @@ from robomill.diagnosis.outcome import adopt as adoption
 from robomill.diagnosis.outcome.verdict import FALSE_ALARM
 from robomill.loading import load
 from robomill.orchestration.assembly import run as run_system
+from robomill.orchestration.errors import unknown
 from robomill.orchestration.loop.master import Manipulator, Observer
 from robomill.orchestration.runs.lock import FolderLock
 from robomill.orchestration.runs.run import Run
@@ -129,7 +130,10 @@ def run(
     """
     subject = load(what) if isinstance(what, str | Path) else what
     if isinstance(subject, Run):
-        raise ValueError(f"{what} is the folder of a run that has been made; expected a scenario or a system file")
+        raise ValueError(f"{subject.folder} is the folder of a run that has been made; expected a scenario or a system file")
+    for name in options:
+        if name not in RunOptions.__annotations__:
+            raise TypeError(unknown("option", name, RunOptions.__annotations__))
     place = None if folder is None else Path(folder)
     built = None if fmus is None else Path(fmus)
 

@@ -1,4 +1,4 @@
-"""What the commands do: call the package, show the result, write the files. `robomill/cli.py` has their options."""
+"""What the commands do: call the package, show the result, write the files. `robomill/command_options.py` has their options."""
 
 from __future__ import annotations
 
@@ -64,10 +64,10 @@ def run(options: Namespace) -> int:
     if head is None:
         return _run_system(load_system(options.file), options)
     kind = head.get("kind") if isinstance(head, dict) else None
+    _only_systems_take(options, "step", "stop")
     if kind in _OTHER_KINDS:
         _only_cells_take(options, kind)
         return _OTHER_KINDS[kind](options)
-    _only_systems_take(options, "step", "stop")
     scenario = load_scenario(options.file)
     folder = options.out or RESULTS / scenario.name
     if scenario.kind != "milling":
@@ -249,7 +249,6 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
 def _run_removal_rate(options: Namespace) -> int:
     from robomill.cell import removal_rate
 
-    _only_systems_take(options, "step", "stop")
     scenario = removal_rate.load_removal_rate(options.file)
     if options.variant:
         unknown = sorted(set(options.variant) - {v.name for v in scenario.variants})

@@ -23,6 +23,8 @@ from robomill.orchestration.slaves.protocol import PortData
 
 REPEAT = "repeat_"
 """Folder of a repeat within that of the import, before its number."""
+MIRRORED = 15
+"""Rows that a filter forwards and backwards mirrors at each end: three times its coefficients (`scipy.signal.sosfiltfilt`)."""
 
 
 @dataclass(frozen=True)
@@ -243,6 +245,10 @@ def _shown(mapping: LogMapping, series: _Series, t: FloatArray, element: int) ->
     if signal.low_pass:
         if signal.low_pass >= 0.5 / h:
             raise _problem(mapping, signal, f"low_pass is {signal.low_pass:g} Hz; expected less than half the rate, {0.5 / h:g} Hz")
+        if len(x) <= MIRRORED:
+            raise _problem(
+                mapping, signal, f"low_pass needs more than {MIRRORED} rows, a piece has {len(x)}; import longer pieces, or leave it out"
+            )
         x = x[0] + sosfiltfilt(butter(4, signal.low_pass, fs=1.0 / h, output="sos"), x - x[0])
     for _ in range(signal.derivative):
         x = np.gradient(x, h)
