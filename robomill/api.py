@@ -145,7 +145,7 @@ def run(
         _refuse(options, subject)
         return _mill(subject, place, variant, parameters or {}, changed, built, overwrite, resume, progress)
     if variant is not None:
-        raise ValueError(f"variant = {variant!r} goes with scenarios; the system {subject.name!r} is one run")
+        raise ValueError(f"variant = {variant!r} goes with scenarios; the system {subject.name!r} is one run; leave it out")
     system = changed(subject)
     for component, values in (parameters or {}).items():
         system = system.with_parameters(component, values)
@@ -168,6 +168,7 @@ def _refuse(options: Mapping[str, Any], scenario: Scenario) -> None:
     if options:
         raise ValueError(
             f"{', '.join(options)} goes with systems; the scenario {scenario.name!r} takes its step and its end from its system and program"
+            "; leave it out"
         )
     if scenario.kind != "milling":
         raise ValueError(f"{scenario.name!r} is of the kind {scenario.kind!r}, expected milling; run it with: robomill run {scenario.file}")
