@@ -46,7 +46,7 @@ COMMANDS = (
         "run",
         "run a scenario in all its variants, or a system file once",
         "robomill run scenarios/groove.toml",
-        "commands.run",
+        "run_command.run",
         "command_options.run",
     ),
     Command(
@@ -67,14 +67,14 @@ COMMANDS = (
         "build",
         "write the components as FMUs, and systems as SSP packages",
         "robomill build --out dist",
-        "commands.build",
+        "build_command.run",
         "command_options.build",
     ),
     Command(
         "check",
         "check FMUs, ours or not: validity, conformance, repeatability",
         "robomill check dist/*.fmu",
-        "commands.check",
+        "check_command.run",
         "command_options.check",
     ),
     Command(

@@ -78,11 +78,11 @@ def partner(options: Namespace) -> int:
     from robomill.cell.rsi.partner import Partner
     from robomill.cell.rsi.preparation import prepare
     from robomill.cell.rsi.settings import load_link
-    from robomill.commands import RESULTS
     from robomill.import_command import labels as read_labels
     from robomill.orchestration.runs.lock import FolderLock
     from robomill.orchestration.runs.run import check_vacant
     from robomill.progress import progress_bar
+    from robomill.run_command import RESULTS
 
     link = load_link(options.link)
     if options.config is not None:
@@ -164,12 +164,12 @@ def robot(options: Namespace) -> int:
     from robomill.cell.rsi.network import Faults
     from robomill.cell.rsi.preparation import prepare
     from robomill.cell.rsi.settings import load_link
-    from robomill.commands import RESULTS
     from robomill.diagnosis.outcome import adopt
     from robomill.orchestration.runs.importing import write_run
     from robomill.orchestration.runs.lock import FolderLock
     from robomill.orchestration.runs.run import check_vacant
     from robomill.progress import progress_bar
+    from robomill.run_command import RESULTS
 
     link = load_link(options.link)
     faults = Faults(options.lost, options.late, options.doubled, options.jitter, options.seed)
