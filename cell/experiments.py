@@ -1,36 +1,8 @@
 """Experiments: runs made to find something out, simulated as they would be measured.
 
-An experiment file is a scenario of kind "experiment"::
-
-    [scenario]
-    name = "static_loads_with_weight"
-    kind = "experiment"
-    title = "..."
-    system = "loaded_cell.toml"
-
-    [experiment]
-    kind = "static load"            # label of the runs
-    repeats = 3                     # of each condition, each with noise of its own
-    columns = ["path.*", "drive.q_motor"]   # what is measured (default: what the system records)
-
-    [parameters]                    # known to the experimenter, for all conditions
-    controller.mode = 0
-    [machine]                       # not known: what the machine has; not written to the runs
-    compliance.stiffness_error = [0, 0.1, 0, 0, 0, 0]
-
-    [[condition]]
-    name = "push +x"
-    program = "programs/hold.ngc"   # G-code, or a path of points
-    position = ["1300 mm", "0 mm", "1200 mm"]       # of the frame that the program is in; also abc
-    size = ["100 mm", "60 mm", "30 mm"]             # of the block, where one is milled
-    load = [["1 s", 0, 0, 0], ["1.5 s", "300 N", 0, 0]] # time, force on the tool in B; lines between
-    weight = "25 kg"                # hangs from the tool tip all the time
-    held_out = true
-    minutes = 5                     # what its repeats cost on the machine, with setting up
-    parameters.compliance.warm_up_time = "30 min"
-
-Each repeat is a run folder with the labels condition, repeat, held_out, kind, tier, and `parameters`: what the experimenter set. A
-program is a table in the run's folder, so a run stands alone.
+Keys of the file, a scenario of kind "experiment", are declared below (`ExperimentKeys`), with an example in
+docs/reference/formats/experiment.md. Each repeat is a run folder with the labels condition, repeat, held_out, kind, tier, and `parameters`:
+what the experimenter set. A program is a table in the run's folder, so a run stands alone.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,8 +68,6 @@ class Runs(Mapping[str, Run]):
     """What the reader of the program skipped or decided, and where the planner did not hold the feed."""
     warnings: tuple[str, ...] = ()
     """What is wrong with the plan, or unusual."""
-    kept: object = field(default=None, repr=False, compare=False)
-    """What holds the folder where it is a temporary one."""
 
     def __getitem__(self, variant: str) -> Run:
         if variant not in self._by_name:
@@ -141,7 +139,7 @@ def chosen(scenario: Scenario, names: Sequence[str] | None) -> Scenario:
     known = {v.name: v for v in scenario.variants}
     if missing := [n for n in names if n not in known]:
         raise ScenarioError(f"{scenario.file}: no variant {', '.join(missing)}; variants: {', '.join(known)}")
-    return replace(scenario, variants=tuple(known[n] for n in names))
+    return replace(scenario, variants=tuple(known[n] for n in dict.fromkeys(names)))
 
 
 def with_parameters(scenario: Scenario, parameters: Mapping[str, Mapping[str, Any]]) -> Scenario:

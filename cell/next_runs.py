@@ -1,22 +1,8 @@
 """Kinds of runs that could be made next, from a TOML file: templates with quantities that the experimenter sets within bounds.
 
-A file::
-
-    [[kind]]
-    name = "static push"
-    system = "loaded"                   # "diagnosed" (if it is not said); "loaded": with an applied load in place of the cut; or a file
-    minutes = 5                         # what its repeats take, with setting up
-    repeats = 3
-    range.load = {low = "100 N", high = "400 N", start = "400 N"}       # start: in the middle, if it is not said
-    range.azimuth = {low = "0 deg", high = "180 deg"}
-    program = "hold.ngc"                # and position, abc, size, load, weight, as in a condition of an experiment (`experiments.py`);
-    position = ["1300 mm", 0, "1200 mm"]            # or seconds, for a system without a program
-    load = [["0.5 s", 0, 0, 0], ["0.7 s", "${load*cos(azimuth)} N", "${load*sin(azimuth)} N", 0]]
-    parameters.controller.mode = 0
-
-`${...}` in texts of the kind and in its program stands for a number: quantities in the unit of their `low`, numbers, + - * / and sin, cos
-of degrees. `prepare` makes of a kind, of values and of any system the system of that run. The kinds of milling cells are in
-scenarios/next_runs/kinds.toml; a system brings its own in `next_runs.toml` beside it.
+Keys of the file are declared below (`KindsKeys`), with an example in docs/reference/formats/next_runs.md. `prepare` makes of a kind, of
+values and of any system the system of that run. Within `${...}` a quantity is a number in the unit of its `low`. The kinds of milling cells
+are in scenarios/next_runs/kinds.toml; a system brings its own in `next_runs.toml` beside it.
 """
 
 from __future__ import annotations

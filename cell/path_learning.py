@@ -1,45 +1,6 @@
 """Path learning as a scenario: guiding points, passes along the unknown part, the program that comes out, and how true it is.
 
-A scenario of kind "path_learning"::
-
-    [scenario]
-    name = "path_learning"
-    kind = "path_learning"
-    title = "..."
-    system = "learning_cell.toml"       # path, drive, compliance, contact, sensor, learning
-
-    [part]
-    edge = "wavy_edge.csv"              # nominal edge: x, y in mm, material on the left of its direction
-    position = ["1260 mm", "0 mm", "500 mm"]
-    abc = ["0 deg", "0 deg", "0 deg"]
-    shift = ["0.8 mm", "-0.5 mm"]       # what the real part has and nobody knows: moved, turned about its middle,
-    turn = "0.3 deg"                    # and bent: y + bend (2 x / length)^2
-    bend = "0.5 mm"
-
-    [guiding]                           # points taught by hand beside the nominal edge
-    spacing = "40 mm"
-    distance = "1.5 mm"                 # from the tip's surface to the nominal edge
-    scatter = "0.5 mm"                  # of the hand, one sigma in x and y
-    blend = "1 mm"
-    seed = 1
-    lead_through = "lead_cell.toml"     # instead of all that: taught by leading the robot (lead, drive, compliance, contact)
-    operator = "operator.csv"           # s, N, N, N, deg/s, deg/s, deg/s, teach: rows of the component lead_through
-    start = ["0 mm", "-30 mm", "0 mm"]  # of the upright tool's tip in the part frame
-
-    [learning]
-    force = "10 N"
-    feed = "5 mm/s"
-    stiffness = "100 N/mm"              # of the stylus; the gain is chosen for it, and F/k corrected with it
-    tip_radius = "1 mm"
-    passes = 3
-    rigid = false                       # true: a robot that does not give way
-    name = "pump"                       # of the RAPID module
-
-    [parameters]                        # for every variant
-    [variants.stylus]
-    title = "..."
-    learning.force = "20 N"
-    parameters.contact.friction = 0.2
+Keys of the file are declared below (`LearningScenarioKeys`), with an example in docs/reference/formats/path_learning.md.
 """
 
 from __future__ import annotations

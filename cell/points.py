@@ -1,16 +1,7 @@
 """Read a tool path with orientations: a TOML list of points, for what a three-axis G-code program cannot say.
 
-::
-
-    orientation = "path"        # or "corner": see `PointPath`
-    [[point]]
-    position = [-50, 0, 0]      # mm in P
-    orientation = [0, 0, 0]     # A, B, C in deg; 0, 0, 0 = tool axis along -z of P
-    blend = 0                   # mm; radius around the point in which the corner is blended, 0 = exact stop
-    feed = 25                   # mm/s on the way to this point
-    speed = 13000               # rev/min on the way to this point
-
-`orientation`, `blend`, `feed` and `speed` keep their value until a later point says otherwise.
+Keys are declared below (`PathKeys`), with an example in docs/reference/formats/points.md. A key of a point keeps its value until a later
+point says otherwise.
 """
 
 from __future__ import annotations

@@ -1,33 +1,7 @@
 """Scenarios of controlled material removal rate: the feed follows the force along a profile of depths, Pan & Zhang (paper 003) section 4.
 
-A scenario of kind "removal_rate"::
-
-    [scenario]
-    name = "step_depth_fixed"
-    kind = "removal_rate"
-    title = "..."
-    system = "rate_cell.toml"           # with the components `robot`, `process`, `controller`
-
-    [cut]
-    width = "50 mm"
-    rows = [["0 mm", "0 mm"], ["10 mm", "1 mm"]]    # way along the path, depth of cut; lines between
-    [[cut.bur]]                         # on top: raised-cosine flanks beside a flat top
-    at = "130 mm"                       # its middle
-    height = "3 mm"
-    flank = "15 mm"
-    top = "10 mm"
-
-    [section.depth_2mm]                 # what mean, scatter and line of the force are told of
-    from = "120 mm"
-    to = "180 mm"
-
-    [limit]
-    force = "300 N"                     # what the spindle bears: what exceeds it is said
-    [against]
-    feed = "35 mm/s"                    # constant feed that the time is compared with
-
-and [parameters], [variants], [paper] as in other scenarios (cell/scenario.py). Figures of a section are called `force_`, `std_`, `line_`,
-`feed_` and its name.
+Keys of the file are declared below (`RateKeys`), with an example in docs/reference/formats/removal_rate.md. Figures of a section are called
+`force_`, `std_`, `line_`, `feed_` and its name.
 """
 
 from __future__ import annotations
@@ -177,7 +151,7 @@ class CutKeys(Keys):
 
 
 class SectionKeys(Keys):
-    """A piece of the path whose figures are told: mean, scatter and slope of the force, by the name of the section."""
+    """A piece of the path whose figures are told by its name: mean, scatter and strongest spectral line of the force, mean feed."""
 
     begin = required(keys.quantity("m"), "where it begins along the path", name="from")
     end = required(keys.quantity("m"), "where it ends", name="to")

@@ -1,55 +1,7 @@
 """Scenario files: what is simulated, in which variants, and which published figures stand beside the result.
 
-A scenario is TOML. Physical values carry their unit (``"0.2 mm"``); only 0 needs none::
-
-    [scenario]
-    name = "groove"
-    kind = "milling"                    # or "static_loads"
-    system = "milling_cell.toml"        # components and connections, beside the scenario
-    program = "groove.ngc"              # G-code, or a path of points in TOML
-    # how the program is read where it does not say itself (docs/how_to/gcode.md); places in mm of its own zero (G54):
-    start = ["0 mm", "0 mm", "50 mm"]   # where the tool stands before the first block
-    home = ["0 mm", "0 mm", "100 mm"]   # where G28, G30 and G53 lead
-    dialect = "fanuc"                   # linuxcnc (default), fanuc, haas, marlin: units of dwells
-    block_delete = false                # execute lines that begin with /
-    wear = true                         # G41 and G42 correct wear only: the program has the centre path
-    feed = "25 mm/s"                    # until the program names one; so does
-    spindle_speed = "13000 rpm"
-
-    [workpiece]
-    position = ["1595 mm", "-18 mm", "1099 mm"]   # centre of its top surface, in the robot base
-    size = ["100 mm", "60 mm", "30 mm"]
-    tool_angle = "0 deg"                          # of the spindle about the tool axis; 0: away from the robot (`robomill place`)
-    zero = "front-left-top"                       # where G54 lies in the block (default: centre-top); or three lengths from the centre
-    work_offsets = { G55 = ["10 mm", 0, 0] }      # if the program needs others than G54: a place as `zero`
-    stock = "casting.stl"               # instead of size: a closed solid, the middle of the top of its box in P; for tri-dexels
-    stock_unit = "1 mm"                 # what its coordinates are in (default: mm)
-
-    [robot]                             # instead of what the system names; likewise [tool], [material], [sensor] (cell/equipment.py)
-    name = "kr210_2"
-
-    [tools.1]                           # the cutters that T names; without, the one of the milling component does all
-    diameter = "16 mm"
-    teeth = 3
-    helix = "30 deg"
-    cutting_length = "32 mm"
-    corner_radius = "8 mm"              # 0 (default) flat, half of the diameter ball nose; for tri-dexels
-    title = "roughing"                  # beside the dimensions in run.toml
-
-    [parameters]                        # for every variant: component, parameter, value
-    controller.mode = 0
-
-    [variants.cartesian]
-    title = "Cartesian"
-    parameters.controller.mode = 1
-    sources.controller = "compensation_controller"   # instead of what the system has there: one component exchanged
-
-    [scan]                              # of a faced block: the error of its surface is measured (cell/scan.py)
-    depth = "3 mm"                      # of the plane that was programmed, below the top
-    margin = "15 mm"                    # left out at the ends of the block in x, where the cutter comes in and leaves
-
-    [paper.cartesian]                   # published figures, printed beside ours
-    max_deviation_m = "0.7 mm"
+Keys are declared below (`ScenarioKeys`), with an example in docs/reference/formats/scenario.md; scenarios/groove.toml is a whole one.
+How a program is read: docs/how_to/gcode.md.
 """
 
 from __future__ import annotations

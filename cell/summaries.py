@@ -60,7 +60,9 @@ def tool_deviation(run: Run) -> FloatArray:
     """
     cut = cutting(run)
     if not np.any(cut):
-        raise ValueError("nothing is cut: the tool never met the block")
+        raise ValueError(
+            "nothing is cut: the tool never met the block; correct the place of the block or the program, or leave this figure out"
+        )
     return np.asarray(np.linalg.norm(run["compliance.p_BT_B"] - run["path.p_BT_B"], axis=1)[cut])
 
 

@@ -1,45 +1,6 @@
 """The catalogue of candidate effects: which parameters of which component switch an effect on, how large it may be, how likely.
 
-A TOML file::
-
-    [[effect]]
-    name = "backlash"
-    component = "drive"                 # name in the system; "logging" for what is wrong with the log itself
-    description = "..."
-    source = "..."
-    unit = "rad"
-    minimum = 2e-6                      # smaller is no finding [unit]
-    maximum = 1e-3                      # bound of the fit [unit]
-    sign = "positive"                   # or "both"
-    prior = {kind = "log-normal", scale = 6e-5, spread = 0.8}    # or {kind = "normal", scale = ...}
-    locations = [{name = "joint 1", parameters = ["backlash[1]"]}, ...]
-                                        # an amplitude whose phase is another on every machine: phase = "transmission_phase[1]" beside it;
-                                        # and in every run: per = "run", too
-    shape = [{name = "frequency", parameter = "mode_frequency", unit = "Hz", values = [5.0, 12.0, 30.0]}]
-                                        # optional: what else differs between machines, its values growing; per = "machine".
-                                        # Of an array the element of the location is meant: "hysteresis_torque[*]"
-    family = "compliance {location}"    # optional: what effects are called together that are twins there
-
-    [[nuisance]]                        # calibrated numbers, believed to a standard deviation
-    component = "drive"
-    parameters = ["loop_frequency"]     # elements, or whole arrays
-    relative = 0.01                     # of the nominal value; or: absolute = 0.4 and its unit, that of the parameter
-    source = "..."
-
-    [[seed]]                            # where the simulation has noise of its own: another value is another repeat
-    component = "sensor"
-    parameter = "seed"
-
-    [[quiet]]                           # set in every simulation of the diagnosis
-    component = "sensor"
-    parameters = {noise_f = 0}
-
-    [refinement]                        # what the communication step itself does to a replay is seen by a simulation with a part of it
-    divide = 4
-    sampled = ["sensor", "controller"]  # components that keep their cycle
-
-    [titles]                            # what the difference in an array is called; these arrays are the figures of the answer
-    "drive.q_motor" = "motor angle error"
+Keys of the file are declared below (`CatalogueKeys`), with an example in docs/reference/formats/catalogue.md.
 
 Parameters of "logging" are `lag PATTERN` [s], `smooth PATTERN` (time constant of a first-order filter [s]), `gain PATTERN` [1],
 `offset PATTERN` [unit of the channel], `rotate_1 PATTERN` (`_2`, `_3`: a triple about that axis [rad]), and, with any value but zero,

@@ -95,11 +95,11 @@ def commit() -> str:
         return subprocess.run(["git", "-C", str(FILES), *arguments], capture_output=True, text=True, check=False)
 
     try:
-        root, head = git("rev-parse", "--show-toplevel", "HEAD").stdout.split()
+        root, head = git("rev-parse", "--show-toplevel", "HEAD").stdout.splitlines()
     except (OSError, ValueError):  # no git, no repository
         return ""
-    unchanged = FILES.samefile(root) and git("diff", "--quiet", "HEAD", "--", *_SOURCES).returncode == 0
-    return head if unchanged else ""
+    changes = git("status", "--porcelain", "--", *_SOURCES)  # files that git does not know yet count, too
+    return head if FILES.samefile(root) and changes.returncode == 0 and not changes.stdout else ""
 
 
 def _statement(origin: Origin, content: Mapping[str, bytes]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import re
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,7 +42,7 @@ def write_signed(file: Path, files: Mapping[str, bytes], key: Ed25519PrivateKey)
 def verify(file: Path, key: Path) -> list[str]:
     """Names of the files of an archive, if all are as the holder of the key signed them; `key` is the PEM file of the public key.
 
-    SignatureError otherwise: not an archive, not signed, signed by another key, a file that was changed, added or taken away.
+    SignatureError otherwise: no archive or a damaged one, not signed, signed by another key, a file changed, added or taken away.
     """
     from cryptography.exceptions import InvalidSignature
 
@@ -50,25 +51,30 @@ def verify(file: Path, key: Path) -> list[str]:
         raise SignatureError(
             f"{file}: {'not a zip archive' if file.is_file() else 'no such file'}; expected one of `robomill build --sign`"
         )
-    with zipfile.ZipFile(file) as opened:
-        names = opened.namelist()
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
-            raise SignatureError(f"{file}: holds {', '.join(twice)} twice; get it anew from its maker")
-        missing = [n for n in (SUMS, SIGNATURE) if n not in names]
-        if missing:
-            raise SignatureError(f"{file}: without {' and '.join(missing)}, so not signed; expected an archive of `robomill build --sign`")
-        sums = opened.read(SUMS)
-        try:
-            public.verify(opened.read(SIGNATURE), sums)
-        except InvalidSignature:
-            raise SignatureError(
-                f"{file}: {SIGNATURE} is no signature of {SUMS} by {key}: another key signed it, or the list was changed; "
-                "ask its maker for the archive and the public key"
-            ) from None
-        expected = {found[2]: found[1] for line in sums.decode().splitlines() if (found := _LINE.fullmatch(line))}
-        unlike = [n for n in expected if n not in names or hashlib.sha256(opened.read(n)).hexdigest() != expected[n]]
-        added = [n for n in names if n not in expected and n not in (SUMS, SIGNATURE)]
+    try:
+        with zipfile.ZipFile(file) as opened:
+            names = opened.namelist()
+            twice = sorted({n for n in names if names.count(n) > 1})
+            if twice:
+                raise SignatureError(f"{file}: holds {', '.join(twice)} twice; get it anew from its maker")
+            missing = [n for n in (SUMS, SIGNATURE) if n not in names]
+            if missing:
+                raise SignatureError(
+                    f"{file}: without {' and '.join(missing)}, so not signed; expected an archive of `robomill build --sign`"
+                )
+            sums = opened.read(SUMS)
+            try:
+                public.verify(opened.read(SIGNATURE), sums)
+            except InvalidSignature:
+                raise SignatureError(
+                    f"{file}: {SIGNATURE} is no signature of {SUMS} by {key}: another key signed it, or the list was changed; "
+                    "ask its maker for the archive and the public key"
+                ) from None
+            expected = {found[2]: found[1] for line in sums.decode().splitlines() if (found := _LINE.fullmatch(line))}
+            unlike = [n for n in expected if n not in names or hashlib.sha256(opened.read(n)).hexdigest() != expected[n]]
+            added = [n for n in names if n not in expected and n not in (SUMS, SIGNATURE)]
+    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+        raise SignatureError(f"{file}: is damaged: {error}; get it anew from its maker") from None
     if unlike or added:
         told = [f"changed or missing: {', '.join(unlike)}"] * bool(unlike) + [f"not signed: {', '.join(added)}"] * bool(added)
         raise SignatureError(f"{file}: {'; '.join(told)}; get it anew from its maker")

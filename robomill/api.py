@@ -41,6 +41,7 @@ from robomill.diagnosis.outcome import adopt as adoption
 from robomill.diagnosis.outcome.verdict import FALSE_ALARM
 from robomill.loading import load
 from robomill.orchestration.assembly import run as run_system
+from robomill.orchestration.errors import unknown
 from robomill.orchestration.loop.master import Manipulator, Observer
 from robomill.orchestration.runs.lock import FolderLock
 from robomill.orchestration.runs.run import Run
@@ -129,7 +130,10 @@ def run(
     """
     subject = load(what) if isinstance(what, str | Path) else what
     if isinstance(subject, Run):
-        raise ValueError(f"{what} is the folder of a run that has been made; expected a scenario or a system file")
+        raise ValueError(f"{subject.folder} is the folder of a run that has been made; expected a scenario or a system file")
+    for name in options:
+        if name not in RunOptions.__annotations__:
+            raise TypeError(unknown("option", name, RunOptions.__annotations__))
     place = None if folder is None else Path(folder)
     built = None if fmus is None else Path(fmus)
 
@@ -141,7 +145,7 @@ def run(
         _refuse(options, subject)
         return _mill(subject, place, variant, parameters or {}, changed, built, overwrite, resume, progress)
     if variant is not None:
-        raise ValueError(f"variant = {variant!r} goes with scenarios; the system {subject.name!r} is one run")
+        raise ValueError(f"variant = {variant!r} goes with scenarios; the system {subject.name!r} is one run; leave it out")
     system = changed(subject)
     for component, values in (parameters or {}).items():
         system = system.with_parameters(component, values)
@@ -164,6 +168,7 @@ def _refuse(options: Mapping[str, Any], scenario: Scenario) -> None:
     if options:
         raise ValueError(
             f"{', '.join(options)} goes with systems; the scenario {scenario.name!r} takes its step and its end from its system and program"
+            "; leave it out"
         )
     if scenario.kind != "milling":
         raise ValueError(f"{scenario.name!r} is of the kind {scenario.kind!r}, expected milling; run it with: robomill run {scenario.file}")

@@ -21,7 +21,7 @@ def run(options: Namespace) -> int:
 
 
 def script(shell: str) -> str:
-    """The completion of all commands for a shell of `cli.SHELLS`, as shtab writes it."""
+    """The completion of all commands for a shell of `command_options.SHELLS`, as shtab writes it."""
     known = parser()
     _complete(known)
     text: str = shtab.complete(known, shell=shell)

@@ -17,7 +17,7 @@ from robomill import identify_cubes, identify_cycle, identify_hammer, identify_s
 from robomill.files import vacant
 from robomill.identify_report import REPORT
 from robomill.measured_set import MeasuredSet, MeasuredSetError, Quantity, read_measured
-from robomill.option_types import add_overwrite
+from robomill.option_types import add_machine, add_overwrite
 
 _Q = Quantity("q", "rad", 6, ("q_link", "q", "q_motor"))
 STIFFNESS = (
@@ -88,13 +88,12 @@ def add_arguments(parser: Any) -> None:
     identify_hammer.add_arguments(kinds)
     for kind in kinds.choices.values():
         add_overwrite(kind, "results, and readings that --simulate writes,")
+        kind.add_argument("--json", action="store_true", default=SUPPRESS, help="print the result as JSON and nothing else")
     for kind in (stiffness, payload):
         kind.add_argument(
             "measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/how_to/identify.md)"
         )
-        kind.add_argument("--robot", metavar="NAME", help="name of models/data/robots or a .toml file (default: what the set or run says)")
-        kind.add_argument("--tool", metavar="NAME", help="name of models/data/tools or a .toml file (default: what the set or run says)")
-        kind.add_argument("--json", action="store_true", default=SUPPRESS, help="print the result as JSON and nothing else")
+        add_machine(kind)
 
 
 def run(options: Namespace) -> int:

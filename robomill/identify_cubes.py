@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import csv
 import json
-from argparse import SUPPRESS, Namespace
+from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -107,7 +107,6 @@ def add_arguments(kinds: Any) -> None:
     kind.add_argument("--simulate", metavar="NAME", help="first write the readings that a robot with these springs gives")
     kind.add_argument("--seed", type=int, default=1, metavar="N", help="of the simulated noise (default: 1)")
     kind.add_argument("--out", type=Path, metavar="DIR", help="write report.json, report.txt and cubes.png")
-    kind.add_argument("--json", action="store_true", default=SUPPRESS, help="print the result as JSON and nothing else")
 
 
 def run(options: Namespace) -> int:

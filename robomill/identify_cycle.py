@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from argparse import SUPPRESS, Namespace
+from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +19,7 @@ from robomill.measured_set import MeasuredSetError, Quantity, read_measured, rea
 from robomill.models.calibration.load_cycle import CONFIDENCE, CycleFit, GapFit, Slope, fit_cycle, fit_gap
 from robomill.models.calibration.stiffness import SPRINGS, screws, tilts
 from robomill.models.model.declaration import FloatArray
+from robomill.option_types import add_machine
 from robomill.orchestration.errors import unknown
 from robomill.orchestration.runs.run import read_info
 
@@ -68,10 +69,8 @@ def add_arguments(kinds: Any) -> None:
         kind.add_argument(
             "--spring", action="append", default=[], metavar="NAME", help='"A6", "A3 tilt x": what is loaded, in the order of the runs'
         )
-        kind.add_argument("--robot", metavar="NAME", help="name of models/data/robots or a .toml file (default: what the set or run says)")
-        kind.add_argument("--tool", metavar="NAME", help="name of models/data/tools or a .toml file (default: what the set or run says)")
+        add_machine(kind)
         kind.add_argument("--out", type=Path, metavar="DIR", help="write report.json, report.txt and the loops as pictures")
-        kind.add_argument("--json", action="store_true", default=SUPPRESS, help="print the result as JSON and nothing else")
 
 
 def run_cycle(options: Namespace) -> int:

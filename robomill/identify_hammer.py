@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from argparse import SUPPRESS, Namespace
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -83,7 +83,6 @@ def add_arguments(kinds: Any) -> None:
         kind.add_argument("--tool", metavar="NAME", help="name of models/data/tools or a .toml file (default: what the run says)")
         kind.add_argument("--compliance", metavar="NAME", help="springs: models/data/compliance or a .toml file (default: of the robot)")
         kind.add_argument("--out", type=Path, metavar="DIR", help="write report.json, report.txt and pictures")
-        kind.add_argument("--json", action="store_true", default=SUPPRESS, help="print the result as JSON and nothing else")
 
 
 def run_hammer(options: Namespace) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from argparse import SUPPRESS, Namespace
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ from rich.table import Table
 
 from robomill.cell.palette import BLUE, ORANGE
 from robomill.measured_set import MeasuredSet, MeasuredSetError, Quantity, read_measured
+from robomill.option_types import add_machine
 
 if TYPE_CHECKING:
     from robomill.models.calibration.measurement_matrix import MatrixFit
@@ -54,9 +55,7 @@ def add_arguments(kinds: Any) -> None:
     sensor.add_argument(
         "measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/how_to/identify.md)"
     )
-    sensor.add_argument("--robot", metavar="NAME", help="name of models/data/robots or a .toml file (default: what the set or run says)")
-    sensor.add_argument("--tool", metavar="NAME", help="name of models/data/tools or a .toml file (default: what the set or run says)")
-    sensor.add_argument("--json", action="store_true", default=SUPPRESS, help="print the result as JSON and nothing else")
+    add_machine(sensor)
 
 
 def run(options: Namespace) -> int:

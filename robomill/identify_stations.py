@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from argparse import SUPPRESS, Namespace
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from robomill.models.calibration.stations import Stations, stations
 from robomill.models.calibration.stiffness import Loads
 from robomill.models.model.parameters import load
 from robomill.models.robot.virtual_joints import Compliance, load_compliance
+from robomill.option_types import add_machine
 
 PUSHES = (
     Quantity("q", "rad", 6, ("q_link", "q", "q_motor")),
@@ -39,10 +40,8 @@ def add_arguments(kinds: Any) -> None:
         "measured", type=Path, nargs="+", metavar="RUN", help="run folders, or TOML files over columns (docs/how_to/identify.md)"
     )
     kind.add_argument("--compliance", required=True, metavar="NAME", help="springs: name of models/data/compliance or a .toml file")
-    kind.add_argument("--robot", metavar="NAME", help="name of models/data/robots or a .toml file (default: what the set or run says)")
-    kind.add_argument("--tool", metavar="NAME", help="name of models/data/tools or a .toml file (default: what the set or run says)")
+    add_machine(kind)
     kind.add_argument("--out", type=Path, metavar="DIR", help="write report.json, report.txt and stations.png")
-    kind.add_argument("--json", action="store_true", default=SUPPRESS, help="print the result as JSON and nothing else")
 
 
 def run(options: Namespace) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 from robomill.cell.equipment import load_system
 from robomill.cell.scenario import Scenario, load_scenario
 from robomill.files import FILES
-from robomill.orchestration.errors import unknown
+from robomill.orchestration.errors import available, unknown
 from robomill.orchestration.runs.run import RUN, Run
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.toml_text import parse
@@ -42,6 +42,12 @@ def _shipped(name: Path) -> Path:
     for file in (scenarios / f"{name}.toml", examples / name / "system.toml"):
         if not name.is_absolute() and file.is_file():
             return file
+    if name.is_dir():
+        runs = [f.parent.name for f in sorted(name.glob(f"*/{RUN}"))]
+        raise FileNotFoundError(
+            f"the folder {name} is no run: there is no {RUN} in it; "
+            + (f"give the folder of one of its runs: {available(runs)}" if runs else "give one that `robomill run` has written")
+        )
     known = [f.relative_to(scenarios).with_suffix("").as_posix() for f in sorted(scenarios.rglob("*.toml"))]
     known += [f.parent.name for f in sorted(examples.glob("*/system.toml"))]
     raise FileNotFoundError(

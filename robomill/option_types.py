@@ -39,3 +39,9 @@ def probability(text: str) -> float:
 def add_overwrite(parser: Any, what: str = "results") -> None:
     """`--overwrite`: what is there is replaced only where somebody says so."""
     parser.add_argument("--overwrite", action="store_true", help=f"replace {what} that are there (default: that is refused)")
+
+
+def add_machine(parser: Any) -> None:
+    """`--robot` and `--tool` of what was measured."""
+    parser.add_argument("--robot", metavar="NAME", help="name of models/data/robots or a .toml file (default: what the set or run says)")
+    parser.add_argument("--tool", metavar="NAME", help="name of models/data/tools or a .toml file (default: what the set or run says)")

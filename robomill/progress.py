@@ -34,8 +34,8 @@ def progress_bar(quiet: bool) -> Iterator[milling.Progress]:
 
             def report(what: str, done: int, total: int) -> None:
                 if what not in tasks:
-                    tasks[what] = bar.add_task(what, total=total or None)
-                bar.update(tasks[what], completed=done)
+                    tasks[what] = bar.add_task(what, total=None)
+                bar.update(tasks[what], completed=done, total=total or None)  # what is expected may grow
 
             yield report
 

@@ -6,6 +6,7 @@ import json
 import socket
 import sys
 from argparse import ArgumentTypeError, Namespace
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -77,11 +78,11 @@ def partner(options: Namespace) -> int:
     from robomill.cell.rsi.partner import Partner
     from robomill.cell.rsi.preparation import prepare
     from robomill.cell.rsi.settings import load_link
-    from robomill.commands import RESULTS
     from robomill.import_command import labels as read_labels
     from robomill.orchestration.runs.lock import FolderLock
     from robomill.orchestration.runs.run import check_vacant
     from robomill.progress import progress_bar
+    from robomill.run_command import RESULTS
 
     link = load_link(options.link)
     if options.config is not None:
@@ -163,12 +164,12 @@ def robot(options: Namespace) -> int:
     from robomill.cell.rsi.network import Faults
     from robomill.cell.rsi.preparation import prepare
     from robomill.cell.rsi.settings import load_link
-    from robomill.commands import RESULTS
     from robomill.diagnosis.outcome import adopt
     from robomill.orchestration.runs.importing import write_run
     from robomill.orchestration.runs.lock import FolderLock
     from robomill.orchestration.runs.run import check_vacant
     from robomill.progress import progress_bar
+    from robomill.run_command import RESULTS
 
     link = load_link(options.link)
     faults = Faults(options.lost, options.late, options.doubled, options.jitter, options.seed)
@@ -202,9 +203,16 @@ def robot(options: Namespace) -> int:
     else:
         print(f"{made.ended}; {len(run)} cycles, {made.late} without their answer, {made.foreign} answers that were not used")
         if "max_deviation_m" in result:
-            print(f"largest deviation of the part {1e3 * result['max_deviation_m']:.2f} mm, peak force {result['peak_force_n']:.0f} N")
+            print(part_told(result))
         print(f"what the robot did is in {folder}/")
     return BAD if run.outcome == "failed" else DONE
+
+
+def part_told(figures: Mapping[str, Any]) -> str:
+    """A sentence about the part; in a session that ended early the tool may not have met it."""
+    if figures["max_deviation_m"] is None:
+        return "nothing was cut: the session ended before the tool met the block"
+    return f"largest deviation of the part {1e3 * figures['max_deviation_m']:.2f} mm, peak force {figures['peak_force_n']:.0f} N"
 
 
 def _figures(link: Any, run: Any) -> dict[str, Any]:

@@ -47,8 +47,8 @@ def add_arguments(parser: Any) -> None:
 
 def run(options: Namespace) -> int:
     """Make the sweep; status 1 if a run failed."""
-    from robomill.commands import RESULTS
     from robomill.progress import progress_bar
+    from robomill.run_command import RESULTS
     from robomill.sweeping import ERROR, TABLE, VARIANT, sweep
 
     grid = dict(_values(text) for text in options.sets)

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+from tests.sources import CODE, ROOT, sources
+
 PAGES = sorted(p for p in (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")) if not p.is_symlink())
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
@@ -115,21 +116,6 @@ def test_a_page_in_no_contents_is_found(tmp_path: Path) -> None:
 
 
 def test_pages_that_code_and_data_name_are_there() -> None:
-    folders = (
-        "benchmarks",
-        "blind",
-        "cell",
-        "conformance",
-        "diagnosis",
-        "docs",
-        "examples",
-        "fmus",
-        "models",
-        "orchestration",
-        "robomill",
-        "scenarios",
-        "tests",
-    )
-    files = [p for f in folders for p in (ROOT / f).rglob("*") if p.suffix in {".py", ".toml"} and not p.is_symlink()]
+    files = [p for f in (*CODE, "scenarios") for p in sources(ROOT / f, ".py", ".toml")]
     named = {(name(p), page) for p in [*files, ROOT / "Makefile"] for page in PAGE_NAME.findall(p.read_text(encoding="utf-8"))}
     assert not (lost := sorted(f"{place} names {page}" for place, page in named if not (ROOT / page).exists())), "; ".join(lost)

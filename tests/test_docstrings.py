@@ -5,34 +5,10 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
-ROOT = Path(__file__).parent.parent
-FOLDERS = (
-    "benchmarks",
-    "blind",
-    "cell",
-    "conformance",
-    "diagnosis",
-    "docs",
-    "examples",
-    "fmus",
-    "models",
-    "orchestration",
-    "reference",
-    "robomill",
-    "tests",
-)
+from tests.sources import CODE, ROOT, sources
+
 BEGINNING = re.compile(r"(Of|The same|Whether that)\b")
-
-
-def sources(folder: Path) -> Iterator[Path]:
-    """Python files below a folder, but for what is linked to: robomill/ has links to the folders beside it."""
-    for path in sorted(folder.iterdir()):
-        if path.is_dir() and not path.is_symlink():
-            yield from sources(path)
-        elif path.suffix == ".py":
-            yield path
 
 
 def docstrings(text: str) -> Iterator[tuple[int, str]]:
@@ -44,7 +20,7 @@ def docstrings(text: str) -> Iterator[tuple[int, str]]:
 
 def test_no_docstring_begins_in_the_middle_of_a_sentence() -> None:
     found = []
-    files = [path for folder in FOLDERS for path in sources(ROOT / folder)]
+    files = [path for folder in CODE for path in sources(ROOT / folder, ".py")]
     assert ROOT / "diagnosis" / "engine.py" in files
     for path in files:
         for line, text in docstrings(path.read_text(encoding="utf-8")):

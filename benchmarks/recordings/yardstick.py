@@ -80,11 +80,6 @@ class View:
         return np.asarray(x[0] + sosfiltfilt(butter(4, self.case.band, fs=1.0 / step, output="sos"), x - x[0], axis=0))
 
 
-def arrays_of(channels: Sequence[str]) -> list[str]:
-    """The arrays that they are elements of, each once."""
-    return list(dict.fromkeys(base_name(c) for c in channels))
-
-
 @dataclass(frozen=True)
 class Fitted:
     """Values [unit] by least squares, their 90 % intervals by block bootstrap."""

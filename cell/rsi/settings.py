@@ -1,40 +1,6 @@
 """The file of a link: which system is cut where, which element of the telegram is which port, limits and watchdog.
 
-A link file is TOML, read by both sides::
-
-    [link]
-    name = "groove_rsi"
-    scenario = "../groove.toml"         # what is milled, and its system; or system = "cell.toml" alone
-    variant = "cartesian_pilot"
-    partner = ["controller"]            # components that answer; all others are the robot's side
-    ethernet = "ethernet.xml"           # KUKA's configuration of the RSI object ETHERNET
-    decimals = 4                        # that both sides write
-
-    [robot]                             # what the simulator of the robot sends of its own: AIPos and RIst, ASPos and RSol
-    actual = "drive.q_motor"
-    planned = "path.q_ref"
-
-    [watchdog]
-    silence = "20 ms"                   # without a packet: the robot controller has failed
-    ramp = "200 ms"                     # the correction goes to zero within
-    end = "400 ms"                      # without a packet: the session is over
-    gap = 10                            # cycles that may be lost at once
-    unusable = 5                        # malformed or old packets in a row that are passed over
-    ipoc = 4                            # what IPOC grows by per cycle, ms
-
-    [[send]]                            # robot -> partner: element(s) of the telegram -> output of a component of the robot's side
-    element = "AIPos"                   # all its attributes; or elements = ["RIst.X", "RIst.Y", "RIst.Z"]
-    port = "drive.q_motor"
-    unit = "deg"                        # on the wire
-    most = "3 kN"                       # optional: a larger magnitude is a failed sensor
-    frozen = "100 ms"                   # optional: so long the same, and not zero: a failed sensor
-
-    [[receive]]                         # partner -> robot: output of a component of the partner -> element(s)
-    elements = ["RKorr.X", "RKorr.Y", "RKorr.Z"]
-    port = "controller.correction_B"
-    unit = "mm"
-    limit = "5 mm"                      # of each value
-    rate = "100 mm/s"                   # of its change
+Both sides read it. Its keys are declared below (`LinkKeys`), with an example in docs/reference/formats/link.md.
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ import ctypes
 import os
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import fmpy
 import numpy as np
@@ -83,33 +83,52 @@ class Fmi(ABC):
     prefix: str
     """What the names of the functions begin with."""
     state: StateFunctions
+    instantiation: tuple[str, tuple[Any, ...]]
+    """Name and argument types (ctypes) of the function that makes an instance."""
+    access: tuple[Any, ...]
+    """Argument types of the functions that set and get values."""
+    arguments: ClassVar[Mapping[str, tuple[Any, ...]]]
+    """Argument types of the other functions, after the instance."""
+    dtypes: ClassVar[Mapping[str, Any]]
+    """Type of a variable -> dtype of its values."""
+    counted: bool
+    """Whether `access` is told the number of values, too."""
 
     def __init__(self, description: FmuDescription, name: str, messages: deque[tuple[int, str]], final: bool) -> None:
-        """Load the library; what the instance logs goes to `messages` (status, text). SlaveError if it cannot be loaded.
+        """Load the library, in which only what is called is looked for: some FMUs leave out functions that they do not need.
+
+        What the instance logs goes to `messages` (status, text). SlaveError if the library cannot be loaded.
 
         `final`: no state of before the beginning of a step will be set any more (noSetFMUStatePriorToCurrentPoint).
         """
         self.description, self.name, self.messages, self.final = description, name, messages, int(final)
         self.instance = ctypes.c_void_p()
-        self.load()
+        make, arguments = self.instantiation
+        try:
+            self._library = self._opened()
+            self.make = self.function(make, ctypes.c_void_p, *arguments)
+            self._free = self.function("FreeInstance", None, ctypes.c_void_p)
+            self.do_step = self.function("DoStep")
+        except (OSError, AttributeError) as error:
+            raise SlaveError(
+                f"{description.file}: its binary cannot be loaded: {error}; use an FMU for this platform, with all libraries that it needs"
+            ) from None
 
-    def open_library(self) -> ctypes.CDLL:
-        """The library; SlaveError if the system cannot load it."""
+    def _opened(self) -> ctypes.CDLL:
+        """The library; OSError if the system cannot load it."""
         here, library = Path.cwd(), self.description.library
         try:
             os.chdir(library.parent)  # some libraries find others that they need by the working directory
             return _with_neighbours(library)
-        except OSError as error:
-            raise SlaveError(
-                f"{self.description.file}: its binary cannot be loaded: {error}"
-                "; use an FMU for this platform, with all libraries that it needs"
-            ) from None
         finally:
             os.chdir(here)
 
-    @abstractmethod
-    def load(self) -> None:
-        """Load the library."""
+    def function(self, name: str, result: Any = ctypes.c_int, *arguments: Any) -> Any:
+        """A function of the library, named without the prefix; AttributeError if it is not there."""
+        found = self._library[self.prefix + name]
+        found.restype = result
+        found.argtypes = arguments or (ctypes.c_void_p, *self.arguments.get(name, self.access))
+        return found
 
     @abstractmethod
     def instantiate(self) -> bool:
@@ -127,33 +146,51 @@ class Fmi(ABC):
     def choose_log(self, categories: Sequence[str]) -> None:
         """Ask for messages of these categories only."""
 
-    @abstractmethod
     def call(self, function: str, *arguments: Any) -> int:
-        """Call a function, named without the prefix."""
+        """Call a function, named without the prefix. SlaveError if the library has none."""
+        try:
+            status: int = self.function(function)(self.instance, *arguments)
+        except AttributeError:
+            raise SlaveError(
+                f"component {self.name!r}: {self.description.file.name} has no function {self.prefix}{function}"
+                "; export the FMU anew with all functions of the standard"
+            ) from None
+        return status
 
-    @abstractmethod
     def address(self, function: str) -> int:
         """Address of a function, named without the prefix."""
+        return address(self._library[self.prefix + function])
 
     @abstractmethod
     def step(self, t: float, h: float) -> int:
         """From `t` to `t + h` [s]."""
 
-    @abstractmethod
     def groups(self, way: str, causality: str) -> list[Group]:
-        """Inputs or outputs by type; `way` is Set or Get."""
+        """Inputs or outputs by type; `way` is Set or Get. SlaveError if the library has no function for one."""
+        made = []
+        for kind, places, variables in _by_kind(self.description, causality):
+            name = f"{way}{kind}"
+            try:
+                function = self.function(name)
+            except AttributeError:
+                raise SlaveError(
+                    f"{self.description.file}: its binary has no function {self.prefix}{name}"
+                    "; export the FMU anew with all functions of the standard"
+                ) from None
+            made.append(Group(self.prefix + name, function, places, variables, self.dtypes[kind], self.counted))
+        return made
 
     @abstractmethod
     def compiled(self, inputs: Sequence[Group], outputs: Sequence[Group]) -> Addresses | None:
         """What `orchestration.slaves.native` needs; None if this FMU can be called from Python only."""
 
-    @abstractmethod
     def free(self) -> None:
         """Free the instance."""
+        self._free(self.instance)
 
-    @abstractmethod
     def unload(self) -> None:
         """Unload the library."""
+        fmpy.freeLibrary(self._library._handle)
 
     def explain(self, function: str, status: int) -> str:
         """What the call of a function, named with the prefix, did that returned this status."""
@@ -210,7 +247,7 @@ def address(function: Any) -> int:
     return ctypes.cast(function, ctypes.c_void_p).value or 0
 
 
-def by_kind(description: FmuDescription, causality: str) -> Iterator[tuple[str, list[int], list[Variable]]]:
+def _by_kind(description: FmuDescription, causality: str) -> Iterator[tuple[str, list[int], list[Variable]]]:
     """(type, places of the elements in the flat image, variables) for each type that occurs among the inputs or outputs."""
     ports = {"input": inputs, "output": outputs}[causality](description.ports)
     place = {p.name: i for i, p in enumerate(ports)}

@@ -1,7 +1,4 @@
-"""The calls of FMI 2.0 co-simulation.
-
-The library is loaded here and only what is called is looked for in it: some FMUs leave out functions that they do not need.
-"""
+"""The calls of FMI 2.0 co-simulation."""
 
 from __future__ import annotations
 
@@ -10,8 +7,8 @@ import itertools
 import math
 import weakref
 from collections import deque
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, ClassVar
 
 import fmpy
 import fmpy.fmi1
@@ -19,32 +16,14 @@ import numpy as np
 from fmpy import fmi2
 
 from robomill.orchestration.errors import SlaveError
-from robomill.orchestration.slaves.description import Variable
-from robomill.orchestration.slaves.fmi import WARNING, Addresses, Call, Fmi, Group, StateFunctions, address, by_kind
+from robomill.orchestration.slaves.description import FmuDescription, Variable
+from robomill.orchestration.slaves.fmi import WARNING, Addresses, Call, Fmi, Group, StateFunctions, address
 from robomill.orchestration.slaves.native import BlockData
 from robomill.orchestration.slaves.protocol import Scalar
 
-_DTYPES = {"Real": np.float64, "Integer": np.int32, "Boolean": np.int32}
 _DISCARD, _PENDING = 2, 5  # of fmi2Status
 _LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3  # of fmi2StatusKind
 _flag, _number, _count, _pointer = ctypes.c_int, ctypes.c_double, ctypes.c_size_t, ctypes.c_void_p
-_INSTANTIATE = (ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p, _pointer, _flag, _flag)
-_ACCESS = (_pointer, _count, _pointer)
-_ARGUMENTS: dict[str, tuple[Any, ...]] = {
-    "SetDebugLogging": (_flag, _count, _pointer),
-    "SetupExperiment": (_flag, _number, _number, _flag, _number),
-    "EnterInitializationMode": (),
-    "ExitInitializationMode": (),
-    "Terminate": (),
-    "DoStep": (_number, _number, _flag),
-    "GetFMUstate": (_pointer,),
-    "SetFMUstate": (_pointer,),
-    "FreeFMUstate": (_pointer,),
-    "SerializedFMUstateSize": (_pointer, _pointer),
-    "SerializeFMUstate": (_pointer, _pointer, _count),
-    "DeSerializeFMUstate": (_pointer, _count, _pointer),
-}
-
 # The proxy that formats printf messages knows ONE logger for the whole process, so there is one here,
 # which finds the instance by its environment pointer.
 _instances: weakref.WeakValueDictionary[int, deque[tuple[int, str]]] = weakref.WeakValueDictionary()
@@ -71,19 +50,27 @@ class Fmi2(Fmi):
     state = StateFunctions(
         "GetFMUstate", "SetFMUstate", "FreeFMUstate", "SerializedFMUstateSize", "SerializeFMUstate", "DeSerializeFMUstate"
     )
+    instantiation = "Instantiate", (ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p, _pointer, _flag, _flag)
+    access = _pointer, _count, _pointer
+    arguments: ClassVar[Mapping[str, tuple[Any, ...]]] = {
+        "SetDebugLogging": (_flag, _count, _pointer),
+        "SetupExperiment": (_flag, _number, _number, _flag, _number),
+        "EnterInitializationMode": (),
+        "ExitInitializationMode": (),
+        "Terminate": (),
+        "DoStep": (_number, _number, _flag),
+        "GetFMUstate": (_pointer,),
+        "SetFMUstate": (_pointer,),
+        "FreeFMUstate": (_pointer,),
+        "SerializedFMUstateSize": (_pointer, _pointer),
+        "SerializeFMUstate": (_pointer, _pointer, _count),
+        "DeSerializeFMUstate": (_pointer, _count, _pointer),
+    }
+    dtypes: ClassVar[Mapping[str, Any]] = {"Real": np.float64, "Integer": np.int32, "Boolean": np.int32}
+    counted = False
 
-    def load(self) -> None:
-        """Load the library."""
-        self._library = self.open_library()
-        try:
-            self._instantiate = self._function("Instantiate", ctypes.c_void_p, *_INSTANTIATE)
-            self._free = self._function("FreeInstance", None, _pointer)
-            self._do_step = self._function("DoStep")
-        except AttributeError as error:
-            raise SlaveError(
-                f"{self.description.file}: its binary cannot be loaded: {error}"
-                "; use an FMU for this platform, with all libraries that it needs"
-            ) from None
+    def __init__(self, description: FmuDescription, name: str, messages: deque[tuple[int, str]], final: bool) -> None:
+        super().__init__(description, name, messages, final)
         number = next(_numbers)
         _instances[number] = self.messages
         self._callbacks = fmi2.fmi2CallbackFunctions(_LOGGER, _ALLOCATE, _FREE, componentEnvironment=number)
@@ -91,18 +78,11 @@ class Fmi2(Fmi):
             # pythonfmu hands over finished texts: a per cent sign in one would be formatted with garbage
             fmi2.addLoggerProxy(ctypes.byref(self._callbacks))
 
-    def _function(self, name: str, result: Any = ctypes.c_int, *arguments: Any) -> Any:
-        """A function of the library; AttributeError if it is not there."""
-        found = self._library["fmi2" + name]
-        found.restype = result
-        found.argtypes = arguments or (_pointer, *_ARGUMENTS.get(name, _ACCESS))
-        return found
-
     def instantiate(self) -> bool:
         """Make the instance; whether there is one."""
         names = self.name.encode(), fmi2.fmi2CoSimulation, self.description.guid.encode(), self._location().encode()
         visible, logging = 0, 1
-        made = self._instantiate(*names, ctypes.byref(self._callbacks), visible, logging)
+        made = self.make(*names, ctypes.byref(self._callbacks), visible, logging)
         self.instance = ctypes.c_void_p(made)
         return bool(made)
 
@@ -144,24 +124,9 @@ class Fmi2(Fmi):
         names = [n.encode() for n in categories]
         self.call("SetDebugLogging", 1, len(names), (ctypes.c_char_p * len(names))(*names))
 
-    def call(self, function: str, *arguments: Any) -> int:
-        """Call a function."""
-        try:
-            status: int = self._function(function)(self.instance, *arguments)
-        except AttributeError:
-            raise SlaveError(
-                f"component {self.name!r}: {self.description.file.name} has no function fmi2{function}"
-                "; export the FMU anew with all functions of the standard"
-            ) from None
-        return status
-
-    def address(self, function: str) -> int:
-        """Address of a function."""
-        return address(self._library["fmi2" + function])
-
     def step(self, t: float, h: float) -> int:
         """From `t` to `t + h` [s]."""
-        status: int = self._do_step(self.instance, t, h, self.final)
+        status: int = self.do_step(self.instance, t, h, self.final)
         return status
 
     def explain(self, function: str, status: int) -> str:
@@ -179,36 +144,14 @@ class Fmi2(Fmi):
     def _told(self, what: str, kind: int, place: Any) -> Any:
         """What the FMU says of its last step (`fmi2StatusKind`); None if it does not."""
         try:
-            function = self._function(f"Get{what}", ctypes.c_int, _pointer, ctypes.c_int, _pointer)
+            function = self.function(f"Get{what}", ctypes.c_int, _pointer, ctypes.c_int, _pointer)
         except AttributeError:
             return None
         return place.value if function(self.instance, kind, ctypes.byref(place)) <= WARNING else None
 
-    def groups(self, way: str, causality: str) -> list[Group]:
-        """Inputs or outputs by type."""
-        made = []
-        for kind, places, variables in by_kind(self.description, causality):
-            try:
-                function = self._function(f"{way}{kind}")
-            except AttributeError:
-                raise SlaveError(
-                    f"{self.description.file}: its binary has no function fmi2{way}{kind}"
-                    "; export the FMU anew with all functions of the standard"
-                ) from None
-            made.append(Group(f"fmi2{way}{kind}", function, places, variables, _DTYPES[kind], counted=False))
-        return made
-
     def compiled(self, inputs: Sequence[Group], outputs: Sequence[Group]) -> Addresses:
         """Addresses for the compiled loop, whose calls are those of FMI 2.0."""
-        return Addresses(self.instance.value or 0, address(self._do_step), [_block(g) for g in inputs], [_block(g) for g in outputs])
-
-    def free(self) -> None:
-        """Free the instance."""
-        self._free(self.instance)
-
-    def unload(self) -> None:
-        """Unload the library."""
-        fmpy.freeLibrary(self._library._handle)
+        return Addresses(self.instance.value or 0, address(self.do_step), [_block(g) for g in inputs], [_block(g) for g in outputs])
 
 
 def _block(group: Group) -> BlockData:

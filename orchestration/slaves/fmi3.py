@@ -1,7 +1,4 @@
-"""The calls of FMI 3.0 co-simulation: no event mode, no early return, no intermediate updates.
-
-The library is loaded here and only what is called is looked for in it: some FMUs leave out functions that they do not need.
-"""
+"""The calls of FMI 3.0 co-simulation: no event mode, no early return, no intermediate updates."""
 
 from __future__ import annotations
 
@@ -9,52 +6,22 @@ import contextlib
 import ctypes
 import math
 import os
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, ClassVar
 
-import fmpy
 import numpy as np
 
 from robomill.orchestration.errors import SlaveError
-from robomill.orchestration.slaves.description import Variable
-from robomill.orchestration.slaves.fmi import Addresses, Call, Fmi, Group, StateFunctions, address, by_kind
+from robomill.orchestration.slaves.description import FmuDescription, Variable
+from robomill.orchestration.slaves.fmi import Addresses, Call, Fmi, Group, StateFunctions, address
 from robomill.orchestration.slaves.protocol import Scalar
 
-DTYPES: dict[str, Any] = {
-    "Float64": np.float64,
-    "Float32": np.float32,
-    "Int8": np.int8,
-    "UInt8": np.uint8,
-    "Int16": np.int16,
-    "UInt16": np.uint16,
-    "Int32": np.int32,
-    "UInt32": np.uint32,
-    "Int64": np.int64,
-    "UInt64": np.uint64,
-    "Boolean": np.bool_,
-}
 _DISCARD = 2  # of fmi3Status
 ENDS, EARLY = 100, 101
 """Instead of a status that is no error: the FMU asks for the end of the simulation; it did not make the whole step."""
 _flag, _number, _count, _pointer = ctypes.c_bool, ctypes.c_double, ctypes.c_size_t, ctypes.c_void_p
 _LOG = ctypes.CFUNCTYPE(None, _pointer, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
-_INSTANTIATE = (
-    *(ctypes.c_char_p, ctypes.c_char_p, ctypes.c_char_p, _flag, _flag, _flag, _flag, _pointer, _count, _pointer, _LOG, _pointer),
-)
-_ACCESS = (_pointer, _count, _pointer, _count)
-_ARGUMENTS: dict[str, tuple[Any, ...]] = {
-    "SetDebugLogging": (_flag, _count, _pointer),
-    "EnterInitializationMode": (_flag, _number, _number, _flag, _number),
-    "ExitInitializationMode": (),
-    "Terminate": (),
-    "DoStep": (_number, _number, _flag, _pointer, _pointer, _pointer, _pointer),
-    "GetFMUState": (_pointer,),
-    "SetFMUState": (_pointer,),
-    "FreeFMUState": (_pointer,),
-    "SerializedFMUStateSize": (_pointer, _pointer),
-    "SerializeFMUState": (_pointer, _pointer, _count),
-    "DeserializeFMUState": (_pointer, _count, _pointer),
-}
 
 
 class Fmi3(Fmi):
@@ -64,39 +31,54 @@ class Fmi3(Fmi):
     state = StateFunctions(
         "GetFMUState", "SetFMUState", "FreeFMUState", "SerializedFMUStateSize", "SerializeFMUState", "DeserializeFMUState"
     )
+    instantiation = (
+        "InstantiateCoSimulation",
+        (ctypes.c_char_p, ctypes.c_char_p, ctypes.c_char_p, _flag, _flag, _flag, _flag, _pointer, _count, _pointer, _LOG, _pointer),
+    )
+    access = _pointer, _count, _pointer, _count
+    arguments: ClassVar[Mapping[str, tuple[Any, ...]]] = {
+        "SetDebugLogging": (_flag, _count, _pointer),
+        "EnterInitializationMode": (_flag, _number, _number, _flag, _number),
+        "ExitInitializationMode": (),
+        "Terminate": (),
+        "DoStep": (_number, _number, _flag, _pointer, _pointer, _pointer, _pointer),
+        "GetFMUState": (_pointer,),
+        "SetFMUState": (_pointer,),
+        "FreeFMUState": (_pointer,),
+        "SerializedFMUStateSize": (_pointer, _pointer),
+        "SerializeFMUState": (_pointer, _pointer, _count),
+        "DeserializeFMUState": (_pointer, _count, _pointer),
+    }
+    dtypes: ClassVar[Mapping[str, Any]] = {
+        "Float64": np.float64,
+        "Float32": np.float32,
+        "Int8": np.int8,
+        "UInt8": np.uint8,
+        "Int16": np.int16,
+        "UInt16": np.uint16,
+        "Int32": np.int32,
+        "UInt32": np.uint32,
+        "Int64": np.int64,
+        "UInt64": np.uint64,
+        "Boolean": np.bool_,
+    }
+    counted = True
 
-    def load(self) -> None:
-        """Load the library."""
-        self._library = self.open_library()
-        try:
-            self._instantiate = self._function("InstantiateCoSimulation", ctypes.c_void_p, *_INSTANTIATE)
-            self._free = self._function("FreeInstance", None, _pointer)
-            self._do_step = self._function("DoStep")
-        except AttributeError as error:
-            raise SlaveError(
-                f"{self.description.file}: its binary cannot be loaded: {error}"
-                "; use an FMU for this platform, with all libraries that it needs"
-            ) from None
-        self._log = _LOG(lambda _, status, __, text: self.messages.append((status, (text or b"").decode("utf-8", "replace").rstrip())))
+    def __init__(self, description: FmuDescription, name: str, messages: deque[tuple[int, str]], final: bool) -> None:
+        super().__init__(description, name, messages, final)
+        self._log = _LOG(lambda _, status, __, text: messages.append((status, (text or b"").decode("utf-8", "replace").rstrip())))
         # event handling needed, terminate simulation, early return; last successful time
         self.flags = np.zeros(3, dtype=np.uint8)
         self.reached = np.zeros(1)
         at = self.flags.ctypes.data
         self._told = (bool(self.final), at, at + 1, at + 2, self.reached.ctypes.data)
 
-    def _function(self, name: str, result: Any = ctypes.c_int, *arguments: Any) -> Any:
-        """A function of the library; AttributeError if it is not there."""
-        found = self._library["fmi3" + name]
-        found.restype = result
-        found.argtypes = arguments or (_pointer, *_ARGUMENTS.get(name, _ACCESS))
-        return found
-
     def instantiate(self) -> bool:
         """Make the instance; whether there is one."""
         resources = str(self.description.folder / "resources") + os.sep
         token = self.description.guid.encode()
         nothing = (None, 0, None, self._log, None)
-        made = self._instantiate(self.name.encode(), token, resources.encode(), False, True, False, False, *nothing)
+        made = self.make(self.name.encode(), token, resources.encode(), False, True, False, False, *nothing)
         self.instance = ctypes.c_void_p(made)
         return bool(made)
 
@@ -114,7 +96,7 @@ class Fmi3(Fmi):
         if variable.kind == "String":
             given = (ctypes.c_char_p * len(values))(*(str(v).encode() for v in values))
         else:
-            given = np.ctypeslib.as_ctypes(np.array(values, dtype=DTYPES[variable.kind]))
+            given = np.ctypeslib.as_ctypes(np.array(values, dtype=self.dtypes[variable.kind]))
         return f"Set{variable.kind}", ((ctypes.c_uint * 1)(variable.reference), 1, given, len(values))
 
     def choose_log(self, categories: Sequence[str]) -> None:
@@ -123,24 +105,9 @@ class Fmi3(Fmi):
         with contextlib.suppress(SlaveError):  # an FMU without this function says everything
             self.call("SetDebugLogging", True, len(names), (ctypes.c_char_p * len(names))(*names))
 
-    def call(self, function: str, *arguments: Any) -> int:
-        """Call a function."""
-        try:
-            status: int = self._function(function)(self.instance, *arguments)
-        except AttributeError:
-            raise SlaveError(
-                f"component {self.name!r}: {self.description.file.name} has no function fmi3{function}"
-                "; export the FMU anew with all functions of the standard"
-            ) from None
-        return status
-
-    def address(self, function: str) -> int:
-        """Address of a function."""
-        return address(self._library["fmi3" + function])
-
     def step(self, t: float, h: float) -> int:
         """From `t` to `t + h` [s]."""
-        status: int = self._do_step(self.instance, t, h, *self._told)
+        status: int = self.do_step(self.instance, t, h, *self._told)
         if 0 <= status < _DISCARD and (self.flags[1] or self.flags[2]):
             return ENDS if self.flags[1] else EARLY
         return status
@@ -156,31 +123,9 @@ class Fmi3(Fmi):
             return f"did not make the whole step (fmi3Discard) and stopped {at}: {self.in_parts()}"
         return super().explain(function, status)
 
-    def groups(self, way: str, causality: str) -> list[Group]:
-        """Inputs or outputs by type."""
-        made = []
-        for kind, places, variables in by_kind(self.description, causality):
-            try:
-                function = self._function(f"{way}{kind}")
-            except AttributeError:
-                raise SlaveError(
-                    f"{self.description.file}: its binary has no function fmi3{way}{kind}"
-                    "; export the FMU anew with all functions of the standard"
-                ) from None
-            made.append(Group(f"fmi3{way}{kind}", function, places, variables, DTYPES[kind], counted=True))
-        return made
-
     def compiled(self, inputs: Sequence[Group], outputs: Sequence[Group]) -> Addresses | None:
         """Addresses for the compiled loop, by way of functions that translate its calls; None for types that it has not."""
         from robomill.orchestration.slaves import fmi3_compiled  # only compiled loops need Numba
 
-        at = (self.instance.value or 0, address(self._do_step), self.flags.ctypes.data, self.reached.ctypes.data)
+        at = (self.instance.value or 0, address(self.do_step), self.flags.ctypes.data, self.reached.ctypes.data)
         return fmi3_compiled.addresses(at, inputs, outputs)
-
-    def free(self) -> None:
-        """Free the instance."""
-        self._free(self.instance)
-
-    def unload(self) -> None:
-        """Unload the library."""
-        fmpy.freeLibrary(self._library._handle)

@@ -88,10 +88,7 @@ class FmuSlave:
             self._free_instance()
         self.messages.clear()
         if not self._fmi.instantiate():
-            raise SlaveError(
-                f"component {self._name!r}: {self._fmi.prefix}Instantiate{'' if self._fmi.prefix == 'fmi2' else 'CoSimulation'} failed"
-                + self._log_text()
-            )
+            raise SlaveError(f"component {self._name!r}: {self._fmi.prefix}{self._fmi.instantiation[0]} failed{self._log_text()}")
         self._dead = False
         self._log_only_problems()
         self._set_parameters()

@@ -1,31 +1,7 @@
 """A system as data: components, connections, parameters, what to record; loaded from `system.toml`.
 
-::
-
-    name = "groove"
-    step = "4 ms"
-    algorithm = "gauss-seidel"          # or "jacobi", or "iterated" (settings in [iteration])
-
-    [components.drive]
-    source = "robot_drive"              # in process, or "dist/robot_drive.fmu", or "replay:runs/42"
-    parameters = {"backlash[2]" = "20 urad", loop_frequency = "6.5 Hz"}
-    inputs = {m_T_B = ["2 N.m", 0, 0]}  # start values of inputs, which open inputs keep
-    isolate = false                     # true: an FMU in its own process (orchestration/slaves/isolation.py)
-    time_limit = "60 s"                 # of wall clock for one call, if isolated
-    correction = "form_drive.json"      # corrects signals of this component: a form or an FMU (orchestration/slaves/corrected.py)
-    rate = 1                            # steps in each step of the system; or every = n: one step in n (orchestration/slaves/multirate.py)
-
-    [[connections]]
-    from = "drive.q_link"
-    to = "compliance.q_link"
-    delayed = false
-
-    [robot]                             # also [tool], [material], [sensor]: what several components share is looked up by name
-    name = "kr300_r2500_ultra"          # by whoever knows robots (cell/equipment.py)
-
-    [recording]
-    columns = ["drive", "compliance.p_BT_B", "sensor.f_T_T[1]"]
-    checkpoint_every = 1000             # steps; 0 = never (orchestration/runs/checkpoint.py)
+Keys are declared below (`SystemKeys`), with an example in docs/reference/formats/system.md. What several components share ([robot], [tool],
+[material], [sensor]) is looked up by whoever knows robots (`cell.equipment`).
 """
 
 from __future__ import annotations

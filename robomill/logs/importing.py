@@ -23,6 +23,8 @@ from robomill.orchestration.slaves.protocol import PortData
 
 REPEAT = "repeat_"
 """Folder of a repeat within that of the import, before its number."""
+MIRRORED = 15
+"""Rows that a filter forwards and backwards mirrors at each end: three times its coefficients (`scipy.signal.sosfiltfilt`)."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,7 @@ def _series(mapping: LogMapping, log: Log, timing: Timing) -> tuple[list[_Series
         elements = _elements(mapping, signal, names, values.shape[1])
         for name in elements:
             if name in ports:
-                raise _problem(mapping, signal, f"{name} is given twice")
+                raise _problem(mapping, signal, f"{name} is given twice; give each element in one signal only")
             ports[name] = PortData(
                 name.partition(".")[2], "output", "real", rate_of(unit, signal.derivative), description=signal.description
             )
@@ -163,14 +165,18 @@ def _elements(mapping: LogMapping, signal: Signal, names: list[str], count: int)
     component = signal.port.partition(".")[0]
     if signal.elements is not None:
         if len(signal.elements) > 1 and count == 1:
-            raise _problem(mapping, signal, f"has {len(signal.elements)} elements, one column is given")
+            raise _problem(mapping, signal, f"has {len(signal.elements)} elements, one column is given; give one column for each element")
         if len(signal.elements) != count:
-            raise _problem(mapping, signal, f"has {len(signal.elements)} elements; the mapping gives {count}")
+            raise _problem(
+                mapping, signal, f"has {len(signal.elements)} elements; the mapping gives {count}; give one column for each element"
+            )
         return tuple(f"{component}.{e}" for e in signal.elements)
     if signal.shape:
         if math.prod(signal.shape) != count:
             raise _problem(
-                mapping, signal, f"the shape {list(signal.shape)} has {math.prod(signal.shape)} elements, there are {count} columns"
+                mapping,
+                signal,
+                f"the shape {list(signal.shape)} has {math.prod(signal.shape)} elements, there are {count} columns; correct one of them",
             )
         return tuple(f"{signal.port}[{','.join(str(i + 1) for i in index)}]" for index in np.ndindex(*signal.shape))
     if count == 1:
@@ -189,9 +195,8 @@ def _values(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> 
     """Values [n, elements] in the unit of the port, and that unit."""
     raw = [log[n] for n in names]
     if len({len(r) for r in raw}) > 1:
-        raise _problem(
-            mapping, signal, f"columns of different length: {', '.join(f'{n} {len(r)}' for n, r in zip(names, raw, strict=True))}"
-        )
+        lengths = ", ".join(f"{n} {len(r)}" for n, r in zip(names, raw, strict=True))
+        raise _problem(mapping, signal, f"columns of different length: {lengths}; take columns of one group, or a signal for each element")
     for name, column in zip(names, raw, strict=True):
         bad = np.flatnonzero(~np.isfinite(column))
         if len(bad):
@@ -203,7 +208,7 @@ def _values(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> 
     x = np.stack(raw, axis=1)
     for what, factors in (("scale or sign", signal.scale), ("offset", signal.offset)):
         if factors.ndim and factors.shape != (x.shape[1],):
-            raise _problem(mapping, signal, f"{factors.size} values of {what} for {x.shape[1]} columns")
+            raise _problem(mapping, signal, f"{factors.size} values of {what} for {x.shape[1]} columns; give one, or one per column")
     x = unit_of(unit).factor * (signal.scale * x + signal.offset) + unit_of(unit).offset
     target = (None if signal.derivative else signal.target) or unit_of(unit).si
     if are_turns(unit, target):
@@ -212,7 +217,9 @@ def _values(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> 
         x, target = _quaternions(mapping, signal, x, unit), "1"
     elif signal.rotation is not None:
         if x.shape[1] != AXES:
-            raise _problem(mapping, signal, f"a rotation needs three columns x, y, z; there are {x.shape[1]}")
+            raise _problem(
+                mapping, signal, f"a rotation needs three columns x, y, z; there are {x.shape[1]}; give three, or leave rotation out"
+            )
         x = x @ signal.rotation.T
     if signal.range is not None:
         least, most = (value.si(target) for value in signal.range.each())
@@ -243,6 +250,10 @@ def _shown(mapping: LogMapping, series: _Series, t: FloatArray, element: int) ->
     if signal.low_pass:
         if signal.low_pass >= 0.5 / h:
             raise _problem(mapping, signal, f"low_pass is {signal.low_pass:g} Hz; expected less than half the rate, {0.5 / h:g} Hz")
+        if len(x) <= MIRRORED:
+            raise _problem(
+                mapping, signal, f"low_pass needs more than {MIRRORED} rows, a piece has {len(x)}; import longer pieces, or leave it out"
+            )
         x = x[0] + sosfiltfilt(butter(4, signal.low_pass, fs=1.0 / h, output="sos"), x - x[0])
     for _ in range(signal.derivative):
         x = np.gradient(x, h)
@@ -260,11 +271,15 @@ def _unit(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> st
         shown = rate_of(known[0], signal.derivative)
         fits = signal.target is None or compatible(shown, signal.target) or are_turns(shown, signal.target)
         if not fits and not signal.orientation:
-            raise _problem(mapping, signal, f"wrong unit: the port is in {signal.target}, the log states {known[0]!r}")
+            raise _problem(
+                mapping, signal, f"wrong unit: the port is in {signal.target}, the log states {known[0]!r}; correct the port or the column"
+            )
         return known[0]
     wrong = [s for s in known if not _same(s, signal.unit)]
     if wrong:
-        raise _problem(mapping, signal, f"wrong unit: the mapping says {signal.unit!r}, the log states {wrong[0]!r}")
+        raise _problem(
+            mapping, signal, f"wrong unit: the mapping says {signal.unit!r}, the log states {wrong[0]!r}; correct unit in the signal"
+        )
     return signal.unit
 
 
@@ -281,7 +296,11 @@ def _same(a: str, b: str) -> bool:
 def _quaternions(mapping: LogMapping, signal: Signal, x: FloatArray, unit: str) -> FloatArray:
     """Euler angles A, B, C [n,3] rad to quaternions [n,4], scalar first, w >= 0; turned by the rotation of the signal."""
     if x.shape[1] != AXES or not compatible(unit, "rad"):
-        raise _problem(mapping, signal, f"orientation 'abc' needs three columns A, B, C in deg or rad; there are {x.shape[1]} in {unit}")
+        raise _problem(
+            mapping,
+            signal,
+            f"orientation 'abc' needs three columns A, B, C in deg or rad; there are {x.shape[1]} in {unit}; correct columns and unit",
+        )
     R = rotation_abc(x)
     q = Rotation.from_matrix(R if signal.rotation is None else signal.rotation @ R).as_quat()[:, [3, 0, 1, 2]]
     return np.asarray(np.where(q[:, :1] < 0.0, -q, q))

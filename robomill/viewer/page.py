@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import os
 import zlib
 from collections.abc import Sequence
@@ -33,6 +34,8 @@ CUTTER = 8e-3
 """Radius [m] at which the cutter is drawn where the run does not say it."""
 SAME_MOTION = 1e-3
 """Shift [m] between the sixth link of a URDF and the flange of the run from which on the two are different robots."""
+SAME_TURN = 1e-3
+"""Turn [rad] between them, likewise: a shift of SAME_MOTION at 1 m."""
 _ALIGNED = 8
 """Bytes: arrays of the page begin at multiples of it."""
 
@@ -172,14 +175,13 @@ def _other_robot(looks: tuple[Tree, int], tree: Tree, q: FloatArray) -> list[str
     link, flange = looks[0].poses(q)[:, looks[1]], tree.poses(q)[:, AXES - 1]
     between = np.linalg.inv(link) @ flange
     shift = float(np.max(np.linalg.norm(between[:, :3, 3] - between[0, :3, 3], axis=1)))
-    return (
-        []
-        if shift <= SAME_MOTION
-        else [
-            f"the sixth link of the URDF shifts by {1e3 * shift:.0f} mm against the flange of the run: it is another robot, or its joints "
-            "have other zeros or senses of rotation than axes A1..A6 of the controller"
-        ]
-    )
+    turn = float(np.max(Rotation.from_matrix(between[0, :3, :3].T @ between[:, :3, :3]).magnitude()))
+    if shift <= SAME_MOTION and turn <= SAME_TURN:
+        return []
+    return [
+        f"the sixth link of the URDF shifts by {1e3 * shift:.0f} mm and turns by {math.degrees(turn):.1f} deg against the flange of the "
+        "run: it is another robot, or its joints have other zeros or senses of rotation than axes A1..A6 of the controller"
+    ]
 
 
 def _tree(tree: Tree, packed: Packed) -> dict[str, Any]:

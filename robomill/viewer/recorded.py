@@ -76,7 +76,7 @@ class Recorded:
         if self.planned is None:
             return None
         target = self.run[f"{self.planned}.p_BT_B"]
-        velocity = np.gradient(target, self.run.t, axis=0)[self.kept]
+        velocity = np.gradient(target, self.run.t, axis=0)[self.kept] if len(self.run) > 1 else np.zeros((1, 3))
         speed = np.linalg.norm(velocity, axis=1, keepdims=True)
         feed = np.where(speed > STANDING, velocity / np.maximum(speed, STANDING), 0.0)
         gap = self.p - target[self.kept]

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -162,10 +164,12 @@ def _body(file: Path, link: ET.Element, shape: ET.Element, frame: int, T: FloatA
 
 def _mesh_file(file: Path, name: str) -> Path:
     """Where a mesh is: beside the robot file, or in the folder of a package above it."""
-    plain = name.removeprefix("file://")
-    if not plain.startswith("package://"):
-        return file.parent / plain
-    inside = Path(plain.removeprefix("package://"))
+    if name.startswith("file://"):
+        place = urlsplit(name)  # file://meshes/arm.stl, which many write, has no host either
+        name = url2pathname(place.path if place.netloc in ("", "localhost") else place.netloc + place.path)
+    if not name.startswith("package://"):
+        return file.parent / name
+    inside = Path(name.removeprefix("package://"))
     places = [folder / part for folder in file.resolve().parents for part in (inside, Path(*inside.parts[1:]))]
     there = next((place for place in places if place.is_file()), None)
     if there is None:

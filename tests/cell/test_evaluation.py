@@ -18,10 +18,10 @@ from robomill.cell.evaluation import Result, evaluate
 from robomill.cell.milled import Runs
 from robomill.cell.reaction import reaction_time
 from robomill.cell.scenario import Scenario, Workpiece
-from robomill.commands import _show_milled
 from robomill.models.process import tool_table
 from robomill.models.process.cutting import EndMill
 from robomill.orchestration.runs.run import Run
+from robomill.run_command import _show_milled
 from tests.tolerances import EXACT, ROUNDOFF, discretisation
 
 BLOCK = Workpiece((1.3, 0.0, 1.2), (0.10, 0.06, 0.03))

@@ -76,6 +76,16 @@ def test_any_change_is_told(change: Mapping[str, bytes | None], text: str, archi
         verify(rewritten(archive, change), keys[1])
 
 
+def test_a_damaged_archive_is_told(archive: Path, keys: tuple[Path, Path]) -> None:
+    data = bytearray(archive.read_bytes())
+    with zipfile.ZipFile(archive) as opened:
+        entry = opened.getinfo("robot_drive.fmu")
+    data[entry.header_offset + 30 + len(entry.filename) + entry.compress_size // 2] ^= 0xFF  # a local header of a zip has 30 bytes
+    archive.write_bytes(data)
+    with pytest.raises(SignatureError, match=r"release\.zip: is damaged: .*; get it anew from its maker"):
+        verify(archive, keys[1])
+
+
 def test_another_key(archive: Path, tmp_path: Path) -> None:
     (tmp_path / "other.pem").write_bytes(public_pem(ed25519.Ed25519PrivateKey.from_private_bytes(bytes(32))))
     with pytest.raises(SignatureError, match=r"is no signature of SHA256SUMS by .*other\.pem"):

@@ -52,6 +52,11 @@ def test_what_is_loaded_is_what_the_file_is(part: Path, tmp_path: Path) -> None:
     assert isinstance(found, rm.Run)
     assert isinstance(made, rm.Run)
     assert (found["drive.q_link"] == made["drive.q_link"]).all()
+    with pytest.raises(FileNotFoundError, match=r"is no run: there is no run\.toml in it; give the folder of one of its runs: run$"):
+        rm.load(tmp_path)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FileNotFoundError, match=r"empty is no run: there is no run\.toml in it; give one that `robomill run` has written"):
+        rm.load(tmp_path / "empty")
 
 
 @pytest.mark.parametrize(
@@ -116,6 +121,9 @@ def test_options_that_would_be_ignored_are_refused(part: Path, tmp_path: Path) -
     rm.run(str(tmp_path / "bar.toml"), tmp_path / "run")
     with pytest.raises(ValueError, match="is the folder of a run that has been made; expected a scenario or a system file"):
         rm.run(tmp_path / "run")
+    for what in (part, "static_cell"):
+        with pytest.raises(TypeError, match="unknown option 'overwite'; did you mean 'overwrite'"):
+            rm.run(what, overwite=True)  # type: ignore[call-overload]
 
 
 def test_a_diagnosis_has_verdict_effects_closure_and_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -168,6 +168,8 @@ def test_what_a_system_goes_on_without_is_said_before_it_runs(cell, capsys):
 class TestBadInput:
     def test_options_that_do_not_apply_are_refused(self, cell, capsys):
         assert "--step goes with system files" in refused(capsys, "run", "part.toml", "--step", "0.001")
+        for name in ("experiments/static_loads", "irb6400/lead_through"):
+            assert "--stop goes with system files" in refused(capsys, "run", str(SCENARIOS / f"{name}.toml"), "--stop", "1")
         (cell / "one.toml").write_text('name = "one"\nstep = "0.004 s"\nstop = "0.1 s"\n[components.path]\nsource = "path_interpolator"\n')
         assert "--variant goes with scenarios" in refused(capsys, "run", "one.toml", "--variant", "axis")
 
@@ -411,7 +413,7 @@ class TestPackages:
     ("code", "absent"),
     [
         ("from robomill.cli import parser; parser().format_help()", ("numpy", "numba", "rich")),
-        ("import robomill.commands", ("matplotlib", "pandas", "rich", "fmpy", "scipy.ndimage", "scipy.optimize")),
+        ("import robomill.run_command", ("matplotlib", "pandas", "rich", "fmpy", "scipy.ndimage", "scipy.optimize")),
         (
             "import numpy as np; from robomill.orchestration.runs.run import arrow; arrow(np.zeros(3)); arrow(np.array([True]))",
             ("pandas",),

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 import robomill
-from robomill.cli import ACTIONS, SHELLS, main
+from robomill.cli import COMMANDS, main
+from robomill.command_options import SHELLS
 from robomill.completion_command import script
 
 CHECKS = {"bash": ["bash", "-n"], "zsh": ["zsh", "-n"], "fish": ["fish", "--no-execute"]}
@@ -23,7 +24,7 @@ def scripts() -> dict[str, str]:
 
 @pytest.mark.parametrize("shell", SHELLS)
 def test_every_command_and_example_is_completed(shell: str, scripts: dict[str, str]) -> None:
-    wanted = (*ACTIONS, "groove", "servo_axis", "checkpoint-every", "stiffness")
+    wanted = (*(c.name for c in COMMANDS), "groove", "servo_axis", "checkpoint-every", "stiffness")
     assert not (lacking := [name for name in wanted if name not in scripts[shell]]), lacking
 
 

@@ -1,8 +1,9 @@
-"""Progress where standard error is no terminal."""
+"""Progress on a terminal, and where standard error is none."""
 
 from __future__ import annotations
 
 import pytest
+from rich.progress import Progress
 
 from robomill import progress
 from robomill.progress import INTERVAL, progress_bar
@@ -25,3 +26,20 @@ def test_with_json_nothing_is_said(capsys: pytest.CaptureFixture[str], monkeypat
     with progress_bar(quiet=True) as report:
         report("Cartesian", 1, 100)
     assert capsys.readouterr().err == ""
+
+
+def test_a_bar_takes_the_number_that_is_expected_now(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[Progress] = []
+
+    class Seen(Progress):
+        def __init__(self, *columns: object, **options: object) -> None:
+            super().__init__(*columns, **options)  # type: ignore[arg-type]
+            shown.append(self)
+
+    monkeypatch.setattr("rich.progress.Progress", Seen)
+    monkeypatch.setattr(progress.sys.stderr, "isatty", lambda: True)
+    with progress_bar(quiet=False) as report:
+        for done, total in ((0, 0), (1, 10), (2, 30)):
+            report("diagnosis", done, total)
+            (task,) = shown[0].tasks
+            assert (task.completed, task.total) == (done, total or None)

@@ -13,6 +13,7 @@ import pytest
 
 from robomill.cli import main
 from robomill.orchestration.runs.run import Run
+from robomill.rsi_command import part_told
 from tests import SCENARIOS
 from tests.cell.rsi.test_settings import LINK, SYSTEM, written
 
@@ -38,6 +39,13 @@ def test_the_configuration_for_the_robot_controller_is_written(tmp_path: Path, c
     assert main(["rsi", str(link_file(tmp_path)), "--config", str(tmp_path / "out.xml")]) == 0
     assert (tmp_path / "out.xml").read_text() == (SCENARIOS / "rsi" / "ethernet.xml").read_text()
     assert "copy it to the robot controller" in capsys.readouterr().out
+
+
+def test_a_session_that_cut_nothing_is_told_so() -> None:
+    figures = {"max_deviation_m": None, "rms_deviation_m": None, "peak_force_n": None}
+    assert part_told(figures) == "nothing was cut: the session ended before the tool met the block"
+    cut = {"max_deviation_m": 2e-4, "rms_deviation_m": 1e-4, "peak_force_n": 300.4}
+    assert part_told(cut) == "largest deviation of the part 0.20 mm, peak force 300 N"
 
 
 def test_a_session_of_both_commands_is_two_runs(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 
 from robomill.models.model.declaration import FloatArray
 from robomill.models.process.cutting import CuttingCoefficients
-from robomill.models.process.stability.modes import TWO_PI, ComplexArray, Modes, frequency_grid, receptance
+from robomill.models.process.stability.modes import TWO_PI, ComplexArray
 
 
 @dataclass(frozen=True)
@@ -121,12 +121,6 @@ def lobes(frequencies: FloatArray, H: ComplexArray, A: FloatArray, teeth: float,
                 j = at[np.argmax(real)]
                 best[i], chatter[i] = 0.5 / real.max(), frequencies[j]
     return Lobes(np.asarray(speeds, float), best, chatter)
-
-
-def lobes_of(modes: Modes, k: CuttingCoefficients, teeth: float, engagement: Engagement, speeds: FloatArray) -> Lobes:
-    """Lobes of a structure whose modes are given in the axes of the cutting frame (x feed, y left, z out of the work)."""
-    f = frequency_grid(modes)
-    return lobes(f, receptance(modes, f), mean_matrix(k, teeth, engagement), teeth, speeds)
 
 
 def turning_limit(frequencies: FloatArray, oriented: ComplexArray, Kf: float) -> tuple[float, float]:

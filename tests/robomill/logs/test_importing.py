@@ -13,7 +13,7 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from robomill import cli
-from robomill.logs.importing import import_log
+from robomill.logs.importing import MIRRORED, import_log
 from robomill.orchestration.errors import ResultsError
 from robomill.orchestration.runs.run import Run
 from tests import ROOT
@@ -86,12 +86,16 @@ def test_what_cannot_be_filtered_is_refused(tmp_path: Path) -> None:
     assert "low_pass and derivative need evenly spaced times; set clock.step (or clock.rate)" in refused(tmp_path, CLOCK + smooth)
     grid = CLOCK + 'step = "10 ms"\n'
     assert "low_pass is 60 Hz; expected less than half the rate, 50 Hz" in refused(tmp_path, grid + smooth.replace("20 Hz", "60 Hz"))
+    short = grid + f'[cut]\nperiod = "{0.01 * MIRRORED} s"\n' + smooth
+    assert f"low_pass needs more than {MIRRORED} rows, a piece has {MIRRORED}; import longer pieces" in refused(tmp_path, short)
     assert "expected a frequency above 0 Hz" in refused(tmp_path, grid + smooth.replace("20 Hz", "-1 Hz"))
     rate = (
         '[components]\nrobot = "inverse_dynamics"\n' + grid + '[[signal]]\nport = "robot.qd"\ncolumns = ["fx","fy","fz","fx","fy","fz"]\n'
     )
     assert "wrong unit: robot.qd is in rad/s" in refused(tmp_path, rate + 'unit = "deg"\n')
     assert bring(tmp_path, rate + 'unit = "deg"\nderivative = 1\n').unit("robot.qd") == "rad/s"
+    longer = short.replace(f"{0.01 * MIRRORED} s", f"{0.01 * (MIRRORED + 1)} s")
+    assert len(bring(tmp_path, longer, run="run/repeat_1")) == MIRRORED + 1
 
 
 def test_an_rsi_log_has_its_units_its_answers_and_its_ipoc_as_clock(tmp_path: Path) -> None:

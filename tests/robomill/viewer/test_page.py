@@ -110,7 +110,14 @@ def test_a_robot_of_ones_own(results: Path, tmp_path: Path) -> None:
     assert values(said["urdf"]["bodies"][0]["triangles"], data).size == 36
     file.write_text(urdf().replace("<axis xyz='0 0 1'/>", "<axis xyz='0 0 -1'/>", 1))
     (note,) = view(results, tmp_path / "b.html", ["cartesian"], file).notes
-    assert re.match(r"cartesian: the sixth link of the URDF shifts by \d+ mm against the flange of the run: it is another robot, or", note)
+    other = r"cartesian: the sixth link of the URDF shifts by \d+ mm and turns by [\d.]+ deg against the flange"
+    assert re.match(other, note)
+    sixth = re.search(r"<joint name='joint_6'.*?<axis xyz='0 0 (-?1)'/>", urdf())
+    assert sixth is not None
+    turned = sixth[0].replace(f"0 0 {sixth[1]}'/>", f"0 0 {-int(sixth[1])}'/>")
+    file.write_text(urdf().replace(sixth[0], turned))  # the flange stays where it is, and turns the other way
+    (note,) = view(results, tmp_path / "c.html", ["cartesian"], file).notes
+    assert re.match(other, note)
 
 
 FRAMES = "<head><script>window.requestAnimationFrame = (f) => setTimeout(() => f(performance.now()), 16);</script>"

@@ -60,6 +60,12 @@ def test_a_deviation_is_across_the_feed(tmp_path: Path) -> None:
     assert (r.force, r.angles, r.robot(), r.workpiece()) == (None, None, None, None)
 
 
+def test_a_run_of_one_sample_has_a_deviation_in_all_directions(tmp_path: Path) -> None:
+    made(tmp_path / "run", **moving(1))
+    (r,), _ = recordings(tmp_path / "run", None)
+    assert r.across == pytest.approx(np.array([[-1e-3, 2e-3, 0.0]]), rel=ROUNDOFF)
+
+
 def test_quaternions_do_not_jump(tmp_path: Path) -> None:
     columns = moving()
     columns["arm__quat_BT"][5:] *= -1.0

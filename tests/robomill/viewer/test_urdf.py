@@ -70,6 +70,18 @@ def test_meshes_are_found_beside_and_in_the_package(tmp_path: Path, kind: str, n
     assert solid_volume(body.mesh) == pytest.approx(1e-9 * mesh.volume, rel=10 * SINGLE)
 
 
+@pytest.mark.parametrize(
+    "name", ["{folder}/a b/arm.stl", "file://{uri}/a%20b/arm.stl", "file://localhost{uri}/a%20b/arm.stl", "file://a%20b/arm.stl"]
+)
+def test_meshes_are_found_by_uri(tmp_path: Path, name: str) -> None:
+    (tmp_path / "a b").mkdir()
+    trimesh.creation.box((1.0, 1.0, 1.0)).export(tmp_path / "a b" / "arm.stl")
+    file = tmp_path / "kr.urdf"
+    place = name.format(folder=tmp_path, uri=tmp_path.as_uri().removeprefix("file://"))
+    file.write_text(urdf(f"<visual><geometry><mesh filename='{place}'/></geometry></visual>"))
+    assert len(read_urdf(file)[0].bodies) == AXES
+
+
 def test_round_shapes(tmp_path: Path) -> None:
     file = tmp_path / "kr.urdf"
     shapes = (

@@ -1,4 +1,4 @@
-"""What the commands do: call the package, show the result, write the files. `robomill/cli.py` has their options."""
+"""`robomill run`: a scenario in its variants, a system once: run it, show the result, write the files. Options: `command_options.py`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robomill.cell import milling
 from robomill.cell.binding import convert, resolve, with_fmus
 from robomill.cell.equipment import load_system
 from robomill.cell.plausibility import unusual_values
@@ -20,19 +19,15 @@ from robomill.orchestration.assembly import assemble
 from robomill.orchestration.assembly import run as run_once
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.runs.lock import FolderLock
-from robomill.orchestration.runs.run import Run
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.toml_text import parse
 from robomill.progress import progress_bar
-from robomill.tables import Content, Heading, notes, say, show
+from robomill.tables import Heading, notes, say, show
 
 if TYPE_CHECKING:  # what only some commands need, or the end of a run, is imported there: a run begins without it
     from robomill.cell.milled import Runs
     from robomill.cell.removal_rate import RateResult, RateScenario
-    from robomill.models.model.declaration import Model
 
-DEFAULT_FMI = 2
-"""Version of FMI that is built where none is asked for; Python FMUs know no other."""
 RESULTS = Path("results")
 VARIANT = Heading("variant", "left")
 
@@ -64,10 +59,10 @@ def run(options: Namespace) -> int:
     if head is None:
         return _run_system(load_system(options.file), options)
     kind = head.get("kind") if isinstance(head, dict) else None
+    _only_systems_take(options, "step", "stop")
     if kind in _OTHER_KINDS:
         _only_cells_take(options, kind)
         return _OTHER_KINDS[kind](options)
-    _only_systems_take(options, "step", "stop")
     scenario = load_scenario(options.file)
     folder = options.out or RESULTS / scenario.name
     if scenario.kind != "milling":
@@ -249,7 +244,6 @@ def _run_static(scenario: Scenario, folder: Path, options: Namespace) -> int:
 def _run_removal_rate(options: Namespace) -> int:
     from robomill.cell import removal_rate
 
-    _only_systems_take(options, "step", "stop")
     scenario = removal_rate.load_removal_rate(options.file)
     if options.variant:
         unknown = sorted(set(options.variant) - {v.name for v in scenario.variants})
@@ -344,120 +338,6 @@ def _run_system(system: System, options: Namespace, start: float = 0.0) -> int:
     else:
         print(f"{system.name}: {rows} rows up to t = {end:.6g} s, {len(columns)} signals, in {folder}/")
     return 0
-
-
-def build(options: Namespace) -> int:
-    """`robomill build`: FMUs of all or some components, a replay FMU of one of them, or whole systems as SSP packages."""
-    from robomill.cell import package as ssp
-    from robomill.fmus.components import COMPONENTS, component
-    from robomill.fmus.provenance import release
-    from robomill.fmus.signed import private_key, write_signed
-
-    key = None if options.sign is None else private_key(options.sign)
-    packages: list[System] = []
-    if options.ssp is not None:
-        packages = ssp.systems(options.ssp, options.out / "tables" / options.ssp.stem, options.variant)
-    names = options.component or (ssp.used(packages) if packages else list(COMPONENTS))
-    models = [component(name) for name in names]
-    if options.replay is not None:
-        if len(names) != 1 or not options.component:
-            raise ValueError("--replay needs exactly one --component: the one that the recording stands in for")
-        models = [_replay_model(Run.load(options.replay), names[0], options.recorded_as or names[0])]
-    options.out.mkdir(parents=True, exist_ok=True)
-    with progress_bar(options.json) as report:
-        files = _build(models, options, report)
-        written = ssp.write(packages, options.out, options.out, report)
-    signed: list[Path] = []
-    if key is not None:
-        signed = [options.out / f"robomill-{release()}.zip"]
-        write_signed(signed[0], {f.relative_to(options.out).as_posix(): f.read_bytes() for f in (*files, *written)}, key)
-    if options.json:
-        told = {"fmus": files, "packages": written, **({"archive": signed} if signed else {})}
-        print(json.dumps({what: [str(f) for f in found] for what, found in told.items()}))
-    else:
-        for f in (*files, *written, *signed):
-            print(f"{f}  {f.stat().st_size / 1024:.0f} kB")
-    return 0
-
-
-def _build(models: Sequence[Model], options: Namespace, report: milling.Progress) -> list[Path]:
-    """FMUs of all models with the backend and for the FMI versions that were asked for."""
-    from robomill.fmus.python.builder import build as build_python
-    from robomill.fmus.reference import reference_files
-
-    versions = sorted(set(options.fmi or [DEFAULT_FMI]))
-    report("build", 0, len(models) * len(versions))
-    files: list[Path] = []
-
-    def done(file: Path) -> None:
-        files.append(file)
-        report("build", len(files), len(models) * len(versions))
-
-    if options.backend == "native":
-        from robomill.fmus.native.builder import build_all  # needs LLVM: a second to load
-
-        built: list[Path] = []
-        for fmi in versions:
-            # the folder itself is where `run --fmus` and the packages, which know no FMI 3, look
-            folder = options.out / f"fmi{fmi}" if fmi != DEFAULT_FMI and len(versions) > 1 else options.out
-            platforms = tuple(options.platform or ["linux64"])
-            built += build_all(
-                models,
-                folder,
-                fmi=fmi,
-                platforms=platforms,
-                arrays=not options.scalars,
-                sources=options.sources,
-                reference=lambda m: reference_files(m.name),
-                done=done,
-            )
-        return built
-    if versions != [DEFAULT_FMI] or options.platform or options.scalars or options.sources:
-        raise ValueError(
-            "--fmi 3, --platform, --scalars and --sources go with --backend native; Python FMUs are FMI 2 for linux64 and win64"
-        )
-    for model in models:
-        done(build_python(model, options.out))
-    return files
-
-
-def _replay_model(recorded: Run, component_name: str, recorded_as: str) -> Model:
-    """The model that plays back what `recorded_as` did in a run, in place of the component `component_name`."""
-    from robomill.fmus.components import component
-    from robomill.models.components.recording import replay_model
-
-    model = component(component_name)
-    if recorded_as not in recorded.components:
-        raise ValueError(
-            f"{recorded.folder} has no component {recorded_as!r}; it has {', '.join(recorded.components)}: say which one with --as"
-        )
-    outputs = [v.name for v in model.variables if v.causality == "output"]
-    columns = {name: recorded[f"{recorded_as}.{name}"] for name in outputs}
-    return replay_model(model, recorded.t - recorded.t[0], columns)
-
-
-def check(options: Namespace) -> int:
-    """`robomill check`: the conformance battery on each FMU; status 1 if a check failed."""
-    from rich.text import Text
-
-    from robomill import conformance
-
-    reports: dict[str, list[conformance.Result]] = {}
-    with progress_bar(options.json) as report:
-        for i, fmu in enumerate(options.fmus):
-            report(f"check {fmu.name}", i, len(options.fmus))
-            reports[str(fmu)] = conformance.check_fmu(fmu)
-        report("check", len(options.fmus), len(options.fmus))
-    failed = sum(not r.passed for results in reports.values() for r in results)
-    if options.json:
-        print(json.dumps({name: [asdict(r) for r in results] for name, results in reports.items()}, indent=1))
-        return 1 if failed else 0
-    colour = {"passed": "green", "failed": "red", "finding": "yellow", "skipped": "cyan"}
-    for name, results in reports.items():
-        rows: list[list[Content]] = [[r.check, Text(r.outcome, style=colour[r.outcome]), r.detail] for r in results]
-        show(name, [Heading("check", "left"), Heading("outcome", "left"), Heading("detail", "left", folds=True)], rows)
-    say(f"{failed} checks failed" if failed else "no check failed")
-    return 1 if failed else 0
 
 
 def _write(file: Path, content: Any) -> None:
