@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robomill.diagnosis.forms import selection
-from robomill.diagnosis.forms.selection import MATERIAL, Products, Rows, choose, fitted, values
+from robomill.diagnosis.forms.selection import MATERIAL, Products, Rows, choose, values
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import ROUNDOFF, chance
 
