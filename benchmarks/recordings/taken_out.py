@@ -93,8 +93,8 @@ def taken_out(case: Case, folder: Path, prepared: Path) -> list[TakenOut]:
     found = [without(case, "", given, held, "", form=True)]
     found += [without(case, kind, given, held, kind) for kind in kinds]
     if case.name == COUPLING.recording:
-        both = ([COUPLING.added(r) for r in part] for part in (given, held))
-        found.append(without(case, "", *both, COUPLING.text, form=True))
+        coupled, also = ([COUPLING.added(r) for r in part] for part in (given, held))
+        found.append(without(case, "", coupled, also, COUPLING.text, form=True))
     return found
 
 

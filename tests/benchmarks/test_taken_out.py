@@ -15,8 +15,9 @@ from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.forms.discovery import Solved, like_delays, port_forms, solve
-from robomill.diagnosis.forms.layout import Form
+from robomill.diagnosis.forms.layout import Form, PortForm
 from robomill.diagnosis.forms.ports import direct
+from robomill.diagnosis.outcome.closure import HowFar
 from robomill.orchestration.runs.run import Run
 
 LATE = 3.05
@@ -81,13 +82,19 @@ def answer(what: str, verdict: str, form: Form | None = None, **named: float) ->
 
 
 def test_names_that_take_the_place_of_what_was_taken_out_are_counted(kuka: Case) -> None:
-    whole = answer("", "identified", coulomb_at_a=0.98, viscous_at_a=0.97, load_at_a=0.1)
+    port = PortForm("robot.q_link[1]", "rad", "-0.003 qd[1]", (), 0.996, None)
+    seen = HowFar("rms", "robot.q_link", "rad", "held-out condition", 3e-3, 3e-4, 0.0, 0.99)
+    form = Form("robot", "output", 0.0, (port,), ("like a delay of 3 ms in robot.q_link[1]",), (seen,))
+    whole = answer("", "identified", form, coulomb_at_a=0.98, viscous_at_a=0.97, load_at_a=0.1)
     wrong = answer("coulomb", "identified", viscous_at_a=0.99, load_at_a=0.96)
     right = answer("viscous", "unknown", coulomb_at_a=0.9, load_at_a=0.96)
     assert wrong.in_its_place(whole) == {"load @ a": 0.96}
     text = taken_out.text(kuka, [whole, wrong, right])
     assert "| nothing | identified | coulomb @ a 0.980 | - | 1.0 |" in text
     assert "| coulomb | identified | viscous @ a 0.990 | load @ a 0.96 | 1.0 |" in text
+    assert "- as it was recorded: like a delay of 3 ms in robot.q_link[1]" in text
+    assert "  - robot.q_link[1] (rad): -0.003 qd[1], closes 100 %" in text
+    assert "  - in the loop, robot.q_link rms, held-out condition: 0.003 -> 0.0003 rad, 99 %" in text
     assert "With names in its place, and `identified`: coulomb, of 2." in text
 
 
