@@ -22,24 +22,24 @@ def number(value: float | None, interval: tuple[float, float] | None = None) -> 
 def values(outcome: Outcome, first: Earlier | None = None) -> list[str]:
     """Rows of a Markdown table of all effects; beside them what the `first` edition said, if it did."""
     heads = ["effect", "", "p", "answer (90 %)", "least squares (90 %)", *(["first edition (90 %)"] if first else []), "unit"]
-    rows = [_row(heads), _row(["---"] * len(heads))]
+    rows = [row(heads), row(["---"] * len(heads))]
     for v in outcome.values:
         p = f"{v.probability:.2f}" if v.value is not None else "-"
         cells = [v.effect, v.status, p, number(v.value, v.interval), number(v.by_least_squares, v.its_interval)]
         if first is not None:
             said = first.effects.get(v.effect)
             cells.append(number(said[0], (said[1], said[2])) if said else "-")
-        rows.append(_row([*cells, v.unit]))
+        rows.append(row([*cells, v.unit]))
     return rows
 
 
 def closed(outcome: Outcome, first: Earlier | None = None) -> list[str]:
     """Rows of a Markdown table of the channels of the held-out runs; beside them what the `first` edition left, if it is known."""
     heads = ["channel", "rms before", "after", "unit", "closure", "least squares", *(["first edition"] if first else [])]
-    rows = [_row(heads), _row(["---"] * len(heads))]
+    rows = [row(heads), row(["---"] * len(heads))]
     for c in outcome.closures:
         cells = [c.channel, f"{c.before:.3g}", f"{c.after:.3g}", c.unit, share(c.closure), share(c.by_least_squares)]
-        rows.append(_row([*cells, *([share(by_first(c, first))] if first else [])]))
+        rows.append(row([*cells, *([share(by_first(c, first))] if first else [])]))
     return rows
 
 
@@ -54,7 +54,8 @@ def share(closure: float | None) -> str:
     return "-" if closure is None else f"{100 * closure:.1f} %"
 
 
-def _row(cells: Sequence[str]) -> str:
+def row(cells: Sequence[str]) -> str:
+    """A row of a Markdown table."""
     return f"| {' | '.join(cells)} |"
 
 

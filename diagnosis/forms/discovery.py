@@ -61,8 +61,8 @@ def solve(problem: Problem) -> Solved:
         plain = Products(rows, rows.parts(FOLDS))
         closure = 1.0 - float(plain.errors(kept).sum()) / max(float(plain.square.sum()), 1e-300)
     rows = problem.rows(terms)
-    order = Products(rows, np.zeros(len(rows.y), dtype=np.intp)).path(len(terms))  # that which explains most comes first
-    terms = [terms[i] for i in order]
+    order = Products(rows, rows.parts(FOLDS)).path(len(terms))  # that which predicts most comes first
+    terms = [terms[i] for i in dict.fromkeys([*order, *range(len(terms))])]
     return Solved(problem, terms, values(problem.rows(terms), list(range(len(terms)))), closure, errors)
 
 

@@ -2,8 +2,9 @@
 
 With v the whitened sensitivity of an effect of the catalogue, and t_0 its onset in a condition, the effect does v H(t - t_0) if it switches
 on, and v (t - t_0)+ / T if it grows, in all runs of the condition alike. Between the runs: its size a_r in run r is 0 before run k.
-The onset is believed if the Bayes factor against the same effect all the time exceeds the odds that things are as they were (UNLISTED),
-the tries counted, and if it explains more of the gap than a law that is not quite right may leave (MISFIT). Squares are counted in units
+The onset is believed if the Bayes factor against the same effect all the time, and against any other one all the time, exceeds the odds
+that things are as they were (UNLISTED), the tries counted, and if it explains more of the gap than a law that is not quite right may leave
+(MISFIT). Squares are counted in units
 of what is left at the end: no more is sure than the model is.
 """
 
@@ -52,7 +53,7 @@ class Onset:
     rate: float | None
     """Growth per second [unit/s], where it grows."""
     gain: float
-    """Log Bayes factor [nats] against the same effect all the time."""
+    """Log Bayes factor [nats] against the same effect, or a better one, all the time; of an onset between runs, against the same."""
 
     @property
     def text(self) -> str:
@@ -70,8 +71,10 @@ class Onset:
 def onset_of(search: Search) -> Onset | None:
     """The onset of the effect that explains most with one; None where nothing speaks for an onset."""
     best: tuple[float, Onset] | None = None
-    for c in _looked_at(search):
-        for found in (_within(search, c), _between(search, c)):
+    candidates = _looked_at(search)
+    usual = min((_always(search, c) for c in candidates), default=math.inf)
+    for c in candidates:
+        for found in (_within(search, c, usual), _between(search, c)):
             if found is not None and (best is None or found[0] < best[0]):
                 best = found
     return None if best is None else best[1]
@@ -96,8 +99,20 @@ def _looked_at(search: Search) -> list[Candidate]:
     return sorted(fit, key=lambda c: -explained(c))[:SINGLES]
 
 
-def _within(search: Search, c: Candidate) -> tuple[float, Onset] | None:
-    """(squares left, onset) of an effect that begins within the runs of a condition."""
+def _always(search: Search, c: Candidate) -> float:
+    """Squares that an effect leaves which is there all the time, with a size of its own in each condition."""
+    space, v = search.evidence.space, _sensitivity(search, c)
+    together = [*(_only(v, b) for b in space.blocks.values()), space.y]
+    products = space.without(c.addresses).within(space.gram(np.column_stack(together)), range(len(together)))
+    size, along = np.diag(products)[:-1], products[-1, :-1]
+    return float(products[-1, -1] - np.where(size > 0.0, along**2 / np.where(size > 0.0, size, 1.0), 0.0).sum())
+
+
+def _within(search: Search, c: Candidate, usual_left: float) -> tuple[float, Onset] | None:
+    """(squares left, onset) of an effect that begins within the runs of a condition.
+
+    `usual_left`: squares that the best effect leaves which is there all the time.
+    """
     space, channels = search.evidence.space, int(search.evidence.active.sum())
     v = _sensitivity(search, c)
     blocks = list(space.blocks.items())
@@ -122,7 +137,9 @@ def _within(search: Search, c: Candidate) -> tuple[float, Onset] | None:
     i = int((tops - usual).argmax())
     left = float(square - usual.sum() + usual[i] - tops[i])
     unit = max(left / search.evidence.noise, 1.0)
-    if not _believed(search, float(tops[i] - usual[i]), float(square - usual.sum()), unit, per * n):
+    always = float(square - usual.sum())
+    gain = min(always, usual_left) - left
+    if not _believed(search, gain, always, unit, per * n):
         return None
     k, way = np.unravel_index(int(profile[i].argmax()), profile[i].shape)
     condition = search.simulator.laboratory.conditions[i]
@@ -147,7 +164,7 @@ def _within(search: Search, c: Candidate) -> tuple[float, Onset] | None:
         end,
         c.unit,
         value / length if grows else None,
-        0.5 * float(tops[i] - usual[i]) / unit,
+        0.5 * gain / unit,
     )
     return left, onset
 

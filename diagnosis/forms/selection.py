@@ -1,10 +1,10 @@
 """Which terms: greedy forward, then pruned backward, as block cross-validation says, with the choice repeated inside each fold.
 
 The rows are samples of one or several channels; `Rows` keeps them apart so that noise is whitened (AR(1)) within each channel of a
-condition. With X the terms, y the residual: forward selection takes the term that explains most of what is left of y (orthogonal matching
-pursuit; Pati et al. 1993). Errors of k = 0, 1, ... terms are those in the fold that choice and fit have not seen; taken is the smallest
-k that is not worse than the best one by more than a standard error of the difference (Breiman et al. 1984, over folds). The noise's memory
-is one number: the correlation of what is left from sample to sample.
+condition. With X the terms, y the residual: forward selection takes the term with which left-out folds are predicted best (orthogonal
+matching pursuit, Pati et al. 1993, by cross-validation). Errors of k = 0, 1, ... terms are those in the fold that choice and fit have not
+seen; taken is the smallest k that is not worse than the best one by more than a standard error of the difference (Breiman et al. 1984,
+over folds). The noise's memory is one number: the correlation of what is left from sample to sample.
 """
 
 from __future__ import annotations
@@ -104,24 +104,40 @@ class Products:
         return float(self.square[fold] - 2.0 * values @ self.right[fold][chosen] + values @ g @ values)
 
     def path(self, most: int, without: int | None = None) -> list[int]:
-        """Terms in the order in which they are taken: a pivoted Cholesky factorisation whose pivot explains most of what is left."""
-        fold, right = (None, self._right.copy()) if without is None else (self.gram[without], self._right - self.right[without])
-        size = np.diag(self._all) - (0.0 if fold is None else np.diag(fold))
-        left, factor, taken = size.copy(), np.zeros((0, len(size))), list[int]()
-        for _ in range(min(most, len(size))):
-            good = left > np.sqrt(np.finfo(float).eps) * size  # beside those that are there, the rest of it is no roundoff
-            good[taken] = False
-            gain = np.where(good, right**2 / np.where(good, left, 1.0), 0.0)
-            j = int(gain.argmax())
-            if gain[j] <= 0.0:
+        """Terms in the order in which they are taken: the next is that with which left-out folds are predicted best.
+
+        It ends where no term helps. A term that is large for a moment only explains that moment, and predicts nothing of the others.
+        """
+        taken = list[int]()
+        best = float(self.square.sum() if without is None else self.square.sum() - self.square[without])
+        while len(taken) < min(most, self.gram.shape[1]):
+            left = self._left_beside(taken, without)
+            j = int(left.argmin())
+            if left[j] >= best:
                 break
+            best = float(left[j])
             taken.append(j)
-            column = self._all[:, j] - (0.0 if fold is None else fold[:, j]) - factor[:, j] @ factor
-            row = column / np.sqrt(left[j])
-            right -= row * (right[j] / np.sqrt(left[j]))
-            left = left - row**2
-            factor = np.vstack([factor, row])
         return taken
+
+    def _left_beside(self, taken: list[int], without: int | None) -> FloatArray:
+        """Squares left in the folds by fits to the others of the terms `taken` and each further one, [p]; inf where it adds nothing new."""
+        whole, of_all = (self._all, self._right) if without is None else (self._all - self.gram[without], self._right - self.right[without])
+        left = np.zeros(len(of_all))
+        for f in range(len(self.square)):
+            if f == without:
+                continue
+            here, right = self.gram[f], self.right[f]
+            gram, product = whole - here, of_all - right
+            along = _solve(gram[np.ix_(taken, taken)], gram[taken])  # what the terms taken have of each other one
+            values_ = _solve(gram[np.ix_(taken, taken)], product[taken])
+            rest = np.diag(gram) - (gram[taken] * along).sum(axis=0)
+            new = rest > np.sqrt(np.finfo(float).eps) * np.diag(gram)  # the rest of it is no roundoff
+            value = np.where(new, product - along.T @ product[taken], 0.0) / np.where(new, rest, 1.0)
+            cross = right - here[:, taken] @ values_ - along.T @ (right[taken] - here[np.ix_(taken, taken)] @ values_)
+            size = np.diag(here) - 2.0 * (along * here[taken]).sum(axis=0) + (along * (here[np.ix_(taken, taken)] @ along)).sum(axis=0)
+            left += np.where(new, self.error(f, taken, values_) - 2.0 * value * cross + value**2 * size, np.inf)
+        left[taken] = np.inf
+        return left
 
     def errors(self, chosen: list[int]) -> FloatArray:
         """Squares left in each fold by a fit to the others, [folds]."""
@@ -131,9 +147,9 @@ class Products:
 
 def _solve(gram: FloatArray, right: FloatArray) -> FloatArray:
     if not len(right):
-        return np.zeros(0)
+        return np.zeros(right.shape)
     scale = np.sqrt(np.diag(gram)) + 1e-300
-    return np.asarray(np.linalg.lstsq(gram / np.outer(scale, scale), right / scale, rcond=1e-10)[0] / scale)
+    return np.asarray((np.linalg.lstsq(gram / np.outer(scale, scale), (right.T / scale).T, rcond=1e-10)[0].T / scale).T)
 
 
 def worse(errors: FloatArray, than: FloatArray) -> bool:
@@ -180,7 +196,7 @@ def _chosen(white: Rows) -> tuple[list[int], list[list[int]], FloatArray]:
     products = Products(white, white.parts(FOLDS))
     folds = range(len(products.square))
     paths = [products.path(MOST, f) for f in folds]
-    longest = min(map(len, paths))
+    longest = max(map(len, paths))
     table = np.array([[products.error(f, paths[f][:k], products.fit(paths[f][:k], f)) for f in folds] for k in range(longest + 1)])
     best = int(table.mean(axis=1).argmin())
     count = next(k for k in range(best + 1) if not worse(table[k], table[best]))

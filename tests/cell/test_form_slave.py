@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +14,25 @@ import pytest
 from robomill.cell.binding import resolve
 from robomill.cell.form_slave import FormSlave
 from robomill.fmus.in_process import InProcessSlave
+from robomill.fmus.python.builder import build
 from robomill.models.components.correction import FACTORS, KINDS, correction_model, factor, factors, kind_of
-from tests.tolerances import ROUNDOFF
+from tests.tolerances import ROUNDOFF, discretisation
+
+ALONE = """
+import sys
+sys.modules["robomill"] = None  # nobody has it there
+import fmpy, numpy as np
+given = np.load("in.npz")["rows"]
+outputs = [v.name for v in fmpy.read_model_description("adopt_form.fmu").modelVariables if v.causality == "output"]
+h = 0.01
+stop = h * (len(given) - 1)
+made = fmpy.simulate_fmu("adopt_form.fmu", step_size=h, output_interval=h, stop_time=stop, input=given, output=outputs)
+np.savez("out.npz", made=made)
+"""
+"""What another tool does with the FMU of a form: FMPy, in a folder of its own."""
+
+TIMES = discretisation(1e3, np.spacing(0.07) / 0.01, 1)
+"""FMPy steps by the difference of two times, which is off by their rounding; 1e3: rates, and what cancels beside them."""
 
 
 def part(kind: str, variable: str, rate: bool = False, shape: float = 0.7) -> dict[str, object]:
@@ -61,6 +81,27 @@ def test_slave_and_model_give_the_same_numbers() -> None:
     assert [p.name for p in slave.ports if p.causality == "output"] == [p.name for p in model.ports if p.causality == "output"]
     assert np.ptp(one, axis=0).min() > 1.0
     np.testing.assert_allclose(one, other, rtol=ROUNDOFF)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="runs linux64 libraries")
+def test_its_fmu_runs_in_fmpy_where_there_is_no_robomill(tmp_path: Path) -> None:
+    """The file that a diagnosis writes beside its answer. FMPy gives a step the inputs of its beginning."""
+    given = specification()
+    build(correction_model(given), tmp_path / "adopt_form.fmu", page="", reference={})
+    slave = FormSlave("form", given)
+    names = [p.name for p in slave.ports if p.causality == "input"]
+    t = 0.01 * np.arange(8)
+    rows = np.random.default_rng(3).normal(size=(len(t), len(names)))
+    made = stepped(slave, rows[[0, *range(len(t) - 1)]], names)
+    table = np.zeros(len(t), dtype=[("time", float), *((n, float) for n in names)])
+    for n, x in zip(("time", *names), (t, *rows.T), strict=True):
+        table[n] = x
+    np.savez(tmp_path / "in.npz", rows=table)
+    there = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    subprocess.run([sys.executable, "-c", ALONE], cwd=tmp_path, env=there, check=True, capture_output=True)
+    found = np.load(tmp_path / "out.npz")["made"]
+    for k, p in enumerate(p for p in slave.ports if p.causality == "output"):
+        np.testing.assert_allclose(found[p.name], made[:, k], rtol=TIMES)
 
 
 @pytest.mark.parametrize("kind", range(len(KINDS)))

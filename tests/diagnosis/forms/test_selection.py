@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robomill.diagnosis.forms import selection
-from robomill.diagnosis.forms.selection import MATERIAL, Products, Rows, choose, fitted, values
+from robomill.diagnosis.forms.selection import MATERIAL, Products, Rows, choose, values
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import ROUNDOFF, chance
 
@@ -68,20 +68,27 @@ def test_an_interval_holds_the_truth_nine_times_in_ten() -> None:
     assert abs(np.mean(inside) - 0.9) < chance(np.sqrt(0.9 * 0.1 / 60.0))
 
 
-def test_a_path_is_that_of_matching_pursuit() -> None:
+def test_a_path_is_that_of_matching_pursuit_by_left_out_folds() -> None:
     rng = np.random.default_rng(4)
     X = terms(rng)
-    y = X @ rng.normal(size=X.shape[1]) + 0.1 * rng.normal(size=N)
-    whole = rows(y, X)
-    path = Products(whole, np.zeros(N, dtype=np.intp)).path(4)
+    whole = rows(X @ rng.normal(size=X.shape[1]) + 0.1 * rng.normal(size=N), X)
+    products = Products(whole, whole.parts(6))
     taken: list[int] = []
     for _ in range(4):
-        left = [
-            float(((y - X[:, [*taken, j]] @ fitted(whole, [*taken, j])) ** 2).sum()) if j not in taken else np.inf
-            for j in range(len(NAMES))
-        ]
+        left = [float(products.errors([*taken, j]).sum()) if j not in taken else np.inf for j in range(len(NAMES))]
         taken.append(int(np.argmin(left)))
-    assert path == taken
+    assert products.path(4) == taken
+
+
+def test_a_term_that_is_large_for_a_moment_only_does_not_come_before_the_law() -> None:
+    """A spike explains a disturbance of one moment better than the law explains all, and predicts nothing elsewhere."""
+    rng = np.random.default_rng(6)
+    X = np.column_stack([terms(rng), 1e-6 * rng.normal(size=N)])
+    X[300:304, -1] = 1.0
+    y = X[:, 2] + 40.0 * X[:, -1] + 0.1 * rng.normal(size=N)
+    whole = rows(y, X)
+    assert np.abs(X[:, -1] @ y) / np.linalg.norm(X[:, -1]) > np.abs(X.T @ y / np.linalg.norm(X, axis=0))[:-1].max()
+    assert NAMES[Products(whole, whole.parts(6)).path(1)[0]] == "sgn v"
 
 
 def test_pairs_are_means_and_keep_series_apart() -> None:
