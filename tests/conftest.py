@@ -1,5 +1,6 @@
 """What all tests need."""
 
+import os
 import signal
 import time
 
@@ -7,6 +8,11 @@ import pytest
 
 # a shell that starts the tests in the background has SIGINT ignored; tests that press Ctrl-C need it as it is at a terminal
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Where COLUMNS is set, tables and sentences are broken at that width. Shells export it, and readline, which the debugger of pytest
+# loads, sets it for child processes (the workers of xdist) without a change of os.environ: both are undone.
+os.environ.pop("COLUMNS", None)
+os.unsetenv("COLUMNS")
 
 _START = time.monotonic()
 

@@ -207,6 +207,12 @@ def load(folder: Path) -> Run:
         columns[name] = _values(table, f.name, folder)
         ports[name] = _port(name, said)
     t = _values(table, "t", folder)
+    if not np.isfinite(t).all():
+        row = int(np.argmin(np.isfinite(t)))
+        raise ResultsError(
+            f"{folder}: time is {t[row]} in row {row} (counted from zero) of {len(t)}, expected finite numbers that increase [s]; "
+            "import the log anew, without that row"
+        )
     if not np.all(np.diff(t) > 0.0):
         raise ResultsError(
             f"{folder}: time does not increase after t = {t[:-1][np.diff(t) <= 0.0][0]:.9g} s; import the log anew, cut at that place"

@@ -151,6 +151,13 @@ class TestReading:
         ("csv", "text"),
         [
             ("time,a.b\n0,1\n", "the signals have no column 't'"),
+            (
+                "t,a.b\n0,1\nnan,2\n2,3\n",
+                r"time is nan in row 1 \(counted from zero\) of 3, expected finite numbers that increase \[s\]; "
+                "import the log anew, without that row",
+            ),
+            ("t,a.b\n0,1\n1,2\n,3\n", r"time is nan in row 2 \(counted from zero\) of 3"),
+            ("t,a.b\n0,1\ninf,2\n", r"time is inf in row 1 \(counted from zero\) of 2"),
             ("t,a.b\n0,1\n0,2\n", "time does not increase after t = 0 s"),
             ("t,a.b\n0,x\n", "column 'a.b' holds no numbers but string"),
         ],
