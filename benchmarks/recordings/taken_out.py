@@ -145,7 +145,7 @@ def text(case: Case, found: Sequence[TakenOut]) -> str:
 
 HEAD = """# Laws that the catalogue does not have
 
-Written by `make recordings` (benchmarks/recordings/taken_out.py); do not edit.
+Written by `python -m benchmarks.recordings.taken_out --page FILE`; do not edit.
 
 All effects of one kind that the machine is known to have are taken out of the catalogue. Then no other name may take their place with
 confidence. Names in its place: likelier than not here, and not with the whole catalogue. The
