@@ -210,7 +210,7 @@ def load(folder: Path) -> Run:
     if not np.isfinite(t).all():
         row = int(np.argmin(np.isfinite(t)))
         raise ResultsError(
-            f"{folder}: time is {t[row]} in row {row} (counted from zero) of {len(t)}, expected finite numbers that increase [s]; "
+            f"{folder}: time is {t[row]} in row {row} (counted from zero) of {len(t)}; expected finite numbers that increase [s]; "
             "import the log anew, without that row"
         )
     if not np.all(np.diff(t) > 0.0):

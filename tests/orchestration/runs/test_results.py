@@ -153,7 +153,7 @@ class TestReading:
             ("time,a.b\n0,1\n", "the signals have no column 't'"),
             (
                 "t,a.b\n0,1\nnan,2\n2,3\n",
-                r"time is nan in row 1 \(counted from zero\) of 3, expected finite numbers that increase \[s\]; "
+                r"time is nan in row 1 \(counted from zero\) of 3; expected finite numbers that increase \[s\]; "
                 "import the log anew, without that row",
             ),
             ("t,a.b\n0,1\n1,2\n,3\n", r"time is nan in row 2 \(counted from zero\) of 3"),
