@@ -221,11 +221,10 @@ class Search:
         return [self.sharpen(f) if k < SHARPENED and f.chi2 > ROUGH * noise else f for k, f in enumerate(best)]
 
     def run(self) -> list[Fit]:
-        """All models that were fitted on real simulations, the nominal one first; `linear_singles` are all singles by sensitivities."""
+        """All models that were fitted on real simulations, the nominal one first."""
         space = self.evidence.space
         fits = [self.nominal()]
         singles = sorted(self.linear_fits(fits), key=_evidence, reverse=True)
-        self.linear_singles = singles
         gain = space.chi2 - min((f.chi2 for f in singles), default=space.chi2)
         chosen = _first([f for f in singles if space.chi2 - f.chi2 > WORTH * gain], SINGLES) or _first(singles, SINGLES)
         chosen += [f for f in singles if f not in chosen and self._hidden(f)]
