@@ -15,10 +15,10 @@ from robomill.diagnosis.experiment.simulation import Report, Simulator, setting
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.forms.discovery import discovered, left_in, suspects
 from robomill.diagnosis.forms.onset import onset_of
-from robomill.diagnosis.gate import phases
+from robomill.diagnosis.gate import log_faults, phases
 from robomill.diagnosis.gate.checks import Finding, stopped
 from robomill.diagnosis.gate.gate import Gate
-from robomill.diagnosis.inference.adequacy import left_by, unexplained
+from robomill.diagnosis.inference.adequacy import left_by
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import probabilities
 from robomill.diagnosis.inference.search import Search, likely_count, searched
@@ -35,9 +35,9 @@ from robomill.orchestration.system.parameters import Convert, same_unit_only
 
 LITTLE = 0.02
 """Share of what is beyond noise that a model leaves which explains nearly all of a large gap."""
-EXPLAINABLE = ("constant", "unit", "sign", "rotation")
+EXPLAINABLE = ("constant", *log_faults.KINDS)
 """Kinds of findings that an effect may be the reason of: a clipped channel stands still, a small moment changes its sign with a gain.
-They are no fault if the best model does it."""
+They are no fault if the best model does it, and the others but `constant` none if the log is not explained without them."""
 DOMINANT = 0.8
 """Share of one channel in a gap that nothing explains from which its other sign is tried."""
 
@@ -119,10 +119,13 @@ def diagnose_campaign(
             search, fits = searched(catalogue, simulator, groups[:n], nuisances)
             if fatal:  # is it the machine, after all?
                 best = _best(search, fits)
-                little = over_noise(search, best) < UNKNOWN or share_left(search, fits[0], best) < LITTLE
-                if little and not any(c.component == LOGGING for c in best.model):
+                if _little(search, fits, best) and not any(c.component == LOGGING for c in best.model):
                     findings = told + gate.findings(setting(best.values))
-                    fatal = [f for f in findings if f.fatal]
+                faults = [f for f in findings if f.fatal and f.kind in log_faults.KINDS]
+                if faults and _explained(catalogue, search, fits, gate.without(faults), nuisances) is None:
+                    kept = "; without that, the log is explained no better: it is kept"
+                    findings = [replace(f, text=f.text + kept, fatal=False) if f in faults else f for f in findings]
+                fatal = [f for f in findings if f.fatal]
             elif (finding := _wrong_channel(catalogue, search, fits, groups[:n], nuisances)) is not None:
                 findings.append(finding)
                 fatal = [finding]
@@ -133,7 +136,11 @@ def diagnose_campaign(
         conclusion = Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, false_alarm)
         answer, adopted = conclusion.answer()
         if answer.verdict in ("identified", "ambiguous", "unknown"):
-            answer = replace(answer, onset=onset_of(search))
+            onset = onset_of(search)
+            named = {(c.effect, c.location) for c in conclusion.best.model}
+            # of another effect than those that are named it is what these do to the residual of the nominal system
+            if onset is not None and (answer.verdict == "unknown" or (onset.effect, onset.location) in named):
+                answer = replace(answer, onset=onset)
         if answer.verdict == "unknown" or form:
             answer = replace(answer, form=discovered(search, groups, suspects(answer, laboratory), conclusion.titles, left_in(answer)))
         answer = replace(answer, effort=effort_of(began, simulator), skipped=tuple(skipped))
@@ -143,6 +150,11 @@ def diagnose_campaign(
 def _best(search: Search, fits: Sequence[Fit]) -> Fit:
     """The most likely model."""
     return fits[int(probabilities(fits, search.candidates).argmax())]
+
+
+def _little(search: Search, fits: Sequence[Fit], best: Fit) -> bool:
+    """Whether the best of these models leaves no gap, or LITTLE of that of the nominal one."""
+    return over_noise(search, best) < UNKNOWN or share_left(search, fits[0], best) < LITTLE
 
 
 def _wrong_channel(
@@ -165,11 +177,22 @@ def _wrong_channel(
     if left_by(over_noise(search, fits[0]), over_noise(search, best)) < 0.0 and (rest := _rest(search, best, groups, name)):
         return Finding(name, "constant", rest, "s", f"stands still for {rest:.3g} s, which nothing explains")
     sign = np.where(np.array(search.simulator.laboratory.channels) == name, -1.0, 1.0)
-    turned, fits_of_it = searched(catalogue, search.simulator, [[sign * x for x in group] for group in groups], nuisances)
-    other = _best(turned, fits_of_it)
-    if over_noise(turned, other) >= UNKNOWN and unexplained(over_noise(search, fits[0]), over_noise(turned, other)) >= LITTLE:
+    other = _explained(catalogue, search, fits, [[sign * x for x in group] for group in groups], nuisances)
+    if other is None:
         return None
     return Finding(name, "sign", -1.0, "1", f"has the wrong sign: with the other one, {other.name} explains the log")
+
+
+def _explained(
+    catalogue: Catalogue, search: Search, fits: Sequence[Fit], groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
+) -> Fit | None:
+    """The best model of the log without a fault (`groups`), if it explains that, and better than the best of the log as it is (`search`).
+
+    It does where it leaves no gap, or LITTLE of one.
+    """
+    other, found = searched(catalogue, search.simulator, groups, nuisances)
+    best = _best(other, found)
+    return best if _little(other, found, best) and over_noise(other, best) < over_noise(search, _best(search, fits)) else None
 
 
 def _rest(search: Search, best: Fit, groups: Sequence[Sequence[FloatArray]], name: str) -> float:

@@ -77,6 +77,10 @@ class Laboratory:
         """Indices of the channels that say anything in condition `index`."""
         return [k for k, c in enumerate(self.channels) if self.conditions[index].has(c)]
 
+    def shown_in(self, conditions: Sequence[int]) -> Laboratory:
+        """This laboratory with the channels that all of these conditions have: what one of them lacks is not measured in any."""
+        return replace(self, channels=[c for c in self.channels if all(self.conditions[i].has(c) for i in conditions)])
+
     def measured(self) -> list[list[FloatArray]]:
         """The repeats of every condition as its simulations are, [samples, channels]."""
         return [[decimate(c.matrix(r, self.channels), self.factor(i)) for r in c.runs] for i, c in enumerate(self.conditions)]

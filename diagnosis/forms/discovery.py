@@ -200,8 +200,8 @@ def discovered(
     if not own:
         return None
     try:
-        replays = [_replayed(laboratory, i) for i in own]
-        found = solved(laboratory, replays, components, arrays)
+        shown = laboratory.shown_in(own)
+        found = solved(shown, [_replayed(shown, i) for i in own], components, arrays)
     except OrchestrationError as error:
         return Form("", "output", 0.0, (), note=f"no form was looked for: {error}")
     if not found:
@@ -291,7 +291,8 @@ def _ranges(laboratory: Laboratory, found: Sequence[Solved], n: int) -> tuple[Ra
     seen = found[0].problem.seen
     used = list(dict.fromkeys(f.variable for s in found for _, t in s.terms for f in t.factors))
     held = [i for i in range(n, len(laboratory.conditions)) if _alike(laboratory, i)]
-    there = Seen.of(laboratory, [_replayed(laboratory, i) for i in held], seen.host.name, seen.side).known if held else []
+    shown = laboratory.shown_in(held)
+    there = Seen.of(shown, [_replayed(shown, i) for i in held], seen.host.name, seen.side).known if held else []
 
     def span(known: Sequence[Signals], v: Variable) -> list[float] | None:
         values_ = [k[v] for k in known if v in k]

@@ -62,7 +62,7 @@ class Seen:
     def angles(self, element: str) -> list[Variable]:
         """Variables that a port may be periodic in: angles and ways of its index, or all if it has none."""
         index = element.partition("[")[2].rstrip("]")
-        fit = [v for v in self.known[0] if v.unit in ("rad", "m") and not v.rate]
+        fit = [v for v in self.known[0] if v.unit in ("rad", "m") and not v.rate and all(v in k for k in self.known)]
         return [v for v in fit if v.index == index] or fit
 
 

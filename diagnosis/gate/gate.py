@@ -45,6 +45,19 @@ class Gate:
                 found += self._of(condition, group, models)
         return once([*found, *self._other_programs()])
 
+    def without(self, faults: Sequence[Finding]) -> list[list[FloatArray]]:
+        """Measured repeats of the diagnosed conditions as they were before these faults (`log_faults.undone`)."""
+        groups = [list(group) for group in self.groups[: self.n]]
+        simulated = self.simulator.repeated(range(self.n), (), self.count, SIMULATIONS)
+        for condition, group, models in zip(self.laboratory.conditions, groups, simulated, strict=False):
+            if models is not None:
+                at = self._shown(condition)
+                middle, channels = np.mean(models, axis=0)[:, at], [self.laboratory.channels[i] for i in at]
+                for k, x in enumerate(group):
+                    group[k] = x.copy()
+                    group[k][:, at] = log_faults.undone(faults, x[:, at], middle, channels)
+        return groups
+
     def _of(self, condition: Condition, group: Sequence[FloatArray], models: Sequence[FloatArray]) -> list[Finding]:
         """Findings of one condition, from measured and simulated repeats [samples, channels]."""
         at, step = self._shown(condition), _step(condition, models[0])

@@ -41,6 +41,8 @@ FACTORS = {
     1 / 4.4482216: "pound-force for newtons",
 }
 """Usual mistakes in units: measured over simulated."""
+KINDS = ("sign", "unit", "axes", "rotation")
+"""Kinds of findings that are faults of this sort."""
 VECTOR = 3
 """Elements of an array that may be a vector in another frame."""
 TOLERANCE = 0.15
@@ -62,15 +64,18 @@ class _Operator:
     """A fault that is tried: what it makes of the simulation of some channels, and what is said if it is believed."""
 
     members: tuple[int, ...]
-    simulated: FloatArray
-    """[samples, members]."""
-    scale: float
-    """Factor that it has."""
+    matrix: FloatArray
+    """[members, members]: logged = true @ matrix."""
     finding: Finding
     spread: float | None = None
     """Mean square that tolerances are a part of [unit^2]: of an array, where that is not the variance of each channel."""
     paid: float = 0.0
     """What its fitted numbers cost [nats] (Schwarz 1978, Ann. Stat. 6, 461)."""
+
+    @property
+    def scale(self) -> float:
+        """Factor that it has."""
+        return float(np.linalg.norm(self.matrix, 2))
 
 
 def judged(
@@ -93,6 +98,21 @@ def judged(
     return found
 
 
+def undone(faults: Sequence[Finding], x: FloatArray, s: FloatArray, channels: Sequence[str]) -> FloatArray:
+    """Measured `x` [samples, channels] as it was before these `faults` (of KINDS); `s` is its simulation.
+
+    A fault is one of a channel and a kind; where several operators are, the one that leaves least. What none of them fits stays.
+    """
+    x = x.copy()
+    tried = list(_operators(x, s, channels))
+    for fault in faults:
+        same = [o for o in tried if (o.finding.channel, o.finding.kind) == (fault.channel, fault.kind)]
+        if same:
+            o = min(same, key=lambda o: float(((x[:, list(o.members)] - s[:, list(o.members)] @ o.matrix) ** 2).sum()))
+            x[:, list(o.members)] = x[:, list(o.members)] @ np.linalg.inv(o.matrix)
+    return x
+
+
 def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str]) -> Iterator[_Operator]:
     pooled = {i: float(s[:, members].var(axis=0).mean()) for members in arrays(channels).values() for i in members}
     for i, name in enumerate(channels):
@@ -100,19 +120,19 @@ def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str]) -> Iterato
         if not own.any():  # zero has no sign and no unit
             continue
         turned = Finding(name, "sign", -1.0, "1", "has the wrong sign; expected that of its simulation: turn it")
-        yield _Operator((i,), -own, -1.0, turned, pooled[i])
+        yield _Operator((i,), np.array([[-1.0]]), turned, pooled[i])
         slope = float(x[:, i] @ s[:, i] / (s[:, i] @ s[:, i]))
         for factor, mistake in FACTORS.items():
             if abs(slope / factor - 1.0) > TOLERANCE:  # a unit is exact: what is larger by another factor has an effect
                 continue
             text = f"is {slope:.4g} times what it should be: {mistake}; expected 1 (give the unit that it is logged in)"
-            yield _Operator((i,), factor * own, factor, Finding(name, "unit", slope, "1", text), pooled[i])
+            yield _Operator((i,), np.array([[factor]]), Finding(name, "unit", slope, "1", text), pooled[i])
     for name, members in arrays(channels).items():
         for i, j in itertools.combinations(members, 2):
             text = f"is interchanged with {channels[j]}; give each the other's name"
             finding = Finding(channels[i], "axes", float(j - i), "1", text)
             for signs in itertools.product((1.0, -1.0), repeat=2):
-                yield _Operator((i, j), s[:, [j, i]] * signs, 1.0, finding)
+                yield _Operator((i, j), np.array([[0.0, signs[1]], [signs[0], 0.0]]), finding)
         if len(members) == VECTOR:
             yield _rotation(name, tuple(members), x[:, members], s[:, members])
 
@@ -124,19 +144,20 @@ def _rotation(name: str, members: tuple[int, ...], a: FloatArray, b: FloatArray)
     angle = float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
     text = f"is turned by {np.rad2deg(angle):.0f} degrees; expected 0: another frame, or a transposed rotation"
     spread = float((b**2).mean())  # an inexact pose turns what is there all the time, too
-    return _Operator(members, b @ turn.T, 1.0, Finding(name, "rotation", angle, "rad", text), spread, 1.5 * math.log(len(a)))
+    return _Operator(members, turn.T, Finding(name, "rotation", angle, "rad", text), spread, 1.5 * math.log(len(a)))
 
 
 def _log_bayes_factor(o: _Operator, x: FloatArray, s: FloatArray, noise: FloatArray) -> float:
     """Log of the odds of the operator against none [nats]."""
     members = list(o.members)
     measured, plain = x[:, members], s[:, members]
-    left = ((measured - o.simulated) ** 2).mean(axis=0)
+    faulted = plain @ o.matrix
+    left = ((measured - faulted) ** 2).mean(axis=0)
     usual = noise[members] ** 2 + (SINGLE * np.abs(x[:, members]).max(axis=0)) ** 2 + np.finfo(float).tiny
     off = ((measured - plain) ** 2).mean(axis=0)
     if left.sum() > off.sum():  # a fault that leaves more than none is no explanation of anything
         return -math.inf
-    own, without = o.simulated.var(axis=0), plain.var(axis=0)
+    own, without = faulted.var(axis=0), plain.var(axis=0)
     if o.spread is not None:  # what an array does is let into its elements by an inexact pose
         own, without = np.full(len(members), o.spread * o.scale**2), np.full(len(members), o.spread)
     faulty = usual + np.maximum(TOLERANCE**2 * own, left)

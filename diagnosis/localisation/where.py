@@ -298,9 +298,8 @@ def located(
     cuts = structure(laboratory.system, list(dict.fromkeys(map(array_of, laboratory.channels))))
     if not own:
         return Located(structure=cuts)
-    # what one of them lacks is taken for not measured in any
-    kept = [k for k, c in enumerate(laboratory.channels) if all(laboratory.conditions[i].has(c) for i in own)]
-    laboratory = replace(laboratory, channels=[laboratory.channels[k] for k in kept])
+    every, laboratory = laboratory.channels, laboratory.shown_in(own)
+    kept = [every.index(c) for c in laboratory.channels]
     figures = {name: weights[kept] for name, weights in figures.items()}
     try:
         return replace(locate(Replay(laboratory, own, catalogue, nuisances), figures, projections), structure=cuts)

@@ -92,12 +92,12 @@ class Conclusion:
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] >= IDENTIFIED]
         moved = self.transfer() if self.best.model and not clocks else None
         other = changing(search)
-        faulty = bool(clocks) and not self.repair
         odds = float(np.log(max(1.0 - self.weights[0], 1e-300)) - np.log(max(self.weights[0], 1e-300)))
         tests = tested(search, nominal, self.best, float(self.weights[0]), p_none(search, odds), moved, self.false_alarm)
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
+        faulty = any(believed[c] >= IDENTIFIED for c in clocks) and not self.repair
         verdict = judged(search, tests, nominal, self.best, other, believed, faulty)
-        for c in clocks:
+        for c in clocks if faulty or self.repair else []:
             value, (kind, _, pattern) = self.best.values[c.addresses[0]], c.parameters[0].partition(" ")
             text = SAID[kind].format(
                 place=c.location, value=1e3 * value if c.unit == "s" else value, unit="ms" if c.unit == "s" else c.unit

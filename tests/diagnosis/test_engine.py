@@ -232,6 +232,15 @@ class TestGate:
         assert (finding["kind"], finding["channel"]) == ("sign", "sensors.y[2]")
         assert finding["text"] == "has the wrong sign: with the other one, gain @ sensor 2 explains the log"
 
+    def test_what_looks_like_a_fault_and_explains_nothing_is_kept(self, tmp_path: Path) -> None:
+        """9.8 times as much, and a third of that more whatever the sign: in no catalogue, and no kilogram-force."""
+        result = answer(tmp_path, changed(measure(), "sensors.y[2]", lambda t, y: 9.8 * y + 3.0 * np.abs(y))).result
+        assert result["verdict"] == "unknown"
+        (finding,) = (f for f in result["gate"]["findings"] if f["kind"] == "unit")
+        assert not finding["fatal"]
+        assert "newtons for kilogram-force" in finding["text"]
+        assert finding["text"].endswith("; without that, the log is explained no better: it is kept")
+
     def test_a_channel_that_rests_at_an_extreme_and_has_all_of_a_gap_that_nothing_explains_is_stopped(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robomill.diagnosis.experiment.observation import observe
-from robomill.diagnosis.gate.log_faults import FACTORS, judged
+from robomill.diagnosis.gate.log_faults import FACTORS, judged, undone
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import ROUNDOFF
 
@@ -129,3 +129,25 @@ class TestObserved:
     def test_a_pattern_that_selects_too_many_is_refused(self) -> None:
         with pytest.raises(ValueError, match=r"'swap a\.f' of the log selects 3 channels; expected 2: give a pattern that selects these"):
             self.seen("swap a.f", 1.0)
+
+
+class TestUndone:
+    @pytest.mark.parametrize(
+        ("kind", "matrix"),
+        [
+            ("sign", np.diag([-1.0, 1.0, 1.0])),
+            ("unit", np.diag([1e3, 1.0, 1.0])),
+            ("axes", np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
+            ("rotation", np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])),
+        ],
+    )
+    def test_what_is_undone_is_as_it_was(self, kind: str, matrix: FloatArray) -> None:
+        true = VECTOR + 1e-3 * np.cos(10.0 * np.pi * T)[:, None]
+        logged = true @ matrix
+        found = judged(logged, VECTOR, NAMES, np.full(3, 1e-9))
+        assert {f.kind for f in found} == {kind}
+        # a turn is fitted to the simulation, of which the log is off by 1e-3; the others are exact
+        np.testing.assert_allclose(undone(found, logged, VECTOR, NAMES), true, rtol=0.0, atol=1e-3 if kind == "rotation" else ROUNDOFF)
+
+    def test_what_has_no_fault_stays(self) -> None:
+        np.testing.assert_array_equal(undone([], VECTOR, VECTOR, NAMES), VECTOR)
