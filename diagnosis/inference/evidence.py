@@ -183,7 +183,7 @@ def gather(
     there = [laboratory.there(name)[active] for name in conditions]
     independent = [laboratory.independent(name) for name in conditions]
     if like is None:
-        over = _left_by_all(over, groups, means, changes, independent)
+        over = _left_by_all(over, changes, independent)
     w = _whitening(groups, nominals, changes, begin, over, there, independent) if like is None else like.whitening
     ws = [w.of(apart) for apart in independent]
     # the mean of so many simulations scatters too
@@ -279,14 +279,8 @@ def _discrepancy(
     return np.asarray(DISCREPANCY * np.sqrt((np.bincount(arrays, square) / np.bincount(arrays))[arrays]))
 
 
-def _left_by_all(
-    left: Sequence[Sequence[FloatArray]],
-    groups: Sequence[Sequence[FloatArray]],
-    means: Sequence[FloatArray],
-    changes: Changes,
-    independent: Sequence[bool],
-) -> list[Sequence[FloatArray]]:
-    """What is left of each run [samples, channels]; of independent samples what least squares leave with all parameters together.
+def _left_by_all(left: Sequence[Sequence[FloatArray]], changes: Changes, independent: Sequence[bool]) -> list[Sequence[FloatArray]]:
+    """What is left of each run [samples, channels]; of independent samples what least squares leave of that with all parameters together.
 
     It is scaled to the variance of noise by its degrees of freedom, as the error variance of a linear regression is (Seber & Lee, Linear
     Regression Analysis, 2003, section 3.3). There is no time by which noise could be told from a gap. Where there are as many parameters as
@@ -296,7 +290,7 @@ def _left_by_all(
     here = [i for i, apart in enumerate(independent) if apart]
     if not here:
         return found
-    gaps = np.concatenate([np.mean(groups[i], axis=0) - means[i] for i in here])
+    gaps = np.concatenate([np.mean(left[i], axis=0) for i in here])
     size = np.sqrt((gaps**2).mean(axis=0)) + 1e-300
     columns = np.stack([(np.concatenate([change[i] for i in here]) / size).ravel() for change in changes.values()], axis=1)
     columns /= np.linalg.norm(columns, axis=0) + 1e-300
@@ -306,9 +300,9 @@ def _left_by_all(
     explained = (columns @ fitted).reshape(gaps.shape) * size
     start = 0
     for i in here:
-        part = explained[start : start + len(means[i])]
-        start += len(means[i])
-        found[i] = [(x - means[i] - part) * math.sqrt(len(columns) / (len(columns) - rank)) for x in groups[i]]
+        part = explained[start : start + len(left[i][0])]
+        start += len(part)
+        found[i] = [(x - part) * math.sqrt(len(columns) / (len(columns) - rank)) for x in left[i]]
     return found
 
 

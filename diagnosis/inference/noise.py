@@ -48,7 +48,7 @@ class Whitening:
     """Samples at the beginning of each run that do not count."""
 
     def of(self, independent: bool) -> Whitening:
-        """This one; for samples that are `independent` of each other without memory and beginning: every sample counts."""
+        """The whitening of a condition: where its samples are `independent` of each other, it has no memory, and every sample counts."""
         return replace(self, coefficients=self.coefficients[:, :0], begin=0) if independent else self
 
     def apply(
@@ -92,8 +92,8 @@ def whitening(
 
     The first `begin` samples of a run do not count, nor the first ORDER ones: what comes before these is not known. Without repeats the
     noise is the fast part of what a model leaves of each run (`left`; `groups` are that, if it is not given). `there`: which channels each
-    condition has, [channels]; one that no condition with repeats has is guessed, the others are not. `independent`: of which conditions each
-    sample is a measurement of its own; without repeats all that is left there is noise, and it has no memory.
+    condition has, [channels]; one that no condition with repeats has is guessed, the others are not. `independent`: of which conditions
+    each sample is a measurement of its own; without repeats all that is left there is noise, and it has no memory.
     """
     channels = len(floor)
     there = there or [np.ones(channels, dtype=np.bool_)] * len(groups)

@@ -354,11 +354,13 @@ def searched(
     """A search and the models that it has fitted, the nominal one first.
 
     Where nothing was repeated, noise is what the best model leaves: guessed from what the nominal one leaves, and again from what is left
-    of the best one, until that is the same model. What is measured itself says nothing of noise: it moves.
+    of the best one, until that is the same model. What is measured itself says nothing of noise: it moves. What all candidates together
+    leave of independent samples does not depend on the best model: it is not guessed again.
     """
     search = Search(catalogue, simulator, groups, nuisances)
     fits = search.run()
-    for _ in range(GUESSES if search.evidence.whitening.guessed and not all(search.evidence.independent) else 0):
+    evidence = search.evidence
+    for _ in range(GUESSES if evidence.whitening.guessed and not all(evidence.independent) else 0):
         best = max(fits, key=_evidence)
         simulated = simulator.repeated(range(len(groups)), setting(best.values), POLISH, "noise")
         if any(s is None for s in simulated):
