@@ -456,7 +456,7 @@ class TestIndependentSamples:
         expected = repeats * float((shape**2).sum()) / (self.NOISE**2 + TRUST**2)
         freedom = ROWS * max(repeats - 1, 1)
         assert float(found.space.dot(found.sensitivities[P], found.sensitivities[P])) == pytest.approx(
-            expected, rel=chance(of_variance(freedom), 1.0 / freedom)
+            expected, rel=chance(of_variance(freedom))
         )
 
     def test_their_order_says_nothing(self) -> None:

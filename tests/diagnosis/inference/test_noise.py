@@ -261,7 +261,7 @@ class TestChannelsThatAConditionLacks:
 def test_the_memory_of_noise_is_that_of_the_time_series_beside_independent_samples() -> None:
     """With the independent ones it would be less by the root of two."""
     rng = np.random.default_rng(12)
-    series = [autoregressive(rng, (0.8,))[:, None] for _ in range(REPEATS)]
+    series = [autoregressive(rng, 0.8)[:, None] for _ in range(REPEATS)]
     apart = [rng.normal(size=(ROWS, 1)) for _ in range(REPEATS)]
     both = whitening([series, apart], np.zeros(1), independent=[False, True])
     alone = whitening([series], np.zeros(1))
