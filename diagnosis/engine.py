@@ -136,7 +136,11 @@ def diagnose_campaign(
         conclusion = Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, false_alarm)
         answer, adopted = conclusion.answer()
         if answer.verdict in ("identified", "ambiguous", "unknown"):
-            answer = replace(answer, onset=onset_of(search))
+            onset = onset_of(search)
+            named = {(c.effect, c.location) for c in conclusion.best.model}
+            # of another effect than those that are named it is what these do to the residual of the nominal system
+            if onset is not None and (answer.verdict == "unknown" or (onset.effect, onset.location) in named):
+                answer = replace(answer, onset=onset)
         if answer.verdict == "unknown" or form:
             answer = replace(answer, form=discovered(search, groups, suspects(answer, laboratory), conclusion.titles, left_in(answer)))
         answer = replace(answer, effort=effort_of(began, simulator), skipped=tuple(skipped))

@@ -42,8 +42,6 @@ SPIKE = 30.0
 """Times the usual change from sample to sample by which a single sample is away from both of its neighbours."""
 USUAL = 95
 """Percentile of the changes from sample to sample that is usual: that of a motion, if it lasts for a twentieth of a run."""
-FLAT = 1e-12
-"""Unit of the channel: least usual change, so that nothing is divided by zero where a channel rests."""
 AGAIN = 0.25
 """Part of a jump that another repeat must have at the same time, for it to be the machine's and not the log's."""
 FEW_SPIKES = 3
@@ -178,7 +176,7 @@ def _jumps(t: FloatArray, x: FloatArray) -> FloatArray:
     if len(x) <= 1:
         return np.zeros((2, 0))
     before, after = x[1:-1] - x[:-2], x[1:-1] - x[2:]
-    usual = max(float(np.percentile(np.abs(np.diff(x)), USUAL)), FLAT)
+    usual = max(float(np.percentile(np.abs(np.diff(x)), USUAL)), UNMOVED)
     away = np.where(np.sign(before) == np.sign(after), np.minimum(np.abs(before), np.abs(after)), 0.0)
     return np.stack([t[1:-1], away / usual])
 

@@ -15,7 +15,7 @@ from robomill.orchestration.slaves.protocol import FloatArray
 LEVEL, SPREAD = 1.5, 0.9
 """Level [1] that a right model leaves (`outcome.verdict.over_noise`), and its standard deviation. Fitted to eleven machines without effects
 that were recorded two or three times: up to 1.3 of the first generator, 1.0 to 3.3 of the second."""
-TOGETHER = 0.6
+COHERENT = 0.6
 """Part that counts of what all candidates together explain beyond noise (`Search.explainable`) [1]: what two formulations leave is more like
 effects than noise is. Fitted to the same machines: up to 5.4, where the level is up to 3.3."""
 MISFIT = 0.05

@@ -8,7 +8,7 @@ import numpy as np
 
 from robomill.diagnosis.catalogue import LOGGING, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
-from robomill.diagnosis.inference.adequacy import TOGETHER
+from robomill.diagnosis.inference.adequacy import COHERENT
 from robomill.diagnosis.inference.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
 from robomill.diagnosis.inference.evidence import dependence
 from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Sensitivities, per_scale
@@ -67,15 +67,15 @@ class Search:
     def explainable(self, left: FloatArray) -> float:
         """chi2 that all candidates together explain of a residual [n], over what they explain of noise: the trace of the smoother.
 
-        Beyond 1, TOGETHER of it counts. Each has a normal prior of its own scale. After a right model nothing is left that others could explain; after the nearest thing in
-        a catalogue to something else there is.
+        Beyond 1, COHERENT of it counts. Each has a normal prior of its own scale. After a right model nothing is left that others could
+        explain; after the nearest thing in a catalogue to something else there is.
         """
         columns = [per_scale(self.evidence, self.starts, a) for a in dict.fromkeys(a for c in self.candidates for a in c.addresses)]
         space = self.evidence.space
         gram = space.within(space.gram(np.column_stack([*columns, left])), range(len(columns) + 1))
         inverse = np.linalg.inv(gram[:-1, :-1] + np.eye(len(columns)))
         freedom = float(np.trace(inverse @ gram[:-1, :-1]))
-        return 1.0 + TOGETHER * (float(gram[:-1, -1] @ inverse @ gram[:-1, -1]) / max(freedom, 1.0) / self.evidence.guess - 1.0)
+        return 1.0 + COHERENT * (float(gram[:-1, -1] @ inverse @ gram[:-1, -1]) / max(freedom, 1.0) / self.evidence.guess - 1.0)
 
     def linear_fits(self, bases: Sequence[Fit]) -> list[Fit]:
         """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion: s + (ds/dx) (x - best) + v x'.
@@ -220,11 +220,10 @@ class Search:
         return [self.sharpen(f) if k < SHARPENED and f.chi2 > ROUGH * noise else f for k, f in enumerate(best)]
 
     def run(self) -> list[Fit]:
-        """All models that were fitted on real simulations, the nominal one first; `linear_singles` are all singles by sensitivities."""
+        """All models that were fitted on real simulations, the nominal one first."""
         space = self.evidence.space
         fits = [self.nominal()]
         singles = sorted(self.linear_fits(fits), key=_evidence, reverse=True)
-        self.linear_singles = singles
         gain = space.chi2 - min((f.chi2 for f in singles), default=space.chi2)
         chosen = _first([f for f in singles if space.chi2 - f.chi2 > WORTH * gain], SINGLES) or _first(singles, SINGLES)
         chosen += [f for f in singles if f not in chosen and self._hidden(f)]

@@ -27,9 +27,9 @@ Verdict = Literal["none", "identified", "ambiguous", "unknown", "bad_log"]
 
 FALSE_ALARM = 0.02
 """Probability [1] of an effect on a machine that has none, where the user asks for no other (DIAGNOSIS: at most 2 % of the nulls)."""
-UNLISTED = 0.25
+UNLISTED = 0.4
 """Probability [1] before the data that what is wrong is in no catalogue (judgement): more than 1 - IDENTIFIED, so that no answer is given
-as the only one where the data say nothing of whether it is right."""
+as the only one where the data say nothing of whether it is right, and less than a half, so that it is given as one of several."""
 UNKNOWN = LEVEL + 3.0 * SPREAD
 """Level [1] from which there is a gap even if no candidate explains any of it (`over_noise`): LEVEL and three times SPREAD."""
 IDENTIFIED = 0.8
@@ -75,7 +75,7 @@ def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: floa
     """The tests of an answer; `nothing`: probability of the nominal model by the diagnosed runs, `moved`: new conditions."""
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
     kinds = max(len({c.effect for c in best.model}), 1)  # several that are listed, against one that is not
-    fits = kinds * math.log(1.0 - UNLISTED) + (kinds - 1) * math.log(ANOTHER) - math.log(UNLISTED)
+    fits = math.log(1.0 - UNLISTED) - math.log(UNLISTED) + (kinds - 1) * math.log(ANOTHER)
     seen = sorted(zip(looks(search, nominal), looks(search, best), strict=True))
     other, larger = (left_by(before, after, misfit(best.model)) for before, after in seen)
     fits += larger + min(other, 0.0)  # where the gap is larger it is seen whether it closes; the other look may refute that

@@ -251,6 +251,14 @@ def rank() -> float:
     return machines.p_none(of, math.inf)
 
 
+def explainable() -> float:
+    """Of a candidate that explains 100 times what it explains of noise."""
+    a, whitening = EFFECT.addresses[0], SimpleNamespace(guessed=False)
+    seen = SimpleNamespace(space=NOTHING_SEEN, sensitivities={a: np.full(1, 10.0)}, whitening=whitening)
+    of: Any = SimpleNamespace(candidates=(EFFECT,), starts={}, evidence=seen)
+    return search.Search.explainable(of, np.full(1, math.sqrt(101.0)))
+
+
 def fits(before: float, after: float, *model: Candidate) -> float:
     return verdict.tested(AROUND_NOISE, fitted(before), fitted(after, *model), 0.0, 0.0, None, 0.02).p_fit
 
@@ -264,19 +272,20 @@ NOTICED: list[tuple[Any, str, float, Callable[[], Any], Any, Any]] = [
     (priors, "NOTHING", 2.0, lambda: math.exp(priors.log_priors([()], (EFFECT,))[0]), 0.3, 0.6),
     # a probability that cannot be doubled: twice the odds
     (priors, "ANOTHER", 4 / 3, lambda: math.exp(priors.log_priors([(EFFECT,)], (EFFECT,))[0]), 0.7 * 0.25, 0.7 / 9.0),
-    (adequacy, "LEVEL", 2.0, lambda: adequacy.unexplained(11.0, 3.0), 0.2, 1.0 / 9.0),
-    (adequacy, "SPREAD", 2.0, lambda: adequacy.left_by(9.0, 2.9, 0.05) > 0.0, False, True),
+    (adequacy, "LEVEL", 2.0, lambda: adequacy.unexplained(11.0, 4.0), 2.5 / 9.5, 1.0 / 8.0),
+    (adequacy, "SPREAD", 2.0, lambda: adequacy.left_by(9.0, 3.6, 0.05) > 0.0, False, True),
+    (search, "COHERENT", 2.0, explainable, 1.0 + 0.6 * 99.0, 1.0 + 1.2 * 99.0),
     (adequacy, "MISFIT", 2.0, lambda: adequacy.misfit((EFFECT,)), 0.05, 0.1),
-    (adequacy, "MISFIT", 2.0, lambda: fits(50.0, 15.0, EFFECT) > 0.5, False, True),
+    (adequacy, "MISFIT", 2.0, lambda: fits(50.0, 12.0, EFFECT) > 0.5, False, True),
     (adequacy, "EXACT", 2.0, lambda: adequacy.misfit((EFFECT, CLOCK)), 0.005, 0.01),
-    (adequacy, "EXACT", 2.0, lambda: fits(50.0, 4.2, CLOCK) > 0.5, False, True),
-    (evidence, "DISCREPANCY", 2.0, discrepancy, 0.8, 1.6),
+    (adequacy, "EXACT", 2.0, lambda: fits(50.0, 4.5, CLOCK) > 0.5, False, True),
+    (evidence, "DISCREPANCY", 2.0, discrepancy, 0.4, 0.8),
     (evidence, "FORM", 2.0, form, 4.0, 8.0),
     (repeats, "MOST_CHANNELS", 2.0, stopped, True, False),
     (machines, "MACHINES", 2, rank, 1.0 / 2001.0, 1.0 / 4001.0),
     (transfer, "KEEPS", 2.0, lambda: transfer.Transfer(5.0, 1.1, 1.0, 1.0, 0.0, 0.8, 0.1).promise > 0.0, False, True),
-    (verdict, "UNLISTED", 2.0, lambda: fits(1.0, 1.0, EFFECT) > 0.7, True, False),
-    (verdict, "UNKNOWN", 2.0, lambda: judged(4.0, 0.9, 0.5), "unknown", "none"),
+    (verdict, "UNLISTED", 2.0, lambda: fits(1.0, 1.0, EFFECT) > 0.5, True, False),
+    (verdict, "UNKNOWN", 2.0, lambda: judged(6.0, 0.9, 0.5), "unknown", "none"),
     (verdict, "IDENTIFIED", 1.2, lambda: judged(9.0, 0.9, 0.001), "identified", "ambiguous"),
 ]
 """Module, constant, times what, what depends on it, before and after."""

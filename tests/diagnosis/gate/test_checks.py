@@ -87,9 +87,9 @@ class TestSpikes:
         moving = np.where(np.arange(1000) < 80, np.arange(1000.0), 80.0)
         assert spikes(np.where(np.arange(1000) == 40, moving + 20.0, moving)) == []  # USUAL
 
-    @pytest.mark.parametrize(("size", "count"), [(20e-12, 0), (45e-12, 1)])
+    @pytest.mark.parametrize(("size", "count"), [(20e-9, 0), (45e-9, 1)])
     def test_what_a_channel_at_rest_does_is_over_round_off(self, size: float, count: int) -> None:
-        assert len(spikes(np.where(np.arange(1000) == 40, size, 0.0))) == count  # FLAT
+        assert len(spikes(np.where(np.arange(1000) == 40, size, 0.0))) == count  # UNMOVED
 
     def test_one_sample_is_no_spike(self) -> None:
         assert spikes(np.ones(1)) == []

@@ -29,6 +29,7 @@ N = 60
 @pytest.fixture(autouse=True)
 def _alike(monkeypatch: pytest.MonkeyPatch) -> None:
     """Machines that all leave what noise and discrepancy do."""
+    monkeypatch.setattr(machines, "LEVEL", 1.0)
     monkeypatch.setattr(machines, "SPREAD", 0.0)
 
 

@@ -17,6 +17,8 @@ from robomill.diagnosis.catalogue import Address, Candidate, Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import sort_by_condition
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
+from robomill.diagnosis.inference import search as search_module
+from robomill.diagnosis.inference.adequacy import COHERENT
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.evidence import GUESSED
 from robomill.diagnosis.inference.search import FAULT, SUBSTANTIAL, Search
@@ -178,6 +180,18 @@ class TestExplainable:
 
     N, DRAWS = 400, 200
     ENTRIES = tuple(candidate(name) for name in "abc")
+
+    @pytest.fixture(autouse=True)
+    def _all_counts(self, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+        if "a_part_counts" not in request.node.name:
+            monkeypatch.setattr(search_module, "COHERENT", 1.0)
+
+    def test_of_what_is_beyond_noise_a_part_counts(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        of, does, _ = self.made(0.1)
+        counted = Search.explainable(of, 5.0 * does[:, 0])
+        monkeypatch.setattr(search_module, "COHERENT", 1.0)
+        whole = Search.explainable(of, 5.0 * does[:, 0])
+        assert counted - 1.0 == pytest.approx(COHERENT * (whole - 1.0), rel=1e2 * ROUNDOFF)
 
     def made(self, size: float, guessed: bool = False) -> tuple[Any, FloatArray, FloatArray]:
         """All that is asked of a search; what its candidates do, [n, 3]; the covariance of noise and nuisances."""

@@ -106,7 +106,7 @@ class TestPromise:
         assert Transfer(1.06, 1.03, -43.4, 114.1, 0.16, 0.1, 0.05).promise < 0.0
 
     def test_a_fault_of_the_log_leaves_nothing_there_either(self) -> None:
-        exact, effect = (Transfer(20.0, 2.0, 10.0, 10.0, 0.05, 1.0, 0.05, share) for share in (EXACT, MISFIT))
+        exact, effect = (Transfer(20.0, 4.0, 10.0, 10.0, 0.05, 1.0, 0.05, share) for share in (EXACT, MISFIT))
         assert exact.promise == effect.promise
         assert exact.worth < effect.worth
 
