@@ -26,7 +26,7 @@ from robomill.diagnosis.experiment.preparation import Prepared, prepared
 from robomill.diagnosis.experiment.simulation import Laboratory, Report, Simulator
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.gate import phases
-from robomill.diagnosis.inference.evidence import DEPENDENCE, Evidence
+from robomill.diagnosis.inference.evidence import DEPENDENCE, Evidence, dependence
 from robomill.diagnosis.inference.isolability import CONFUSABLE
 from robomill.diagnosis.inference.sensitivities import Sensitivities, changed
 from robomill.diagnosis.inference.visibility import SHOWS, Seen, Sight, settled
@@ -280,7 +280,9 @@ def _channels(
         for array, members in arrays.items():
             extent = max(float(np.ptp(b[0][:, members], axis=0).max()) for b in nominals)
             if extent > 0.0:
-                weights = [math.sqrt(len(g) / DEPENDENCE) / (noise * extent) for g in groups]
+                weights = [
+                    math.sqrt(len(g) / dependence(apart)) / (noise * extent) for g, apart in zip(groups, evidence.independent, strict=True)
+                ]
                 helps.append(Help(array, _apart(s, changes, members, weights)))
         found[s.candidate] = sorted((h for h in helps if h.distance >= _limit(s)), key=lambda h: -h.distance)[:3]
     return found

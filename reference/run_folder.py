@@ -61,6 +61,8 @@ class RunKeys(Keys):
         {}, keys.anything("table of `component.parameter = value`"), "all parameters, or those that the experimenter knows"
     )
     inputs = default({}, keys.anything("table of `component.input = value`"), "start values of inputs (simulated)")
-    labels = default({}, keys.anything("table of `name = value`"), "condition, repeat, held_out, tier, kind and whatever else was given")
+    labels = default(
+        {}, keys.anything("table of `name = value`"), "condition, repeat, held_out, tier, kind, samples and whatever else was given"
+    )
     clock = required(keys.table(ClockKeys), "the time of the rows")
     columns = required(keys.tables(ColumnKeys, '"component.port"'), "the columns, in order")

@@ -22,6 +22,8 @@ from robomill.orchestration.system.parameters import Convert
 ON_TIME, ALL_APART = 0.05, 0.25
 """Parts of a communication step by which all but one in twenty of the stamps of a log may be apart from evenly spaced ones, and all of them
 together from the communication points: it was sampled at these points, whatever a late stamp says."""
+INDEPENDENT = "independent"
+"""Value of the label `samples`: each sample is a measurement of its own, as a static load is, and no point of a time series."""
 LEAST_STEPS = 20
 """Communication steps that the repeats of a condition have in common at least (judgement): fewer say nothing of motion or noise."""
 
@@ -48,6 +50,9 @@ class Condition:
     """Parameters of its system, elements and whole arrays. None: all of the components that it has."""
     nominal: Mapping[Address, float] | None = None
     """Values of parameters that changes are added to, where its system has others than the one that is diagnosed."""
+
+    independent: bool = False
+    """Whether each sample is a measurement of its own (label `samples`): the order of the samples says nothing."""
 
     def has(self, channel: str) -> bool:
         """Whether a channel says anything here."""
@@ -96,7 +101,10 @@ def in_units(run: Run, ports: Mapping[str, PortData], convert: Convert) -> Run:
 
 
 def sort_by_condition(runs: Sequence[Run], system: System, held_out: bool = False) -> list[Condition]:
-    """Conditions in the order in which they come, named by the label `condition` (or condition 1, 2, ...)."""
+    """Conditions in the order in which they come, named by the label `condition` (or condition 1, 2, ...).
+
+    DataError where the runs of a condition do not agree in the label `samples`, or it is not INDEPENDENT.
+    """
     groups: dict[str, list[Run]] = {}
     own = any(c.source == MEASURED for c in system.components)  # each run is driven by its own signals
     for run in runs:
@@ -110,8 +118,28 @@ def sort_by_condition(runs: Sequence[Run], system: System, held_out: bool = Fals
         name = str(members[0].info.get("labels", {}).get("condition", "")) or f"condition {i + 1}"
         if any(c.name == name for c in made):
             name = f"{name} ({i + 1})"
-        made.append(Condition(name, known_parameters(members[0], system), tuple(members), common_grid(members, system.step), held_out))
+        known = known_parameters(members[0], system)
+        grid = common_grid(members, system.step)
+        made.append(Condition(name, known, tuple(members), grid, held_out, independent=_independent(name, members)))
     return made
+
+
+def _independent(name: str, runs: Sequence[Run]) -> bool:
+    """Whether the label `samples` of all runs of a condition says that each sample is a measurement of its own."""
+    said = [run.info.get("labels", {}).get("samples") for run in runs]
+    for run, value in zip(runs, said, strict=True):
+        if value not in (None, INDEPENDENT):
+            raise DataError(
+                f'{run.folder}: label samples is {value!r}; expected "{INDEPENDENT}", where each sample is a measurement of its own'
+                "; leave the label out for a time series"
+            )
+    if len(set(said)) > 1:
+        series, alone = (next(r.folder for r, value in zip(runs, said, strict=True) if value == wanted) for wanted in (None, INDEPENDENT))
+        raise DataError(
+            f'condition {name!r}: {alone} has the label samples = "{INDEPENDENT}", and {series} has no label samples; '
+            "give it to all runs of the condition or to none, or name two conditions"
+        )
+    return INDEPENDENT in said
 
 
 def driven(system: System, run: Run) -> System:

@@ -73,6 +73,10 @@ class Laboratory:
         condition = next(c for c in self.conditions if c.name == name)
         return np.array([condition.has(c) for c in self.channels])
 
+    def independent(self, name: str) -> bool:
+        """Whether each sample of the condition of that name is a measurement of its own."""
+        return next(c for c in self.conditions if c.name == name).independent
+
     def shown(self, index: int) -> list[int]:
         """Indices of the channels that say anything in condition `index`."""
         return [k for k, c in enumerate(self.channels) if self.conditions[index].has(c)]

@@ -6,8 +6,8 @@ differ by more than noise lets them, the runs are brought to phase zero with the
 by stays.
 
 With V the sensitivities of the two parts of the amplitude, the parts of run k are (V'WV)^-1 V'W (x_k - mean) plus those of the mean, W
-one over the variance of the noise per channel; the evidence that they differ is that of parts ~ N(0, 1) against none, DEPENDENCE samples
-counted as one.
+one over the variance of the noise per channel; the evidence that they differ is that of parts ~ N(0, 1) against none, samples
+counted by `dependence`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from robomill.diagnosis.catalogue import Candidate
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import Laboratory, setting
 from robomill.diagnosis.gate.checks import Finding
-from robomill.diagnosis.inference.evidence import DEPENDENCE, TRUST
+from robomill.diagnosis.inference.evidence import TRUST, dependence
 from robomill.orchestration.slaves.protocol import FloatArray
 
 DIFFERENT_PHASES = 12.0
@@ -81,7 +81,7 @@ def _turned(laboratory: Laboratory, i: int, c: Candidate) -> _Turned | None:
         sensitivities = np.stack([(x - nominal) / size for x in changes if x is not None], axis=-1)
         if sensitivities.shape[-1:] != (2,) or not np.any(sensitivities):
             return None
-        parts, gain = _parts(stack - mean, mean - nominal, sensitivities)
+        parts, gain = _parts(stack - mean, mean - nominal, sensitivities, dependence(condition.independent))
         turned = _Turned(parts, sensitivities, gain)
         if len(stack) > 1 and gain < 0.0:
             break  # nothing differs, whatever its size is
@@ -89,11 +89,11 @@ def _turned(laboratory: Laboratory, i: int, c: Candidate) -> _Turned | None:
     return turned
 
 
-def _parts(deviations: FloatArray, gap: FloatArray, sensitivities: FloatArray) -> tuple[FloatArray, float]:
+def _parts(deviations: FloatArray, gap: FloatArray, sensitivities: FloatArray, worth_one: float) -> tuple[FloatArray, float]:
     """Parts of each run along the sensitivities, [runs, 2], and the evidence [nats] that they differ.
 
     `deviations` from the mean run [runs, samples, channels]; `gap`: mean less nominal [samples, channels]; `sensitivities`
-    [samples, channels, 2].
+    [samples, channels, 2]; `worth_one`: samples that are worth one.
     """
     floor = (TRUST * np.sqrt((sensitivities**2).mean(axis=0).sum(axis=-1))) ** 2
     moves = floor > 0.0
@@ -107,8 +107,8 @@ def _parts(deviations: FloatArray, gap: FloatArray, sensitivities: FloatArray) -
         left = d - np.einsum("tcp,kp->ktc", a, own)
         variance = (left**2).sum(axis=(0, 1)) / (freedom * d.shape[1]) + floor[moves]
     common = np.linalg.solve(gram, np.einsum("tcp,tc,c->p", a, gap[:, moves], 1.0 / variance))
-    gain = 0.5 * float(np.einsum("kp,pq,kq->", own, gram, own)) / DEPENDENCE
-    return common + own, gain - 0.5 * (len(d) - 1) * float(np.linalg.slogdet(np.eye(2) + gram / DEPENDENCE)[1])
+    gain = 0.5 * float(np.einsum("kp,pq,kq->", own, gram, own)) / worth_one
+    return common + own, gain - 0.5 * (len(d) - 1) * float(np.linalg.slogdet(np.eye(2) + gram / worth_one)[1])
 
 
 def _brought(condition: Condition, turned: _Turned, channels: Sequence[str]) -> Condition:

@@ -65,7 +65,7 @@ class Evidence:
     sensitivities: dict[Address, FloatArray]
     """ds/dx: whitened change per prior scale, [n], for each parameter that changes anything."""
     repeats: list[float]
-    """Repeats that the mean residual is worth, the scatter of the simulated mean and DEPENDENCE included."""
+    """Repeats that the mean residual is worth, the scatter of the simulated mean and the dependence of the samples included."""
     expected: FloatArray
     """chi2 that noise alone leaves in each sample of y, [n]: by channel and condition, from repeats and from simulations."""
     allowed: FloatArray
@@ -82,11 +82,18 @@ class Evidence:
     """Which of the active channels a condition has: those that it lacks are zero in all that is whitened, and say nothing."""
     halves: list[tuple[FloatArray, FloatArray]]
     """What two independent means of nominal simulations are away from the mean of all, whitened."""
+    independent: list[bool]
+    """Whether each sample of a condition is a measurement of its own."""
+
+    @property
+    def guess(self) -> float:
+        """chi2 of noise over that of the part of it that is known: GUESSED where that is the fast part of a time series, 1 else."""
+        return GUESSED if self.whitening.guessed and not all(self.independent) else 1.0
 
     @property
     def noise(self) -> float:
-        """chi2 that noise alone leaves. Where nothing was repeated only its fast part is known: all of it counts as GUESSED times that."""
-        return float(self.expected.sum()) * (GUESSED if self.whitening.guessed else 1.0)
+        """chi2 that noise alone leaves, `guess` included."""
+        return float(self.expected.sum()) * self.guess
 
     def level(self, left: FloatArray) -> float:
         """chi2 that is left of a residual [n], nuisances fitted, over what noise and discrepancy leave: that of the worst array."""
@@ -96,7 +103,7 @@ class Evidence:
             here = self.arrays == array
             chi2, allowed = (float(x.reshape(-1, len(here))[:, here].sum()) for x in (rest, self.allowed))
             worst = max(worst, chi2 / allowed if allowed > 0.0 else 0.0)
-        return worst / (GUESSED if self.whitening.guessed else 1.0)
+        return worst / self.guess
 
     def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
         """Whitened change [n] of simulations of all conditions, [samples, all channels] each, against the nominal ones.
@@ -133,11 +140,16 @@ class Evidence:
 
     def _white(self, results: Sequence[FloatArray | None], base: Sequence[FloatArray]) -> FloatArray | None:
         parts = []
-        for r, b, n, s, on in zip(results, base, self.repeats, self.sudden, self.there, strict=True):
+        for r, b, n, s, on, apart in zip(results, base, self.repeats, self.sudden, self.there, self.independent, strict=True):
             if r is None:
                 return None
-            parts.append(self.whitening.apply(r[:, self.active] - b, n, s, on))
+            parts.append(self.whitening.of(apart).apply(r[:, self.active] - b, n, s, on))
         return np.concatenate(parts)
+
+
+def dependence(independent: bool) -> float:
+    """Samples of a condition that are worth one: DEPENDENCE in a time series, 1 where each is a measurement of its own."""
+    return 1.0 if independent else DEPENDENCE
 
 
 def gather(
@@ -169,27 +181,30 @@ def gather(
     means = [np.asarray(np.mean(group, axis=0)) for group in nominals]
     over = [[x[:, active] for x in g] for g in left] or [[x - m for x in g] for g, m in zip(groups, means, strict=True)]
     there = [laboratory.there(name)[active] for name in conditions]
-    w = _whitening(groups, nominals, changes, begin, over, there) if like is None else like.whitening
+    independent = [laboratory.independent(name) for name in conditions]
+    if like is None:
+        over = _left_by_all(over, changes, independent)
+    w = _whitening(groups, nominals, changes, begin, over, there, independent) if like is None else like.whitening
+    ws = [w.of(apart) for apart in independent]
     # the mean of so many simulations scatters too
     counts = [len(g) * len(m) / (len(g) + len(m)) if len(m) > 1 else float(len(g)) for g, m in zip(groups, nominals, strict=True)]
-    # change of each channel in a communication step
-    rates = [np.gradient(m, axis=0) / laboratory.decimation for m in means]
+    # change of each channel in a communication step; measurements of their own are neither late nor sudden
+    rates = [np.gradient(m, axis=0) / laboratory.decimation * (not apart) for m, apart in zip(means, independent, strict=True)]
     span = max(1, round(AROUND / laboratory.decimation))
+    bends = [_bend(m, span) * (not apart) for m, apart in zip(means, independent, strict=True)]
     arrays = np.unique([base_name(c) for c, on in zip(laboratory.channels, active, strict=True) if on], return_inverse=True)[1]
     size = _discrepancy(changes, sizes, tolerances, arrays)
     doubt = [np.sqrt(n) * size * np.ones_like(m) for m, n in zip(means, counts, strict=True)]
-    sudden = [
-        np.hypot(SUDDEN / laboratory.decimation * _bend(m, span) * np.sqrt(n), d) for m, n, d in zip(means, counts, doubt, strict=True)
-    ]
-    residuals = [[w.apply(x - m, 1.0, s, on) for x in g] for g, m, s, on in zip(groups, means, sudden, there, strict=True)]
+    sudden = [np.hypot(SUDDEN / laboratory.decimation * bend * np.sqrt(n), d) for bend, n, d in zip(bends, counts, doubt, strict=True)]
+    residuals = [[w.apply(x - m, 1.0, s, on) for x in g] for w, g, m, s, on in zip(ws, groups, means, sudden, there, strict=True)]
     halves = [
         (w.apply(np.mean(g[::2], axis=0) - m, 1.0, s, on), w.apply(np.mean(g[1::2] or g, axis=0) - m, 1.0, s, on))
-        for g, m, s, on in zip(nominals, means, sudden, there, strict=True)
+        for w, g, m, s, on in zip(ws, nominals, means, sudden, there, strict=True)
     ]
-    counts = [n / DEPENDENCE for n in counts]
+    counts = [n / dependence(apart) for n, apart in zip(counts, independent, strict=True)]
 
     def white(change: Sequence[FloatArray]) -> FloatArray:
-        return np.concatenate([w.apply(c, n, s, on) for c, n, s, on in zip(change, counts, sudden, there, strict=True)])
+        return np.concatenate([w.apply(c, n, s, on) for w, c, n, s, on in zip(ws, change, counts, sudden, there, strict=True)])
 
     y = np.concatenate([np.sqrt(n) * np.mean(r, axis=0) for n, r in zip(counts, residuals, strict=True)])
     blocks, start = {}, 0
@@ -205,21 +220,23 @@ def gather(
         nuisances[LOGGING, f"lag {component}.*"] = white([-LATENESS * rate * here for rate in rates])
     # of a single run, the whitened fast part says how much of the noise is floor, which is not seen
     alone = [
-        _variance([w.apply(fast(x), 1.0, s, on) for x in g], len(names)) if w.guessed else 1.0 * on
-        for g, s, on in zip(over, sudden, there, strict=True)
+        _variance([w.apply(x if apart else fast(x), 1.0, s, on) for x in g], len(names)) if w.guessed else 1.0 * on
+        for w, g, s, on, apart in zip(ws, over, sudden, there, independent, strict=True)
     ]
     scatter = np.sum(alone, axis=0) / np.maximum(np.sum(there, axis=0), 1)
     spell = max(1, round(SPELL / laboratory.decimation))
     own, expected, allowed = [], np.zeros(y.size), np.zeros(y.size)
     for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
-        simulated = [w.apply(x - means[i], 1.0, sudden[i], there[i]) for x in nominals[i]]
+        simulated = [ws[i].apply(x - means[i], 1.0, sudden[i], there[i]) for x in nominals[i]]
         single = alone[i] if like is None else like.scatter * there[i]
         level = counts[i] * (
             (_scatter(group, len(names)) if len(group) > 1 else single) + (_scatter(simulated, len(names)) if len(simulated) > 1 else 0.0)
         )
         seen = (doubt[i] / np.hypot(sudden[i], np.sqrt((w.factor**2).sum(axis=1)))) ** 2  # part of a whitened sample that is discrepancy
         expected[block].reshape(-1, len(names))[:] = level
-        allowed[block].reshape(-1, len(names))[:] = level + seen.mean(axis=0) * there[i] / DEPENDENCE
+        allowed[block].reshape(-1, len(names))[:] = level + seen.mean(axis=0) * there[i] / dependence(independent[i])
+        if independent[i]:  # neither drifts nor spells
+            continue
         column = own_noise([group, simulated], len(names), spell)
         padded = np.zeros((y.size, column.shape[1]))
         padded[block] = column / np.sqrt(DEPENDENCE)
@@ -247,6 +264,7 @@ def gather(
         judged,
         there,
         halves,
+        independent,
     )
 
 
@@ -259,6 +277,33 @@ def _discrepancy(
         change = np.concatenate(list(changes[a]))
         square += (change**2).mean(axis=0) * (tolerances[a] / sizes[a]) ** 2
     return np.asarray(DISCREPANCY * np.sqrt((np.bincount(arrays, square) / np.bincount(arrays))[arrays]))
+
+
+def _left_by_all(left: Sequence[Sequence[FloatArray]], changes: Changes, independent: Sequence[bool]) -> list[Sequence[FloatArray]]:
+    """What is left of each run [samples, channels]; of independent samples what least squares leave of that with all parameters together.
+
+    It is scaled to the variance of noise by its degrees of freedom, as the error variance of a linear regression is (Seber & Lee, Linear
+    Regression Analysis, 2003, section 3.3). There is no time by which noise could be told from a gap. Where there are as many parameters as
+    samples, `left` stays as it is.
+    """
+    found = list(left)
+    here = [i for i, apart in enumerate(independent) if apart]
+    if not here:
+        return found
+    gaps = np.concatenate([np.mean(left[i], axis=0) for i in here])
+    size = np.sqrt((gaps**2).mean(axis=0)) + 1e-300
+    columns = np.stack([(np.concatenate([change[i] for i in here]) / size).ravel() for change in changes.values()], axis=1)
+    columns /= np.linalg.norm(columns, axis=0) + 1e-300
+    fitted, _, rank, _ = np.linalg.lstsq(columns, (gaps / size).ravel(), rcond=None)
+    if rank >= len(columns):
+        return found
+    explained = (columns @ fitted).reshape(gaps.shape) * size
+    start = 0
+    for i in here:
+        part = explained[start : start + len(left[i][0])]
+        start += len(part)
+        found[i] = [(x - part) * math.sqrt(len(columns) / (len(columns) - rank)) for x in left[i]]
+    return found
 
 
 def _late(space: Space, clocks: Sequence[Candidate], channels: Sequence[str], size: float) -> frozenset[Address]:
@@ -310,13 +355,14 @@ def _whitening(
     begin: int,
     left: Sequence[Sequence[FloatArray]],
     there: Sequence[npt.NDArray[np.bool_]],
+    independent: Sequence[bool],
 ) -> Whitening:
     """From the repeats, above a floor of TRUST of what effects of typical size do to a channel, over the conditions that have it."""
     samples = np.maximum(np.sum([len(n[0]) * on for n, on in zip(nominals, there, strict=True)], axis=0), 1)
     rms = np.array([np.sqrt(sum((c * c).sum(axis=0) for c in change) / samples) for change in changes.values()])
     floor = np.array([TRUST * np.median(r[r > 1e-3 * r.max()]) if r.max() > 0.0 else 0.0 for r in rms.T])
     least = 1e-9 + 1e-6 * np.abs(np.concatenate([n[0] for n in nominals])).max(axis=0)  # what numbers are not good for
-    return whitening(groups, np.maximum(floor, least), begin, left, there)
+    return whitening(groups, np.maximum(floor, least), begin, left, there, independent)
 
 
 def _scatter(group: Sequence[FloatArray], channels: int) -> FloatArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +47,10 @@ class Whitening:
     begin: int = ORDER
     """Samples at the beginning of each run that do not count."""
 
+    def of(self, independent: bool) -> Whitening:
+        """The whitening of a condition: where its samples are `independent` of each other, it has no memory, and every sample counts."""
+        return replace(self, coefficients=self.coefficients[:, :0], begin=0) if independent else self
+
     def apply(
         self,
         residual: FloatArray,
@@ -82,34 +86,44 @@ def whitening(
     begin: int = ORDER,
     left: Sequence[Sequence[FloatArray]] = (),
     there: Sequence[npt.NDArray[np.bool_]] = (),
+    independent: Sequence[bool] = (),
 ) -> Whitening:
     """The whitening from the repeats [samples, channels] of each condition; `floor` [unit] per channel is added as white noise.
 
     The first `begin` samples of a run do not count, nor the first ORDER ones: what comes before these is not known. Without repeats the
     noise is the fast part of what a model leaves of each run (`left`; `groups` are that, if it is not given). `there`: which channels each
-    condition has, [channels]; one that no condition with repeats has is guessed, the others are not.
+    condition has, [channels]; one that no condition with repeats has is guessed, the others are not. `independent`: of which conditions
+    each sample is a measurement of its own; without repeats all that is left there is noise, and it has no memory.
     """
     channels = len(floor)
     there = there or [np.ones(channels, dtype=np.bool_)] * len(groups)
+    independent = independent or [False] * len(groups)
     repeated = np.any([on & (len(g) > 1) for g, on in zip(groups, there, strict=True)], axis=0)
-    deviations, shown = [], []
-    freedom, total = np.zeros(channels), np.zeros(channels)
-    for group, rest, on in zip(groups, left or groups, there, strict=True):
+    deviations, shown, series = [], [], []
+    freedom, serial, total = np.zeros(channels), np.zeros(channels), np.zeros(channels)
+    for group, rest, on, apart in zip(groups, left or groups, there, independent, strict=True):
         if len(group) > 1:
             mean = np.mean(group, axis=0)
             deviations += [(x - mean) * on for x in group]
             shown += [on] * len(group)
+            series += [not apart] * len(group)
             freedom += (len(group) - 1) * len(mean) * on
+            serial += (len(group) - 1) * len(mean) * on * (not apart)
             total += len(group) * len(mean) * on
-        if guess := [fast(x) * (on & ~repeated) for x in rest if np.any(on & ~repeated)]:
+        if guess := [(x if apart else fast(x)) * (on & ~repeated) for x in rest if np.any(on & ~repeated)]:
             deviations += guess
             shown += [on & ~repeated] * len(guess)
+            series += [not apart] * len(guess)
             freedom += sum(len(x) for x in guess) * (on & ~repeated)
+            serial += sum(len(x) for x in guess) * (on & ~repeated) * (not apart)
             total += sum(len(x) for x in guess) * (on & ~repeated)
     freedom = np.maximum(freedom, 1.0)
     scale = np.sqrt(np.maximum(total, 1.0) / freedom)
-    covariance = np.array([sum((d[k:] * d[: len(d) - k]).sum(axis=0) for d in deviations) for k in range(ORDER + 1)]) / freedom
-    deviation = np.sqrt(covariance[0])
+    deviation = np.sqrt(sum((d * d).sum(axis=0) for d in deviations) / freedom)
+    covariance = np.zeros((ORDER + 1, channels))
+    for d in itertools.compress(deviations, series):
+        covariance += [(d[k:] * d[: len(d) - k]).sum(axis=0) for k in range(ORDER + 1)]
+    covariance /= np.maximum(serial, 1.0)
     # the fast part of white noise goes with itself: that is not the noise's own
     alone = np.zeros(8 * FAST)
     alone[4 * FAST] = 1.0
@@ -120,11 +134,11 @@ def whitening(
     for c in range(channels):
         coefficients[c] = solve_toeplitz(covariance[:ORDER, c] * _taper(ORDER), covariance[1:, c] * _taper(ORDER + 1)[1:])
     innovations = []
-    for d in deviations:
+    for d, memory in zip(deviations, series, strict=True):
         e = d.copy()
-        for k in range(ORDER):
+        for k in range(ORDER if memory else 0):
             e[k + 1 :] -= coefficients[:, k] * d[: -k - 1]
-        innovations.append(e[ORDER:])
+        innovations.append(e[ORDER if memory else 0 :])
     joined = np.concatenate(innovations)
     # of two channels, what those have in common that were measured together: a little less where one was measured more often
     rows = np.sqrt(np.maximum(np.sum([len(e) * on for e, on in zip(innovations, shown, strict=True)], axis=0), 1.0))

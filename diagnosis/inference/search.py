@@ -10,7 +10,7 @@ from robomill.diagnosis.catalogue import LOGGING, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
 from robomill.diagnosis.inference.adequacy import COHERENT
 from robomill.diagnosis.inference.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
-from robomill.diagnosis.inference.evidence import DEPENDENCE, GUESSED
+from robomill.diagnosis.inference.evidence import dependence
 from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Sensitivities, per_scale
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -75,8 +75,7 @@ class Search:
         gram = space.within(space.gram(np.column_stack([*columns, left])), range(len(columns) + 1))
         inverse = np.linalg.inv(gram[:-1, :-1] + np.eye(len(columns)))
         freedom = float(np.trace(inverse @ gram[:-1, :-1]))
-        guessed = GUESSED if self.evidence.whitening.guessed else 1.0
-        return 1.0 + COHERENT * (float(gram[:-1, -1] @ inverse @ gram[:-1, -1]) / max(freedom, 1.0) / guessed - 1.0)
+        return 1.0 + COHERENT * (float(gram[:-1, -1] @ inverse @ gram[:-1, -1]) / max(freedom, 1.0) / self.evidence.guess - 1.0)
 
     def linear_fits(self, bases: Sequence[Fit]) -> list[Fit]:
         """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion: s + (ds/dx) (x - best) + v x'.
@@ -336,13 +335,15 @@ class Search:
             explained = explained + space.without(list(fit.values)).explained(space.y - fit.signature)
         total, variance = 0.0, 0.0
         e = self.evidence
-        for (_, block), residuals, weight, (one, other) in zip(space.blocks.items(), e.residuals, e.repeats, e.halves, strict=True):
+        for block, residuals, weight, (one, other), apart in zip(
+            space.blocks.values(), e.residuals, e.repeats, e.halves, e.independent, strict=True
+        ):
             left = np.stack(residuals) - explained[block] / np.sqrt(weight)
             n, size = len(left), int(np.count_nonzero(e.expected[block]))  # of channels that are not measured there, nothing is expected
             a, b = left - one, left - other  # independent simulations on both sides: their scatter does not count as a gap
             products, same = float(a.sum(axis=0) @ b.sum(axis=0)), float((a * b).sum())
             total += (products - same) / (n * (n - 1)) if n > 1 else same - size
-            variance += 2.0 * size / (weight * DEPENDENCE) ** 2 if n > 1 else 2.0 * size
+            variance += 2.0 * size / (weight * dependence(apart)) ** 2 if n > 1 else 2.0 * size
         return total, float(np.sqrt(variance)) * 1.5
 
 
@@ -352,11 +353,13 @@ def searched(
     """A search and the models that it has fitted, the nominal one first.
 
     Where nothing was repeated, noise is what the best model leaves: guessed from what the nominal one leaves, and again from what is left
-    of the best one, until that is the same model. What is measured itself says nothing of noise: it moves.
+    of the best one, until that is the same model. What is measured itself says nothing of noise: it moves. What all candidates together
+    leave of independent samples does not depend on the best model: it is not guessed again.
     """
     search = Search(catalogue, simulator, groups, nuisances)
     fits = search.run()
-    for _ in range(GUESSES if search.evidence.whitening.guessed else 0):
+    evidence = search.evidence
+    for _ in range(GUESSES if evidence.whitening.guessed and not all(evidence.independent) else 0):
         best = max(fits, key=_evidence)
         simulated = simulator.repeated(range(len(groups)), setting(best.values), POLISH, "noise")
         if any(s is None for s in simulated):

@@ -190,7 +190,7 @@ class MappingKeys(Keys):
     labels = default(
         {},
         keys.named(keys.anything("text, number, true or false"), "label"),
-        "what the diagnosis asks for: condition, repeat, held_out, tier, kind",
+        'what the diagnosis asks for: condition, repeat, held_out, tier, kind; `samples = "independent"`: no time series',
     )
     parameters = default({}, keys.anything("table of `component.parameter = value`"), "what was set in the experiment, with units")
     signal = default([], keys.each(SignalKeys), "the ports; at least one")

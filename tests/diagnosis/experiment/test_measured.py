@@ -97,3 +97,34 @@ def test_a_jump_that_one_repeat_has_a_part_of_a_sample_later_is_jitter() -> None
     much = np.roll(jumped, 2)
     (finding,) = [f for f in beside([x[:, None] for x in (jumped, jumped, much, jumped)]) if f.fatal]
     assert (finding.kind, finding.channel) == ("repeat", CHANNEL)
+
+
+def labelled(run: Run, **labels: object) -> Run:
+    return replace(run, info={**run.info, "labels": {**run.info.get("labels", {}), **labels}})
+
+
+class TestSamplesThatAreMeasurementsOfTheirOwn:
+    def test_the_label_of_all_runs_says_so(self) -> None:
+        runs = measure(repeats=2)
+        (series,) = sort_by_condition(runs, SYSTEM)
+        (apart,) = sort_by_condition([labelled(r, samples="independent") for r in runs], SYSTEM)
+        assert (series.independent, apart.independent) == (False, True)
+
+    def test_runs_of_a_condition_that_do_not_agree_are_refused(self) -> None:
+        one, other = measure(repeats=2)
+        with pytest.raises(DataError) as error:
+            sort_by_condition([one, labelled(other, samples="independent")], SYSTEM)
+        name = sort_by_condition([one], SYSTEM)[0].name
+        assert str(error.value) == (
+            f'condition {name!r}: {other.folder} has the label samples = "independent", and {one.folder} has no label samples; '
+            "give it to all runs of the condition or to none, or name two conditions"
+        )
+
+    def test_another_value_is_refused(self) -> None:
+        (run,) = measure(repeats=1)
+        with pytest.raises(DataError) as error:
+            sort_by_condition([labelled(run, samples="series")], SYSTEM)
+        assert str(error.value) == (
+            f"{run.folder}: label samples is 'series'; expected \"independent\", where each sample is a measurement of its own; "
+            "leave the label out for a time series"
+        )

@@ -428,3 +428,57 @@ class TestForm:
             form = found.form(model, slopes[:, 0] * x, slopes, np.array([x]))
             assert (0 if form is None else form.shape[1]) == count
         assert found.form((), 0.0 * found.space.y, np.zeros((found.space.y.size, 0)), np.zeros(0)) is None
+
+
+class TestIndependentSamples:
+    """One run of samples that are measurements of their own, of a nominal system that jumps from one to the next."""
+
+    NOISE, SIZE = 0.1, 4.0
+
+    def evidence(self, order: Sequence[int] | None = None, repeats: int = 1) -> Evidence:
+        rng = np.random.default_rng(5)
+        order = np.arange(ROWS) if order is None else order
+        shapes = rng.normal(size=(2, ROWS, 1))[:, order]
+        nominal = 3.0 * rng.normal(size=(ROWS, 1))[order]
+        noise = self.NOISE * rng.normal(size=(repeats, ROWS, 1))[:, order]
+        laboratory = Calculated(lambda *_: None, ROWS, CHANNELS[:1])
+        laboratory.conditions = [replace(c, independent=True) for c in laboratory.conditions]
+        groups = [[nominal + self.SIZE * shapes[0] + x for x in noise]]
+        ones = {P: 1.0, Q: 1.0}
+        return gather(laboratory, ["condition 0"], groups, [[nominal]], {P: [shapes[0]], Q: [shapes[1]]}, ones, ones, {})
+
+    @pytest.mark.parametrize("repeats", [1, 3])
+    def test_n_samples_are_worth_n(self, repeats: int) -> None:
+        """Information on a size: squares of its change over the variance of noise, and of the floor, in the mean."""
+        found = self.evidence(repeats=repeats)
+        assert found.repeats == [repeats]
+        shape = np.random.default_rng(5).normal(size=(2, ROWS, 1))[0]
+        expected = repeats * float((shape**2).sum()) / (self.NOISE**2 + TRUST**2)
+        freedom = ROWS * max(repeats - 1, 1)
+        assert float(found.space.dot(found.sensitivities[P], found.sensitivities[P])) == pytest.approx(
+            expected, rel=chance(of_variance(freedom))
+        )
+
+    def test_their_order_says_nothing(self) -> None:
+        order = np.random.default_rng(6).permutation(ROWS)
+        one, other = self.evidence(), self.evidence(list(order))
+        assert other.space.chi2 == pytest.approx(one.space.chi2, rel=1e3 * ROUNDOFF)
+        assert other.space.y == pytest.approx(one.space.y[order], rel=1e3 * ROUNDOFF)
+
+    def test_noise_is_what_all_parameters_together_leave(self) -> None:
+        found = self.evidence()
+        assert found.whitening.guessed
+        assert found.whitening.deviation[0] == pytest.approx(self.NOISE, rel=chance(0.5 * of_variance(ROWS)))
+        assert found.guess == 1.0
+
+    def test_without_more_samples_than_parameters_noise_is_all_that_is_left(self) -> None:
+        """As many parameters as samples leave nothing that noise could be told by."""
+        few = 20
+        rng = np.random.default_rng(7)
+        laboratory = Calculated(lambda *_: None, few, CHANNELS[:1])
+        laboratory.conditions = [replace(c, independent=True) for c in laboratory.conditions]
+        x = rng.normal(size=(few, 1))
+        changes: dict[Address, list[FloatArray]] = {("a", f"p{k}"): [rng.normal(size=(few, 1))] for k in range(few)}
+        ones = dict.fromkeys(changes, 1.0)
+        found = gather(laboratory, ["condition 0"], [[x]], [[0.0 * x]], changes, ones, ones, {})
+        assert found.whitening.deviation[0] == pytest.approx(math.sqrt(float((x**2).mean())), rel=ROUNDOFF)

@@ -256,3 +256,16 @@ class TestChannelsThatAConditionLacks:
         assert found.deviation == pytest.approx([1.0, 3.0], rel=chance(2.0 * math.sqrt(0.5 / 3000)))
         without = whitening([repeated], np.full(2, 1e-6), there=[self.FIRST])
         assert found.deviation[0] == pytest.approx(without.deviation[0], rel=ROUNDOFF)
+
+
+def test_the_memory_of_noise_is_that_of_the_time_series_beside_independent_samples() -> None:
+    """With the independent ones it would be less by the root of two."""
+    rng = np.random.default_rng(12)
+    series = [autoregressive(rng, 0.8)[:, None] for _ in range(REPEATS)]
+    apart = [rng.normal(size=(ROWS, 1)) for _ in range(REPEATS)]
+    both = whitening([series, apart], np.zeros(1), independent=[False, True])
+    alone = whitening([series], np.zeros(1))
+    assert both.coefficients == pytest.approx(alone.coefficients, rel=1e3 * ROUNDOFF)
+    x = rng.normal(size=(ROWS, 1))
+    assert both.of(True).apply(x) == pytest.approx(x[:, 0] / both.factor[0, 0], rel=ROUNDOFF)
+    assert both.of(False) is both

@@ -203,7 +203,7 @@ class TestExplainable:
         starts = {turns: Start(0.2, 0.2 * sensitivities[turns], np.zeros(self.N))}
         sensitivities[turns] = rng.normal(size=self.N)
         space = Space(np.zeros(self.N), {"all": slice(0, self.N)}, nuisances)
-        evidence = SimpleNamespace(space=space, sensitivities=sensitivities, whitening=SimpleNamespace(guessed=guessed))
+        evidence = SimpleNamespace(space=space, sensitivities=sensitivities, guess=GUESSED if guessed else 1.0)
         return SimpleNamespace(candidates=self.ENTRIES, evidence=evidence, starts=starts), does, np.eye(self.N) + nuisances @ nuisances.T
 
     def smoother(self, does: FloatArray, covariance: FloatArray) -> FloatArray:

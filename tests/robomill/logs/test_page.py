@@ -46,12 +46,17 @@ def motion(file: Path) -> None:
     file.write_text("\n".join(["time,q", *(f"{k / 100},{k}" for k in range(100))]), encoding="utf-8")
 
 
-LOGS = {"motion.csv": motion, "forces.csv": forces, "dated.csv": dated, "cycles.csv": cycles, "counted.npz": counted}
+def loads(file: Path) -> None:
+    file.write_text("\n".join(["load,dx,dy,dz", *(f"{k},{0.1 * k},0,1" for k in range(22))]), encoding="utf-8")
+
+
+LOGS = {"motion.csv": motion, "forces.csv": forces, "dated.csv": dated, "cycles.csv": cycles, "counted.npz": counted, "loads.csv": loads}
 RUNS = {
     "forces.csv": [("run", "sensor.f_S_raw", 8)],
     "counted.npz": [("run", "plate.T", 12)],
     "motion.csv": [("run", "motion.qd", 100)],
     "dated.csv": [("run", "motor.current", 3)],
+    "loads.csv": [("run", "robot.d_T_B", 22)],
     "joints.mcap": [("run", "sensor.f", 61)],
     "cycles.csv period": [("run/repeat_3", "axis.q", 40)],
     "cycles.csv at": [("run/repeat_1", "axis.q", 35), ("run/repeat_3", "axis.q", 35)],
