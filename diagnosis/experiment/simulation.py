@@ -82,7 +82,7 @@ class Laboratory:
         return [k for k, c in enumerate(self.channels) if self.conditions[index].has(c)]
 
     def shown_in(self, conditions: Sequence[int]) -> Laboratory:
-        """This laboratory with the channels that all of these conditions have: what one of them lacks is not measured in any."""
+        """The laboratory with the channels that all of these conditions have: what one of them lacks is not measured in any."""
         return replace(self, channels=[c for c in self.channels if all(self.conditions[i].has(c) for i in conditions)])
 
     def measured(self) -> list[list[FloatArray]]:
