@@ -279,14 +279,14 @@ def _discrepancy(
     return np.asarray(DISCREPANCY * np.sqrt((np.bincount(arrays, square) / np.bincount(arrays))[arrays]))
 
 
-def _left_by_all(left: Sequence[Sequence[FloatArray]], changes: Changes, independent: Sequence[bool]) -> list[Sequence[FloatArray]]:
+def _left_by_all(left: Sequence[Sequence[FloatArray]], changes: Changes, independent: Sequence[bool]) -> list[list[FloatArray]]:
     """What is left of each run [samples, channels]; of independent samples what least squares leave of that with all parameters together.
 
     It is scaled to the variance of noise by its degrees of freedom, as the error variance of a linear regression is (Seber & Lee, Linear
     Regression Analysis, 2003, section 3.3). There is no time by which noise could be told from a gap. Where there are as many parameters as
     samples, `left` stays as it is.
     """
-    found = list(left)
+    found = [list(runs) for runs in left]
     here = [i for i, apart in enumerate(independent) if apart]
     if not here:
         return found
