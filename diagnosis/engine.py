@@ -122,9 +122,10 @@ def diagnose_campaign(
                 if _little(search, fits, best) and not any(c.component == LOGGING for c in best.model):
                     findings = told + gate.findings(setting(best.values))
                 faults = [f for f in findings if f.fatal and f.kind in log_faults.KINDS]
-                if faults and _explained(catalogue, search, fits, gate.without(faults), nuisances) is None:
-                    kept = "; without that, the log is explained no better: it is kept"
-                    findings = [replace(f, text=f.text + kept, fatal=False) if f in faults else f for f in findings]
+                tried = log_faults.together(faults)
+                right = next((some for some in tried if _explained(catalogue, search, fits, gate.without(some), nuisances)), ())
+                kept = "; without that, the log is explained no better: it is kept"
+                findings = [replace(f, text=f.text + kept, fatal=False) if f in faults and f not in right else f for f in findings]
                 fatal = [f for f in findings if f.fatal]
             elif (finding := _wrong_channel(catalogue, search, fits, groups[:n], nuisances)) is not None:
                 findings.append(finding)

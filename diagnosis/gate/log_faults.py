@@ -98,6 +98,14 @@ def judged(
     return found
 
 
+def together(faults: Sequence[Finding]) -> list[list[Finding]]:
+    """Which of these faults a log may have: all of them, or those of one array, beside which the others only look like faults."""
+    groups: dict[str, list[Finding]] = {}
+    for f in faults:
+        groups.setdefault(base_name(f.channel), []).append(f)
+    return [list(faults), *groups.values()] if len(groups) > 1 else list(groups.values())
+
+
 def undone(faults: Sequence[Finding], x: FloatArray, s: FloatArray, channels: Sequence[str]) -> FloatArray:
     """Measured `x` [samples, channels] as it was before these `faults` (of KINDS); `s` is its simulation.
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from robomill.diagnosis.experiment.observation import observe
-from robomill.diagnosis.gate.log_faults import FACTORS, judged, undone
+from robomill.diagnosis.gate.checks import Finding
+from robomill.diagnosis.gate.log_faults import FACTORS, judged, together, undone
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import ROUNDOFF
 
@@ -151,3 +152,11 @@ class TestUndone:
 
     def test_what_has_no_fault_stays(self) -> None:
         np.testing.assert_array_equal(undone([], VECTOR, VECTOR, NAMES), VECTOR)
+
+
+def test_faults_are_tried_all_together_and_array_by_array() -> None:
+    """Interchanged axes of a tracker make the force look as if it had another unit: undone together nothing is explained."""
+    tracker, force, moment = (Finding(name, "sign", -1.0, "1", "") for name in ("tracker.p[1]", "sensor.f[1]", "sensor.f[3]"))
+    assert together([tracker, force, moment]) == [[tracker, force, moment], [tracker], [force, moment]]
+    assert together([force, moment]) == [[force, moment]]
+    assert together([]) == []
