@@ -141,7 +141,7 @@ class TestNoise:
         class Restless:
             def __init__(self, *_: Any) -> None:
                 made.append(len(made))
-                self.evidence = SimpleNamespace(whitening=SimpleNamespace(guessed=True))
+                self.evidence = SimpleNamespace(whitening=SimpleNamespace(guessed=True), independent=[False])
 
             def run(self) -> list[Any]:
                 return [SimpleNamespace(model=(len(made),), values={}, log_evidence=0.0)]
@@ -253,8 +253,7 @@ def rank() -> float:
 
 def explainable() -> float:
     """Of a candidate that explains 100 times what it explains of noise."""
-    a, whitening = EFFECT.addresses[0], SimpleNamespace(guessed=False)
-    seen = SimpleNamespace(space=NOTHING_SEEN, sensitivities={a: np.full(1, 10.0)}, whitening=whitening)
+    seen = SimpleNamespace(space=NOTHING_SEEN, sensitivities={EFFECT.addresses[0]: np.full(1, 10.0)}, guess=1.0)
     of: Any = SimpleNamespace(candidates=(EFFECT,), starts={}, evidence=seen)
     return search.Search.explainable(of, np.full(1, math.sqrt(101.0)))
 
