@@ -44,9 +44,9 @@ bench: $(DEVELOP) ## masters side by side on the same FMUs, and what users wait 
 	$(BIN)/python -m benchmarks
 	$(BIN)/python -m benchmarks.waiting
 
-recordings: $(DEVELOP) ## public recordings of real machines through the diagnosis: pages in docs/recordings; laws that no catalogue has are printed
+recordings: $(DEVELOP) ## public recordings of real machines through the diagnosis: pages in docs/recordings
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.recordings --pages docs/recordings
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.recordings.taken_out
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.recordings.taken_out --page docs/recordings/taken_out.md
 
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "robomill needs Python 3.11 or newer; set PYTHON=/path/to/python3.11")'
