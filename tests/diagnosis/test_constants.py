@@ -252,7 +252,7 @@ def rank() -> float:
 
 
 def explainable() -> float:
-    """Of a candidate that explains 100 times what it explains of noise."""
+    """What is explained by a candidate that explains 100 times what it explains of noise."""
     seen = SimpleNamespace(space=NOTHING_SEEN, sensitivities={EFFECT.addresses[0]: np.full(1, 10.0)}, guess=1.0)
     of: Any = SimpleNamespace(candidates=(EFFECT,), starts={}, evidence=seen)
     return search.Search.explainable(of, np.full(1, math.sqrt(101.0)))
