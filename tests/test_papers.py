@@ -11,7 +11,7 @@ import pytest
 from tests import ROOT
 
 PAGE = ROOT / "docs" / "explanation" / "papers.md"
-HEAD = ["what", "paper", "FACTS10", "ours", "ratio", "assumption", "test"]
+HEAD = ["what", "paper", "reference", "ours", "ratio", "assumption", "test"]
 NODE = re.compile(r"`(tests/[\w/]+\.py)((?:::\w+)+)`")
 SECTION_7 = {
     "000": ("1.72 mm", "1.4 mm", "0.7 mm", "78 %", "100-150 ms", "axis-specific"),
