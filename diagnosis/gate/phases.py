@@ -59,6 +59,8 @@ def aligned(laboratory: Laboratory, candidates: Sequence[Candidate], n: int) -> 
         gain = sum(k.gain for k in known if k is not None)
         if gain < DIFFERENT_PHASES:
             continue
+        if any(k.amplitude > c.maximum / c.prior.scale for k in known if k is not None):
+            continue  # more than there can be of it: the gap is of something else, interchanged axes for instance
         known += [_turned(laboratory, i, c) for i in range(n, len(laboratory.conditions))]
         laboratory.conditions = [
             x if k is None else _brought(x, k, laboratory.channels) for x, k in zip(laboratory.conditions, known, strict=True)

@@ -206,6 +206,11 @@ class TestPhases:
         """PHASE_ROUNDS, and the nominal one."""
         assert self.looked_at(1.0)[1] == 1 + 3 * 2
 
+    @pytest.mark.parametrize(("amplitude", "aligned"), [(4.5, 1), (5.5, 0)])
+    def test_more_than_there_can_be_of_an_effect_is_something_else(self, amplitude: float, aligned: int) -> None:
+        """Runs are not brought to the phase of a gap that another fault makes; `maximum` is 5."""
+        assert len(self.looked_at(amplitude)[0]) == aligned
+
 
 EFFECT, CLOCK = candidate("p"), replace(candidate("lag a.*"), component=LOGGING)
 NOTHING_SEEN = Space(np.zeros(1), {"all": slice(0, 1)}, np.zeros((1, 0)))
