@@ -22,6 +22,7 @@ from robomill.models.planning.point_path import INTERPOLATIONS, Interpolation
 from robomill.models.planning.trajectory import Placement
 from robomill.models.process.cutting import MAX_TEETH, EndMill
 from robomill.orchestration import html
+from robomill.orchestration.errors import not_there
 from robomill.orchestration.system import keys
 from robomill.orchestration.system.definition import EQUIPMENT
 from robomill.orchestration.system.entries import Entry
@@ -240,8 +241,7 @@ def load_scenario(path: str | Path) -> Scenario:
     """Read and check a scenario file. ScenarioError or FileNotFoundError says what is wrong and what is possible."""
     file = Path(path)
     if not file.is_file():
-        beside = sorted(str(f) for f in file.parent.glob("*.toml")) if file.parent.is_dir() else []
-        raise FileNotFoundError(f"no scenario {file}; TOML files in that folder: {', '.join(beside) or 'none'}")
+        raise FileNotFoundError(not_there("scenario", file))
     top, k = ScenarioKeys.of(Entry.load(file, ScenarioError, convert)), ScenarioHeadKeys
     head = ScenarioKeys.scenario.of(top)
     kind = k.kind.of(head)

@@ -7,6 +7,10 @@ A page that is in no table of contents, a link without target and an anchor with
 from __future__ import annotations
 
 import importlib.metadata
+import re
+
+from docutils import nodes
+from sphinx.application import Sphinx
 
 project = "robomill"
 author = "the developers of robomill"
@@ -43,3 +47,14 @@ html_static_path = ["_static"]
 html_css_files = ["narrow.css"]
 html_extra_path = ["_root"]  # index.html: from the root of the site to the start page
 html_use_index = False
+
+
+def setup(app: Sphinx) -> None:
+    """Ranges in tables, such as 0.1 .. 0.3, stay in one line."""
+    app.connect("doctree-read", lambda _, tree: [_keep_ranges(cell) for cell in tree.findall(nodes.entry)])
+
+
+def _keep_ranges(cell: nodes.entry) -> None:
+    for text in list(cell.findall(nodes.Text)):
+        if (kept := re.sub(r" \.\. ", "\N{NO-BREAK SPACE}..\N{NO-BREAK SPACE}", text)) != text:
+            text.parent.replace(text, nodes.Text(kept))

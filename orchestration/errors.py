@@ -106,6 +106,14 @@ def unknown(what: str, name: str, names: Iterable[str]) -> str:
     return f"unknown {what} {name!r};{hint} available: {available(listed)}"
 
 
+def not_there(what: str, file: Path) -> str:
+    """Sentence for a TOML file that does not exist, or is a folder: which are there."""
+    folder = file if file.is_dir() else file.parent
+    near = sorted(f.name for f in folder.glob("*.toml")) if folder.is_dir() else []
+    said = f"{file} is a folder; expected a {what}" if file.is_dir() else f"no {what} {file}"
+    return f"{said}; TOML files in that folder: {', '.join(near) or 'none; correct the path'}"
+
+
 def describe(error: BaseException) -> str:
     """The text of an error; for one of Python's own types, which nobody worded for users, also where it was raised."""
     if type(error).__module__ != "builtins":

@@ -13,7 +13,11 @@ ROOT = Path(__file__).parent.parent
 PACKAGES = ("blind", "cell", "conformance", "diagnosis", "fmus", "models", "orchestration", "robomill")
 _ENTRY_METHODS = {"fail", "expected"}
 """Methods that make the error of a file: `Entry` and `Files`."""
-_NAMED = {"unknown": "unknown {what} {name}; did you mean {close}? available: {names}", "available": "{names}"}
+_NAMED = {
+    "unknown": "unknown {what} {name}; did you mean {close}? available: {names}",
+    "available": "{names}",
+    "not_there": "no {what} {file}; TOML files in that folder: {names}",
+}
 """Functions of orchestration.errors that make a part of a text."""
 
 

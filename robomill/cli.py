@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import json
 import signal
@@ -13,12 +14,23 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple, NoReturn
 
 from robomill import __version__
-from robomill.orchestration.errors import Interrupted, OrchestrationError
+from robomill.orchestration.errors import Interrupted, OrchestrationError, unknown
 
 STATUS = (
     "Exit status 0: done. 1: the answer is bad (a check failed, a log is not usable, a program does not fit, nothing converged). "
     "2: it could not run; the message says why. 128 + N: ended by signal N, such as 130 by Ctrl-C."
 )
+_RIGHTS = "name a place where you may read and write"
+REMEDIES = {
+    errno.EACCES: _RIGHTS,
+    errno.EPERM: _RIGHTS,
+    errno.EROFS: _RIGHTS,
+    errno.ENOENT: "correct the path",
+    errno.ENOTDIR: "a part of this path is a file where a folder is expected; name another path",
+    errno.EISDIR: "expected a file; name one",
+    errno.ENOSPC: "free room on the disk, or name a place on another one",
+}
+"""What to do where the operating system refuses."""
 DESCRIPTION = "Digital twin of compliance-compensated robot milling, made of exchangeable FMUs."
 
 
@@ -180,9 +192,17 @@ class Parser(argparse.ArgumentParser):
             _function(later)(self)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """That of argparse, with all options."""
+        """That of argparse, with all options; what it does not know is refused where the options are known that it may have meant."""
         self.complete()
-        return super().parse_known_args(args, namespace)
+        found, left = super().parse_known_args(args, namespace)
+        if left:
+            self.error(self._refusal(left[0]))
+        return found, left
+
+    def _refusal(self, argument: str) -> str:
+        if argument.startswith("-"):
+            return unknown("option", argument.partition("=")[0], [o for o in self._option_string_actions if o.startswith("--")])
+        return f"unexpected argument {argument!r}; leave it out, or put a name with blanks in quotes (--help says what is expected)"
 
     def error(self, message: str) -> NoReturn:
         """Usage and text to standard error, then SystemExit with status 2 and the text as its cause."""
@@ -217,10 +237,14 @@ def _function(name: str) -> Callable[[Any], Any]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; errors that a user can mend become one message on stderr and exit status 2."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if not arguments:
+        parser().print_help()
+        return 2
     try:
         options = parser().parse_args(arguments)
     except SystemExit as end:
-        if end.__cause__ is not None and "--json" in (sys.argv[1:] if arguments is None else arguments):
+        if end.__cause__ is not None and "--json" in arguments:
             print(json.dumps({"error": str(end.__cause__)}))
         raise
     action = next(c.action for c in COMMANDS if c.name == options.command)
@@ -235,11 +259,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"robomill {options.command}: interrupted{f' by {number.name}' if error.args else ''}", file=sys.stderr)
         return 128 + int(number)
     except (OrchestrationError, ValueError, LookupError, OSError, RuntimeError) as error:
-        text = error.args[0] if isinstance(error, KeyError) and error.args else error
+        text = error.args[0] if isinstance(error, KeyError) and error.args else _refused_access(error) or error
         if options.json:
             print(json.dumps({"error": str(text)}))
         print(f"robomill {options.command}: {text}", file=sys.stderr)
         return 2
+
+
+def _refused_access(error: Exception) -> str:
+    """What a refusal of the operating system is about and what helps; nothing for errors of another origin."""
+    if not isinstance(error, OSError) or error.errno is None or error.filename is None:
+        return ""
+    remedy = REMEDIES.get(error.errno, "look at this place and who may read and write there")
+    return f"{error.filename}: {(error.strerror or 'refused').lower()}; {remedy}"
 
 
 @contextmanager

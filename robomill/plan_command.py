@@ -32,6 +32,7 @@ from robomill.models.planning.trajectory import plan as plan_path
 from robomill.models.process.cutting import EndMill
 from robomill.models.robot.kinematics import SPINDLE_ACROSS, Robot, Tool, load_robot
 from robomill.option_types import in_unit
+from robomill.orchestration.system.toml_text import parse
 from robomill.tables import Heading, notes, say, show
 
 _PLACES = {"at", "turn", "start", "home", "offset", "zero", "block", "tool", "dialect", "no_block_delete", "wear"}
@@ -119,7 +120,7 @@ def _is_scenario(file: Path) -> bool:
     if file.suffix != ".toml" or not file.is_file():
         return False
     try:
-        return "scenario" in tomllib.loads(file.read_text(encoding="utf-8"))
+        return "scenario" in parse(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
         return False  # the reader of point paths names the line
 

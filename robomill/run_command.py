@@ -17,7 +17,7 @@ from robomill.cell.plausibility import unusual_values
 from robomill.cell.scenario import Scenario, ScenarioError, load_scenario
 from robomill.orchestration.assembly import assemble
 from robomill.orchestration.assembly import run as run_once
-from robomill.orchestration.errors import OrchestrationError
+from robomill.orchestration.errors import OrchestrationError, available
 from robomill.orchestration.runs.lock import FolderLock
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.toml_text import parse
@@ -50,12 +50,19 @@ def run(options: Namespace) -> int:
         load_scenario(options.file)  # says what there is
     if options.file.suffix in (".ngc", ".nc", ".gcode", ".tap", ".cnc", ".gc"):
         raise ValueError(
-            f"{options.file} is a program: `robomill plan` looks at it, a scenario that names it (scenarios/groove.toml) mills it"
+            f"{options.file} is a program, expected a scenario: `robomill plan {options.file}` looks at the program; "
+            "a scenario that names it mills it: `robomill example groove` copies one"
         )
     try:
-        head = parse(options.file.read_text(encoding="utf-8")).get("scenario")
+        table = parse(options.file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
-        head = None  # the system loader names the line
+        table = {"step": ""}  # the system loader names the line
+    head = table.get("scenario")
+    if head is None and not table.keys() & {"step", "connections"}:
+        raise ValueError(
+            f"{options.file} is neither a scenario (no table scenario) nor a system (no step, no connections); it has {available(table)}; "
+            "name another file, or see what `robomill example` copies"
+        )
     if head is None:
         return _run_system(load_system(options.file), options)
     kind = head.get("kind") if isinstance(head, dict) else None

@@ -52,5 +52,5 @@ def test_a_command_with_an_unknown_option_is_found() -> None:
     first, second = commands(text)
     assert first == ["import", "map.toml", "log-1.csv", "--out", "r"]
     assert problem(first) == ""
-    assert "unrecognized arguments: --nowhere" in problem(second)
+    assert "unknown option '--nowhere'" in problem(second)
     assert problem(["example", "nothing"]) == "no example nothing"

@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any
 
 from robomill.orchestration import html
-from robomill.orchestration.errors import SystemFileError, unknown
+from robomill.orchestration.errors import SystemFileError, not_there, unknown
 from robomill.orchestration.loop.acceleration import DEFAULT, Iteration
 from robomill.orchestration.system import keys
 from robomill.orchestration.system.entries import Entry
@@ -281,9 +281,10 @@ def ticks(seconds: float, what: str) -> int:
 def load(file: Path, convert: Convert = same_unit_only) -> System:
     """See `System.load`."""
     if not file.is_file():
-        near = sorted(p.name for p in file.parent.glob("*.toml")) if file.parent.is_dir() else []
-        raise SystemFileError(f"no system file {file}; TOML files in that folder: {', '.join(near) or 'none'}")
+        raise SystemFileError(not_there("system file", file))
     top = Entry.load(file, SystemFileError, convert, file.name)
+    if "scenario" in top:
+        raise top["scenario"].fail("this file is a scenario; expected a system file, such as the one that its [scenario] names as system")
     k = SystemKeys
     k.of(top)
     plain: dict[str, Any] = {

@@ -49,12 +49,12 @@ class Entry:
         try:
             return Entry.read(file.read_text(encoding="utf-8"), name or str(file), file.parent, error, convert)
         except UnicodeDecodeError as problem:
-            raise error(f"{name or file}: not valid TOML: not UTF-8: {problem}") from None
+            raise error(f"{name or file}: not valid TOML: not UTF-8: {problem}; save it in the encoding UTF-8") from None
 
     @staticmethod
     def read(text: str, name: str, folder: Path, error: type[Exception], convert: Convert = same_unit_only) -> Entry:
         """The whole of a text, as `load` does it; paths in it are relative to `folder`."""
-        text = text.replace("\r\n", "\n")
+        text = text.removeprefix("\ufeff").replace("\r\n", "\n")
         try:
             table = parse(text)
         except ValueError as problem:  # no TOML, or an integer of thousands of digits

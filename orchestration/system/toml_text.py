@@ -17,9 +17,12 @@ MAX_DEPTH = 50
 
 
 def parse(text: str) -> dict[str, Any]:
-    """The table that a TOML text is; `tomllib.TOMLDecodeError` if it is not valid, or nested more than `MAX_DEPTH` deep."""
+    """The table that a TOML text is; `tomllib.TOMLDecodeError` if it is not valid, or nested more than `MAX_DEPTH` deep.
+
+    A byte order mark, with which editors on Windows begin a file, is no part of the text.
+    """
     try:
-        table = tomllib.loads(text)
+        table = tomllib.loads(text.removeprefix("\ufeff"))
     except RecursionError:  # the reader follows arrays and inline tables by recursion; headers and dotted keys it does not
         raise _too_deep() from None
     level: list[Any] = [table]

@@ -49,7 +49,8 @@ def read_csv(file: Path, form: CsvForm = CsvForm()) -> Log:
     for number, row in numbered[1:]:
         if len(row) != len(names):
             raise LogError(
-                f"{file}: row {number} has {len(row)} fields, the row of names has {len(names)}; is the delimiter {form.delimiter!r}?"
+                f"{file}: row {number} has {len(row)} fields, the row of names has {len(names)}; is the delimiter {form.delimiter!r}, "
+                f"and are the names in the row after log.skip_rows = {form.skip_rows}?"
             )
     units = {n: u for n, cell in zip(names, numbered[1][1], strict=True) if (u := _unit(cell))} if form.unit_row else {}
     body = numbered[above:]

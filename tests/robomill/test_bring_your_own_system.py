@@ -7,7 +7,7 @@ import os
 import re
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,8 @@ from robomill.orchestration.runs.run import Run
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "tutorials" / "bring_your_own_system.md"
 AXIS = ROOT / "examples" / "servo_axis"
+BLOCKS: list[tuple[str, str]] = re.findall(r"```sh\n(.*?)```\n(?:```\n(.*?)```)?", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+"""Commands of the page, and what it says that they print."""
 WELL = 0.9
 """Closure on the held-out condition: what the machine does otherwise than the model is a tenth of a gap at most."""
 
@@ -42,6 +44,8 @@ class Shell:
 
     folder: Path
     path: Path
+    printed: list[str] = field(default_factory=list)
+    """What the commands of the page printed, line by line."""
 
     def run(self, commands: str, at: str = ".") -> str:
         """What the commands print; they end in the first one that fails."""
@@ -75,7 +79,7 @@ def shell(tmp_path_factory: pytest.TempPathFactory) -> Shell:
         (path / name).write_text(f'#!/bin/sh\nexec "{sys.executable}"{module} "$@"\n', encoding="utf-8")
         (path / name).chmod(0o755)
     made = Shell(folder, path)
-    made.run("\n".join(re.findall(r"```sh\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)))
+    made.printed.extend(made.run("\n".join(commands for commands, _ in BLOCKS)).splitlines())
     return made
 
 
@@ -93,6 +97,15 @@ def test_the_axis_is_found_to_have_the_play_that_the_machine_has(shell: Shell) -
     assert low < value < high
     assert min(closures(answer)) > WELL
     assert (shell.folder / "axis" / "adopted" / "run.toml").is_file()
+
+
+@pytest.mark.slow
+def test_the_page_shows_what_the_commands_print(shell: Shell) -> None:
+    """To the last digit, but for times: whoever changes the diagnosis changes the page."""
+    printed = {line.rstrip() for line in shell.printed}
+    shown = [line.rstrip() for _, block in BLOCKS for line in block.splitlines() if line != "..." and not re.search(r", \d+ s$", line)]
+    assert len(shown) > 50
+    assert not [line for line in shown if line not in printed]
 
 
 @pytest.mark.slow
