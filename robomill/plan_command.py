@@ -110,7 +110,7 @@ def _asked_of_axes(reach: Reach) -> list[str]:
         if over:
             worst = max(over)
             texts.append(
-                f"axis {quantity} up to {worst[0]:.2g} times the limit taken for any robot (models/data/planning/axis_limits.toml), "
+                f"axis {quantity} up to {worst[0]:.3g} times the limit taken for any robot (models/data/planning/axis_limits.toml), "
                 f"{worst[1]}; a controller slows down there; --within {quantity} lowers the feed of such lines"
             )
     return texts
