@@ -209,7 +209,7 @@ class TestBadInput:
         assert "part.toml:11: unknown component 'miling'; did you mean 'milling'" in refused(capsys, "run", "part.toml")
 
     def test_a_program_is_no_scenario(self, cell, capsys):
-        assert "`robomill plan` looks at it" in refused(capsys, "run", "part.ngc")
+        assert "`robomill plan part.ngc` looks at the program" in refused(capsys, "run", "part.ngc")
 
     def test_malformed_program_names_the_line(self, cell, capsys):
         edit(cell / "part.ngc", "X20.", "X2O.")
