@@ -12,7 +12,7 @@ from robomill.diagnosis.inference.estimation import Model
 from robomill.diagnosis.inference.evidence import FORM
 from robomill.orchestration.slaves.protocol import FloatArray
 
-LEVEL, SPREAD = 1.5, 0.9
+LEVEL, SPREAD = 1.4, 0.3
 """Level [1] that a right model leaves (`outcome.verdict.over_noise`), and its standard deviation. Fitted to eleven machines without effects
 that were recorded two or three times: up to 1.3 of the first generator, 1.0 to 3.3 of the second."""
 COHERENT = 0.6
