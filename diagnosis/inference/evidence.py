@@ -41,8 +41,8 @@ BEGINNING, SETTLING = 25, 0.1
 """Communication steps at the beginning of a run that do not count, and the part of a run that they are at most: a simulation begins with
 its initial values, and settles."""
 SUDDEN, AROUND = 1.0, 10
-"""Communication steps, at random, that a sudden change may come early or late: what happens within a step is not modelled. Sudden is what
-is no straight line over so many steps before and after."""
+"""Communication steps, at random, that a sudden change may come early or late: signals go from one component to the next with a step, so
+that what begins at an instant is seen up to a step later. Sudden is what is no straight line over so many steps before and after."""
 
 Changes = Mapping[Address, Sequence[FloatArray]]
 """parameter -> change of the channels that it makes in each condition, [samples, channels]."""
