@@ -26,7 +26,7 @@ from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 TRUST = 0.02
 """Part of an effect of typical size that the models are not trusted to: the noise floor of each channel."""
-DISCREPANCY = 0.2
+DISCREPANCY = 0.05
 """Deviation of what two formulations of one machine leave, over what the tolerances of its numbers do to an array [1]. Fitted to machines
 without effects of development seeds; a discrepancy has a memory, which DEPENDENCE counts."""
 DEPENDENCE = 10.0
@@ -40,9 +40,9 @@ LATENESS = 0.2
 BEGINNING, SETTLING = 25, 0.1
 """Communication steps at the beginning of a run that do not count, and the part of a run that they are at most: a simulation begins with
 its initial values, and settles."""
-SUDDEN, AROUND = 0.25, 10
-"""Communication steps, at random, that a sudden change may come early or late: what happens within a step is not modelled. Sudden is what
-is no straight line over so many steps before and after."""
+SUDDEN, AROUND = 1.0, 10
+"""Communication steps, at random, that a sudden change may come early or late: signals go from one component to the next with a step, so
+that what begins at an instant is seen up to a step later. Sudden is what is no straight line over so many steps before and after."""
 
 Changes = Mapping[Address, Sequence[FloatArray]]
 """parameter -> change of the channels that it makes in each condition, [samples, channels]."""
@@ -96,8 +96,12 @@ class Evidence:
         return float(self.expected.sum()) * self.guess
 
     def level(self, left: FloatArray) -> float:
-        """chi2 that is left of a residual [n], nuisances fitted, over what noise and discrepancy leave: that of the worst array."""
-        rest = (left - self.space.explained(left)) ** 2
+        """chi2 of a residual [n] over what noise and discrepancy leave: that of the worst array.
+
+        With b = (I + B'B)^-1 B' u, <u, u> = u'(u - B b) = |u - B b|^2 + |b|^2: the part of an array in it has what nuisances leave there, and
+        what it costs to move them so far.
+        """
+        rest = left * (left - self.space.explained(left))
         worst = 0.0
         for array in np.unique(self.arrays[self.judged]):
             here = self.arrays == array

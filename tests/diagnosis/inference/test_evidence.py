@@ -86,7 +86,7 @@ class TestRepeats:
         """One over DEPENDENCE in each sample that counts, by the mean itself and by the scatter of runs and simulations.
 
         It is less where simulations scatter: what their mean does from sample to sample is taken for sudden. There the mean has less
-        than is expected, as it is where it is large that it counts for less.
+        than is expected, by up to a quarter, as it is where it is large that it counts for less.
         """
         found = self.evidence([(repeats, simulations)] * 2)
         y = found.space.y.reshape(2, self.ROWS, 2)
@@ -98,7 +98,7 @@ class TestRepeats:
         if simulations == 1:
             assert left == pytest.approx(expected, rel=error)
         else:
-            assert 0.9 * expected < left < (1.0 + error) * expected
+            assert 0.75 * expected < left < (1.0 + error) * expected
         own = np.sqrt((found.whitening.factor**2).sum(axis=1))
         less = float(np.mean([1.0 / (1.0 + (s / own) ** 2) for s in found.sudden]))
         assert (less == 1.0) is (simulations == 1)
@@ -267,13 +267,13 @@ class TestDiscrepancy:
         assert max(levels, key=lambda name: levels[name]) == worst
         assert found.level(self.left(found, sizes)) == pytest.approx(levels[worst] / (GUESSED if repeats == 1 else 1.0), rel=RIDGE)
 
-    def test_what_nuisances_explain_is_not_counted(self) -> None:
-        """A deviation of a tolerance, whose own column takes s / (1 + s) of it, s its square."""
+    def test_what_nuisances_explain_counts_what_it_costs(self) -> None:
+        """A deviation of a tolerance, whose own column takes s / (1 + s) of it, s its square: <b, b> = s / (1 + s), below one."""
         found = self.evidence(second=False)
         column = found.space.nuisances.toarray()[:, found.space.names.index(self.FIRST)]
         square = float(column @ column)
         allowed = 2 * ROWS * self.part(2, self.OFF)[:2].sum() / DEPENDENCE
-        assert found.level(column) == pytest.approx(square / (1.0 + square) ** 2 / allowed, rel=1e2 * RIDGE)
+        assert found.level(column) == pytest.approx(square / (1.0 + square) / allowed, rel=1e2 * RIDGE)
 
 
 class TestLateness:
