@@ -126,8 +126,8 @@ class Subject:
 
     @property
     def sure(self) -> list[Which]:
-        """Entries of `which` that are believed."""
-        return [w for w in self.answer.which if w.probability >= IDENTIFIED]
+        """Entries of `which` that are believed, and not too small to be a cause."""
+        return [w for w in self.answer.which if w.probability >= IDENTIFIED and w.material]
 
     @property
     def blamed(self) -> list[Replayed]:
