@@ -56,16 +56,19 @@ class Noise:
     def of(parts: Sequence[FloatArray], step: float) -> Noise:
         """That of what is left of a channel in several runs, [samples] each, every `step` [s]; infinite: samples have no memory.
 
-        The process remembers as long as it may. Its variance is that of the least squares of the autocovariance up to there.
+        Least squares of the autocovariance up to MEMORY, among memories from a sample to that.
         """
-        count = sum(len(x) for x in parts)
-        whole = sum(float(x @ x) for x in parts) / max(count, 1)
-        keeps = math.exp(-step / MEMORY)
+        count = max(sum(len(x) for x in parts), 1)
+        whole = sum(float(x @ x) for x in parts) / count
         lags = np.arange(1, min(math.ceil(MEMORY / step), min(map(len, parts), default=1) - 1) + 1)
-        shown = np.array([sum(float(x[k:] @ x[:-k]) for x in parts) for k in lags]) / max(count, 1)
-        shape = keeps**lags
-        coloured = float(np.clip(shape @ shown / (shape @ shape + 1e-300), 0.0, whole)) if keeps > 0.0 else 0.0
-        return Noise(whole - coloured, coloured, keeps)
+        shown = np.array([sum(float(x[k:] @ x[:-k]) for x in parts) for k in lags]) / count
+        best, found = math.inf, Noise(whole, 0.0, 0.0)
+        for keeps in np.exp(-step / np.geomspace(step, MEMORY, 9)) if len(lags) and step < MEMORY else ():
+            shape = keeps**lags
+            coloured = float(np.clip(shape @ shown / (shape @ shape), 0.0, whole))
+            if (off := float(((shown - coloured * shape) ** 2).sum())) < best:
+                best, found = off, Noise(whole - coloured, coloured, float(keeps))
+        return found
 
     @property
     def weight(self) -> float:
@@ -87,15 +90,28 @@ class Noise:
         return (self.white + self.coloured) / long if long > 0.0 else 1.0
 
 
+@dataclass(frozen=True)
 class Problem:
-    """What is left of each run, and what each number does to it, about the values of a model.
+    """What is left of each run, and what each number of any candidate or tolerance does to it, about the values of a model."""
 
-    `order`: the numbers, of any candidate or tolerance, with `scales`, `low` and `high` [unit]. For each condition `left` [samples,
-    channels], and `slopes` [samples, channels, numbers] per scale.
-    """
+    order: Sequence[Address]
+    """The numbers."""
+    scales: FloatArray
+    """Their prior scales [unit], [numbers]."""
+    low: FloatArray
+    """Least values [unit], [numbers]."""
+    high: FloatArray
+    """Largest values [unit], [numbers]."""
+    left: Sequence[FloatArray]
+    """For each condition [samples, channels]."""
+    slopes: Sequence[FloatArray]
+    """For each condition [samples, channels, numbers], per scale."""
+    step: float
+    """Time between samples [s]; infinite where they have no memory."""
 
-    def __init__(self, search: Search, fit: Fit) -> None:
-        """Simulate each condition once for each number."""
+    @staticmethod
+    def of(search: Search, fit: Fit) -> Problem:
+        """Each condition is simulated once for each number; one that cannot run is left out."""
         e, simulator, n = search.evidence, search.simulator, len(search.groups)
         laboratory = simulator.laboratory
         known = {a: (c.prior.scale, *c.bounds) for c in fit.model for a in c.addresses}
@@ -113,20 +129,18 @@ class Problem:
         ran = [results[k * n : (k + 1) * n] for k in range(len(settings))]
         means = simulator.repeated(range(n), setting(fit.values), POLISH, "intervals")
         moved = {a: some for a, some in zip(steps, ran[1:], strict=True) if all(r is not None for r in some)}
-        self.order = list(moved)
-        self.scales, self.low, self.high = (np.array([known[a][k] for a in self.order]) for k in range(3))
-        self.left: list[FloatArray] = []
-        self.slopes: list[FloatArray] = []
-        self.step = math.inf
+        left, slopes, step = [], [], math.inf
         for i, (base, mean, group) in enumerate(zip(ran[0], means, search.groups, strict=True)):
             if base is None or mean is None:
                 continue
-            rows = slice(0 if e.independent[i] else e.whitening.begin, None)
+            rows, on = slice(0 if e.independent[i] else e.whitening.begin, None), e.active
             if not e.independent[i]:
-                self.step = min(self.step, laboratory.conditions[i].step * laboratory.factor(i))
-            self.left.append((np.mean(group, axis=0) - np.mean(mean, axis=0))[rows, e.active] * e.there[i])
-            changes = [(some[i] - base)[rows, e.active] * e.there[i] * (known[a][0] / steps[a]) for a, some in moved.items()]
-            self.slopes.append(np.stack(changes, axis=-1))
+                step = min(step, laboratory.conditions[i].step * laboratory.factor(i))
+            left.append((np.mean(group, axis=0) - np.mean(mean, axis=0))[rows, on] * e.there[i])
+            changed = [(some[i], known[a][0] / steps[a]) for a, some in moved.items()]
+            slopes.append(np.stack([(x - base)[rows, on] * e.there[i] * per for x, per in changed if x is not None], axis=-1))
+        scales, low, high = (np.array([known[a][k] for a in moved]) for k in range(3))
+        return Problem(list(moved), scales, low, high, left, slopes, step)
 
     def solved(self, fit: Fit) -> dict[str, Known]:
         """What is known of each effect of the model, by name."""
@@ -177,5 +191,5 @@ def by_least_squares(search: Search, fit: Fit) -> dict[str, Known]:
     """What is known of each effect of a model, by name, where its noise is a guess; empty where there are repeats, or no effect."""
     if not fit.model or not search.evidence.whitening.guessed:
         return {}
-    problem = Problem(search, fit)
+    problem = Problem.of(search, fit)
     return problem.solved(fit) if problem.left else {}
