@@ -44,7 +44,7 @@ MEMORY = (0.1, 0.3)
 NAMED = 0.8
 """Probability from which an effect counts as named."""
 TWINS = ("friction_coulomb", "friction_stribeck", "friction_load")
-"""Of one joint, what is alike in one direction: one of them may be named for another (DIAGNOSIS2, section 2)."""
+"""Effects that are alike in one direction of a joint: one of them may be named for another (DIAGNOSIS2, section 2)."""
 CLOSING = 0.5
 """Part of a held-out channel that the truth closes, from which its closure is compared: of the others noise is the most."""
 
@@ -92,7 +92,7 @@ class Score:
     wanted: int
     """Effects that close MATERIAL of a channel."""
     found: int
-    """Of these, named."""
+    """How many of them are named."""
     named: int
     wrong: tuple[str, ...]
     """Named, and neither there nor a twin of what is there."""
@@ -104,9 +104,9 @@ class Score:
     widths: tuple[float, ...]
     """Half of the interval over the truth, of each of them."""
     closure: tuple[float, ...]
-    """Of each channel of the held-out run."""
+    """Closure of each channel of the held-out run."""
     possible: tuple[float, ...]
-    """The same of the truth: the rest is noise."""
+    """What the truth closes of them: the rest is noise."""
     largest: float
     """Largest closure that the answer itself states."""
     cpu: float

@@ -46,7 +46,7 @@ def test_the_covariance_of_the_noise_is_that_of_white_noise_and_an_ornstein_uhle
     of = Noise(0.3, 0.8, 0.9)
     matrix = 0.3 * np.eye(50) + 0.8 * toeplitz(0.9 ** np.arange(50))
     x = np.random.default_rng(1).standard_normal((50, 3))
-    assert np.allclose(of.times(x), matrix @ x, rtol=ROUNDOFF)
+    assert np.allclose(of.times(x), matrix @ x, rtol=ROUNDOFF, atol=ROUNDOFF)
 
 
 def test_white_noise_has_no_coloured_part_and_samples_without_memory_have_none() -> None:
