@@ -47,6 +47,7 @@ bench: $(DEVELOP) ## masters side by side on the same FMUs, and what users wait 
 recordings: $(DEVELOP) ## public recordings of real machines through the diagnosis: pages in docs/recordings
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.recordings --pages docs/recordings
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.recordings.taken_out --page docs/recordings/taken_out.md
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.recordings.synthetic --seeds 500-507 --page docs/recordings/synthetic.md
 
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "robomill needs Python 3.11 or newer; set PYTHON=/path/to/python3.11")'

@@ -62,7 +62,7 @@ class View:
     @cached_property
     def measured(self) -> FloatArray:
         """[n, channels]"""
-        return self._shown(np.stack([self.run.columns[c] for c in self.channels], axis=1))
+        return self.shown(np.stack([self.run.columns[c] for c in self.channels], axis=1))
 
     def model(self, values: Mapping[Address, float]) -> FloatArray:
         """The simulation with effects of these sizes [unit] beside what the nominal system has, [n, channels]."""
@@ -71,9 +71,10 @@ class View:
             given = system.component(component).parameters
             system = system.with_parameters(component, {name: value + float(given.get(name, 0.0))})
         result = simulated(system, None, stop=float(self.run.t[-1]), resolver=resolve, convert=convert)
-        return self._shown(np.stack([np.interp(self.run.t, result.t, result.columns[c]) for c in self.channels], axis=1))
+        return self.shown(np.stack([np.interp(self.run.t, result.t, result.columns[c]) for c in self.channels], axis=1))
 
-    def _shown(self, x: FloatArray) -> FloatArray:
+    def shown(self, x: FloatArray) -> FloatArray:
+        """Signals [n, channels] in the band that counts."""
         if not self.case.band:
             return x
         step = float(np.median(np.diff(self.run.t)))

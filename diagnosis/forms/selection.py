@@ -14,16 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from robomill.diagnosis.inference.intervals import MATERIAL, MEMORY
 from robomill.diagnosis.outcome.ceiling import FOLDS
 from robomill.diagnosis.outcome.closure import BLOCK_RESAMPLES, BLOCKS
 from robomill.orchestration.slaves.protocol import FloatArray
 
 MOST = 12
 """Terms of a port, at most: more than that is no law that anybody reads."""
-MATERIAL = 0.005
-"""Part of the squares of the gap of a port that a term must close (DIAGNOSIS2: an effect that closes less is listed, not named)."""
-MEMORY = 0.3
-"""Memory [s] of the noise, at most: with a longer one the noise takes what is the law's (DIAGNOSIS2, lesson 1)."""
 BAND = 0.2
 """Correlation of the whitened residual from sample to sample from which samples are averaged in pairs (DIAGNOSIS2, lesson 2)."""
 

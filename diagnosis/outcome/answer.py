@@ -19,6 +19,7 @@ from robomill.diagnosis.forms.layout import Form
 from robomill.diagnosis.forms.onset import Onset
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.intervals import MATERIAL
 from robomill.diagnosis.inference.isolability import Pair
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
@@ -78,6 +79,13 @@ class Which:
     """Parameter of the component -> its value in the likeliest model that has the candidate."""
     confusable_with: list[str]
     """Names of candidates that the runs cannot tell from it."""
+    closes: float | None = None
+    """Part of the squares of the gap that it closes beside all the others, in the channel where that is most; None with repeats."""
+
+    @property
+    def material(self) -> bool:
+        """Whether it counts as a cause, and is not only listed: it closes MATERIAL of a channel, or nobody knows."""
+        return self.closes is None or self.closes >= MATERIAL
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, sett
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.inference import isolability
 from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.intervals import Known, by_least_squares
 from robomill.diagnosis.inference.machines import p_none
 from robomill.diagnosis.inference.priors import probabilities
 from robomill.diagnosis.inference.search import Search
@@ -70,6 +71,7 @@ class Conclusion:
         self.titles = titles_of(search.catalogue.titles, laboratory.ports)
         self.weights = probabilities(fits, search.candidates)
         self.best = fits[int(self.weights.argmax())]
+        self.known: Mapping[str, Known] = {}
 
     def marginal(self) -> dict[Candidate, float]:
         """Probability of each candidate, largest first: the sum of those of all models that it is in, if the best model is right."""
@@ -112,6 +114,8 @@ class Conclusion:
             min(share_left(search, nominal, self.best), 1.0),
             self.search.evidence.whitening.guessed,
         )
+        if verdict != "none":
+            self.known = by_least_squares(search, self.best)
         which = self.which(marginal, pairs, tests.p_fit)
         answer = Answer(
             verdict,
@@ -171,24 +175,33 @@ class Conclusion:
             if p < LISTED:
                 continue
             fit = max((f for f in self.fits if c in f.model), key=lambda f: float(self.weights[self.fits.index(f)]))
-            listed.append(Which(c.effect, c.component, c.location, p * p_fit, self.parameters(c, fit), sets.get(c.name, [])))
+            known = self.known.get(c.name)
+            closes = known.closes if known else None
+            listed.append(Which(c.effect, c.component, c.location, p * p_fit, self.parameters(c, fit), sets.get(c.name, []), closes))
         return tuple(listed)
 
     def parameters(self, c: Candidate, fit: Fit) -> dict[str, Estimate]:
         """Parameter of the component -> its value, 90 % interval and unit.
 
-        Half of the interval: 1.645 sqrt((WIDER deviation)^2 + tolerance^2 + (BIAS size)^2).
+        Half of the interval: 1.645 sqrt((WIDER deviation)^2 + tolerance^2 + (BIAS size)^2); of a single run value and deviation are those
+        of least squares (`intervals`), which need no factors.
         """
-        sizes, values = c.sizes(fit.values), physical({a: fit.values[a] for a in c.addresses})
+        known = self.known.get(c.name) if fit is self.best else None
+        best = {a: fit.values[a] for a in c.addresses} | dict(known.values if known else {})
+        sizes, values = c.sizes(best), physical(best)
         # a calibrated number's own tolerance, and what the models are not trusted to, come on top of noise
-        half = [1.645 * math.hypot(WIDER * fit.deviations[a], self.tolerance(a), BIAS * sizes[a]) for a in c.addresses]
+        spread = [math.hypot(WIDER * fit.deviations[a], BIAS * sizes[a]) for a in c.addresses]
+        if known is not None:
+            spread = [known.deviations.get(a, s) for a, s in zip(c.addresses, spread, strict=True)]
+        half = [1.645 * math.hypot(d, self.tolerance(a)) for d, a in zip(spread, c.addresses, strict=True)]
         units = [c.unit] * len(half)
         if c.has_phase:  # an error across the amplitude turns it
             half, units = [max(half), min(max(half) / (sizes[c.addresses[0]] + 1e-300), math.pi)], [c.unit, "rad"]
+        low, high = (-math.inf, math.inf) if c.has_phase or known is None else c.bounds
         listed = {}
         for name, h, unit in zip(c.named, half, units, strict=True):
             value = values[c.component, name]
-            listed[name] = Estimate(value, [value - h, value + h], unit)
+            listed[name] = Estimate(value, [max(value - h, low), min(value + h, high)], unit)
         for (address, value), shape in zip(c.fixed, c.shapes, strict=bool(c.fixed)):
             listed[address[1]] = Estimate(value, [*c.bracket(address)], shape.unit)
         return listed

@@ -126,8 +126,9 @@ class Subject:
 
     @property
     def sure(self) -> list[Which]:
-        """Entries of `which` that are believed."""
-        return [w for w in self.answer.which if w.probability >= IDENTIFIED]
+        """Entries of `which` that are believed; without those that are too small to be a cause, if others are there."""
+        believed = [w for w in self.answer.which if w.probability >= IDENTIFIED]
+        return [w for w in believed if w.material] or believed
 
     @property
     def blamed(self) -> list[Replayed]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
+from robomill.diagnosis.inference.intervals import MATERIAL
 from robomill.diagnosis.inference.isolability import CONFUSABLE
 from robomill.diagnosis.outcome.answer import Which
 from robomill.diagnosis.outcome.verdict import IDENTIFIED
@@ -33,7 +34,7 @@ def section(s: Subject) -> str:
         names = "".join(f"<small>{code(w.component + '.' + n)}</small>" for n in w.parameters)
         rows.append(
             (
-                f"<strong>{escape(effect_name(w))}</strong><small>{escape(described.get(w.effect, ('', ''))[0])}</small>",
+                f"<strong>{escape(effect_name(w))}</strong><small>{escape(described.get(w.effect, ('', ''))[0])}{_small(w)}</small>",
                 bar(w.probability),
                 _values(w),
                 f"{escape(w.component)}{names}",
@@ -46,6 +47,10 @@ def section(s: Subject) -> str:
     shown = table(("Effect", "Probability", "Value (90 % interval)", "Component", "Could be confused with"), rows)
     onset = paragraph(f"{spoken(s.answer.onset.text)}.") if s.answer.onset else ""
     return paragraph(_INTRO[s.verdict]) + shown + onset + _sets(s) + _isolability(s) + paragraph(_tried(s)) + _adopt(s)
+
+
+def _small(w: Which) -> str:
+    return "" if w.material else f"; closes less than {percent(MATERIAL)} of every channel: listed, no cause"
 
 
 def _tried(s: Subject) -> str:

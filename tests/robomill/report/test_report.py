@@ -25,6 +25,7 @@ from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.design import Kind, Offer, Quantity
 from robomill.diagnosis.forms.layout import Curve, Form, PortForm, Range, TermFound, Worse
 from robomill.diagnosis.gate.checks import Finding
+from robomill.diagnosis.inference.intervals import MATERIAL
 from robomill.diagnosis.inference.machines import MACHINES
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Estimate, Gap, Menu, Which
 from robomill.diagnosis.outcome.closure import HowFar
@@ -38,6 +39,7 @@ from robomill.report.sheet import Sheet
 from robomill.report.style import COLOURS, MARK, WIDTH
 from robomill.report.subject import Subject, size, verdict_sentence
 from robomill.report.where import times
+from robomill.report.which import section
 from tests.diagnosis.demo import CATALOGUE, SYSTEM, changed, measure, resolve
 from tests.tolerances import EXACT, ROUNDOFF
 
@@ -467,6 +469,15 @@ def test_two_causes_are_both_in_the_sentence() -> None:
     other = Which("tool_wear", "milling", "cutter", 0.9, {"tool_wear": Estimate(0.2, [0.1, 0.3], "1")}, [])
     sentence = verdict_sentence(_cell(one, other)).replace("\u00a0", " ")
     assert sentence == "The gap is caused by backlash, joint 3 (80.0 µrad) and tool wear, cutter (20.0 %)."
+
+
+def test_what_closes_hardly_anything_is_listed_and_no_cause() -> None:
+    one = Which("backlash", "drive", "joint 3", 0.97, {"backlash[3]": Estimate(8e-5, [7e-5, 9e-5], "rad")}, [], closes=0.9)
+    small = Which("tool_wear", "milling", "cutter", 0.95, {"tool_wear": Estimate(0.2, [0.1, 0.3], "1")}, [], closes=0.9 * MATERIAL)
+    sentence = verdict_sentence(_cell(one, small)).replace("\u00a0", " ")
+    assert sentence == "The gap is caused by backlash, joint 3 (80.0 µrad)."
+    assert "listed, no cause" in section(_cell(one, small))
+    assert "listed, no cause" not in section(_cell(one, replace(small, closes=MATERIAL)))
 
 
 def test_many_causes_are_counted() -> None:

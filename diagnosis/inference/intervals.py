@@ -1,0 +1,195 @@
+"""Values and intervals of the effects of a model where nothing was repeated: ordinary least squares with all of the catalogue beside them.
+
+Effects are selected on whitened data, where reversals decide; there laws of friction are wrong. Their values come from plain squares, each
+channel over what is left of it. An effect that is not named is not zero: it is free within its prior and its bounds, so that what is named
+does not stand for it. What is left is white noise plus an Ornstein-Uhlenbeck process of bounded memory, by channel; the covariance of the
+estimate is that of least squares with such noise (White, Econometrica 48 (1980) 817), and of the priors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+from scipy.signal import lfilter
+
+from robomill.diagnosis.catalogue import Address
+from robomill.diagnosis.experiment.simulation import setting
+from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.search import POLISH, Search
+from robomill.orchestration.slaves.protocol import FloatArray
+
+MEMORY = 0.3
+"""Memory [s] of the noise, at most: with a longer one the noise takes what is the law's (DIAGNOSIS2, lesson 1)."""
+MATERIAL = 0.005
+"""Part of the squares of the gap of a channel that an effect or a term must close (DIAGNOSIS2: an effect that closes less is listed, not
+named)."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of an effect."""
+
+    values: Mapping[Address, float]
+    """Its numbers [unit]."""
+    deviations: Mapping[Address, float]
+    """Their standard deviations [unit]."""
+    closes: float
+    """Part of the squares of the gap that is closed by it, when all the others are there: in the channel where that is most [1]."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """White noise plus an Ornstein-Uhlenbeck process in a channel."""
+
+    white: float
+    """Variance [unit^2]."""
+    coloured: float
+    """Variance of the process [unit^2]."""
+    keeps: float
+    """Its correlation from one sample to the next [1]."""
+
+    @staticmethod
+    def of(parts: Sequence[FloatArray], step: float) -> Noise:
+        """That of what is left of a channel in several runs, [samples] each, every `step` [s]; infinite: samples have no memory.
+
+        Least squares of the autocovariance up to MEMORY, among memories from a sample to that.
+        """
+        count = max(sum(len(x) for x in parts), 1)
+        whole = sum(float(x @ x) for x in parts) / count
+        lags = np.arange(1, min(math.ceil(MEMORY / step), min(map(len, parts), default=1) - 1) + 1)
+        shown = np.array([sum(float(x[k:] @ x[:-k]) for x in parts) for k in lags]) / count
+        best, found = math.inf, Noise(whole, 0.0, 0.0)
+        for keeps in np.exp(-step / np.geomspace(step, MEMORY, 9)) if len(lags) and step < MEMORY else ():
+            shape = keeps**lags
+            coloured = float(np.clip(shape @ shown / (shape @ shape), 0.0, whole))
+            if (off := float(((shown - coloured * shape) ** 2).sum())) < best:
+                best, found = off, Noise(whole - coloured, coloured, float(keeps))
+        return found
+
+    @property
+    def weight(self) -> float:
+        """1 / standard deviation; 0 where there is nothing."""
+        return (self.white + self.coloured) ** -0.5 if self.white + self.coloured > 0.0 else 0.0
+
+    def times(self, columns: FloatArray) -> FloatArray:
+        """Its covariance matrix times columns [samples, k]."""
+        if not self.coloured:
+            return self.white * columns
+        forward = lfilter([1.0], [1.0, -self.keeps], columns, axis=0)
+        backward = lfilter([1.0], [1.0, -self.keeps], columns[::-1], axis=0)[::-1]
+        return np.asarray(self.white * columns + self.coloured * (forward + backward - columns))
+
+    @property
+    def worth(self) -> float:
+        """Part of the samples that are left if each were independent of the others, for the variance of a mean."""
+        long = self.white + self.coloured * (1.0 + self.keeps) / (1.0 - self.keeps)
+        return (self.white + self.coloured) / long if long > 0.0 else 1.0
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is left of each run, and what each number of any candidate or tolerance does to it, about the values of a model."""
+
+    order: Sequence[Address]
+    """The numbers."""
+    scales: FloatArray
+    """Their prior scales [unit], [numbers]."""
+    low: FloatArray
+    """Least values [unit], [numbers]."""
+    high: FloatArray
+    """Largest values [unit], [numbers]."""
+    left: Sequence[FloatArray]
+    """For each condition [samples, channels]."""
+    slopes: Sequence[FloatArray]
+    """For each condition [samples, channels, numbers], per scale."""
+    step: float
+    """Time between samples [s]; infinite where they have no memory."""
+
+    @staticmethod
+    def of(search: Search, fit: Fit) -> Problem:
+        """Each condition is simulated once for each number; one that cannot run is left out."""
+        e, simulator, n = search.evidence, search.simulator, len(search.groups)
+        laboratory = simulator.laboratory
+        known = {a: (c.prior.scale, *c.bounds) for c in fit.model for a in c.addresses}
+        names = {c.name for c in fit.model}
+        for c in search.candidates:  # of all variants of an effect the first one
+            if c.name not in names and not any(c.excludes(m) for m in fit.model):
+                names.add(c.name)
+                known = dict.fromkeys(c.addresses, (c.prior.scale, *c.bounds)) | known
+        known = {u.address: (u.scale, -math.inf, math.inf) for u in search.nuisances} | known
+        at = {a: fit.values.get(a, 0.0) for a in known}
+        steps = {a: 0.05 * abs(at[a]) + 0.01 * s if a in fit.values else 0.3 * s for a, (s, _, _) in known.items()}
+        steps = {a: s if at[a] + s <= known[a][2] else -s for a, s in steps.items()}
+        settings = [setting(fit.values), *(setting({**fit.values, a: at[a] + s}) for a, s in steps.items())]
+        results = simulator.many([(i, simulator.seeded(s)) for s in settings for i in range(n)], "intervals")
+        ran = [results[k * n : (k + 1) * n] for k in range(len(settings))]
+        means = simulator.repeated(range(n), setting(fit.values), POLISH, "intervals")
+        moved = {a: some for a, some in zip(steps, ran[1:], strict=True) if all(r is not None for r in some)}
+        left, slopes, step = [], [], math.inf
+        for i, (base, mean, group) in enumerate(zip(ran[0], means, search.groups, strict=True)):
+            if base is None or mean is None:
+                continue
+            rows, on = slice(0 if e.independent[i] else e.whitening.begin, None), e.active
+            if not e.independent[i]:
+                step = min(step, laboratory.conditions[i].step * laboratory.factor(i))
+            left.append((np.mean(group, axis=0) - np.mean(mean, axis=0))[rows, on] * e.there[i])
+            changed = [(some[i], known[a][0] / steps[a]) for a, some in moved.items()]
+            slopes.append(np.stack([(x - base)[rows, on] * e.there[i] * per for x, per in changed if x is not None], axis=-1))
+        scales, low, high = (np.array([known[a][k] for a in moved]) for k in range(3))
+        return Problem(list(moved), scales, low, high, left, slopes, step)
+
+    def solved(self, fit: Fit) -> dict[str, Known]:
+        """What is known of each effect of the model, by name."""
+        start = np.array([fit.values.get(a, 0.0) for a in self.order]) / self.scales
+        prior = np.array([0.0 if a in fit.values else 1.0 for a in self.order])
+        gaps = [r + J @ start for r, J in zip(self.left, self.slopes, strict=True)]
+        rest = self.left
+        for _ in range(2):  # channels are weighed by what the model leaves, and then by what these least squares leave
+            weights = np.array([v.weight for v in self._noise(rest)])
+            gram = np.diag(prior) + sum(np.einsum("tci,tcj,c->ij", J, J, weights**2, optimize=True) for J in self.slopes)
+            product = sum(np.einsum("tci,tc,c->i", J, y, weights**2, optimize=True) for J, y in zip(self.slopes, gaps, strict=True))
+            x = _bounded(gram, np.asarray(product), self.low / self.scales, self.high / self.scales)
+            rest = [y - J @ x for y, J in zip(gaps, self.slopes, strict=True)]
+        inverse = np.linalg.inv(gram + 1e-12 * np.diag(np.diag(gram) + 1e-300))
+        middle = np.diag(prior)
+        for c, v in enumerate(self._noise(rest)):
+            parts = [J[:, c] * weights[c] for J in self.slopes]
+            used = sum(float(np.einsum("ti,ij,tj->", J, inverse, J, optimize=True)) for J in parts)
+            there = v.worth * sum(len(J) for J in parts)
+            middle = middle + sum(J.T @ v.times(J) for J in parts) * weights[c] ** 2 * there / max(there - used, 1.0)
+        deviations = np.sqrt(np.diag(inverse @ middle @ inverse)) * self.scales
+        place = {a: i for i, a in enumerate(self.order)}
+        squares = sum((y**2).sum(axis=0) for y in gaps) + 1e-300
+        found = {}
+        for candidate in fit.model:
+            here = [place[a] for a in candidate.addresses if a in place]
+            without = sum(((r + J[:, :, here] @ x[here]) ** 2).sum(axis=0) for r, J in zip(rest, self.slopes, strict=True))
+            closes = float(np.max((without - sum((r**2).sum(axis=0) for r in rest)) / squares))
+            values, spread = ({self.order[i]: float(known[i]) for i in here} for known in (x * self.scales, deviations))
+            found[candidate.name] = Known(values, spread, closes)
+        return found
+
+    def _noise(self, rest: Sequence[FloatArray]) -> list[Noise]:
+        """That of each channel, from what is left of all conditions that have it."""
+        return [Noise.of([x[:, c] for x in rest if x[:, c].any()], self.step) for c in range(rest[0].shape[1])]
+
+
+def _bounded(gram: FloatArray, product: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """The x within its bounds that minimises x'Gx - 2 p'x; a trace of the diagonal keeps at zero what nothing says anything of."""
+    size = np.sqrt(np.diag(gram))
+    size[size == 0.0] = 1.0
+    factor = np.linalg.cholesky(gram / np.outer(size, size) + 1e-12 * np.eye(len(gram)))
+    found = lsq_linear(factor.T, np.linalg.solve(factor, product / size), (low * size, high * size))
+    return np.asarray(found.x / size)
+
+
+def by_least_squares(search: Search, fit: Fit) -> dict[str, Known]:
+    """What is known of each effect of a model, by name, where its noise is a guess; empty where there are repeats, or no effect."""
+    if not fit.model or not search.evidence.whitening.guessed:
+        return {}
+    problem = Problem.of(search, fit)
+    return problem.solved(fit) if problem.left else {}

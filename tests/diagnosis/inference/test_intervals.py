@@ -1,0 +1,82 @@
+"""Values and intervals of single recordings: noise with a memory, bounds, and what is not named beside what is."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
+
+from robomill.diagnosis.inference.intervals import MATERIAL, MEMORY, Noise, Problem
+from robomill.orchestration.slaves.protocol import FloatArray
+from tests.diagnosis.formula import candidate
+from tests.tolerances import ROUNDOFF
+
+STEP, ROWS = 0.02, 1000
+T = STEP * np.arange(ROWS)
+RUNS = 40
+"""Recordings of the same machine: 90 % of them are 36 +- 2 (one standard deviation)."""
+
+
+def noise(rng: np.random.Generator, white: float = 0.3, coloured: float = 1.0, memory: float = 0.2) -> FloatArray:
+    keeps = math.exp(-STEP / memory)
+    slow = lfilter([math.sqrt(1.0 - keeps**2)], [1.0, -keeps], rng.standard_normal(2 * ROWS))[ROWS:]
+    return np.asarray(coloured * slow + white * rng.standard_normal(ROWS))
+
+
+def problem(y: FloatArray, columns: FloatArray, low: float = -math.inf) -> Problem:
+    k = columns.shape[1]
+    order = [("a", f"p{i}") for i in range(k)]
+    return Problem(order, np.ones(k), np.full(k, low), np.full(k, math.inf), [y[:, None]], [columns[:, None, :]], STEP)
+
+
+def fit(*names: str) -> Any:
+    return SimpleNamespace(model=tuple(candidate(n) for n in names), values={("a", n): 0.0 for n in names})
+
+
+def columns() -> FloatArray:
+    """A motion, and another one that is much like it."""
+    return np.stack([np.sign(np.sin(2.0 * T)), np.sin(2.0 * T), np.cos(0.7 * T)], axis=1)
+
+
+def test_the_covariance_of_the_noise_is_that_of_white_noise_and_an_ornstein_uhlenbeck_process() -> None:
+    of = Noise(0.3, 0.8, 0.9)
+    matrix = 0.3 * np.eye(50) + 0.8 * toeplitz(0.9 ** np.arange(50))
+    x = np.random.default_rng(1).standard_normal((50, 3))
+    assert np.allclose(of.times(x), matrix @ x, rtol=ROUNDOFF, atol=ROUNDOFF)
+
+
+def test_white_noise_has_no_coloured_part_and_samples_without_memory_have_none() -> None:
+    rng = np.random.default_rng(2)
+    plain = Noise.of([rng.standard_normal(20 * ROWS)], STEP)
+    assert plain.coloured < 0.02
+    assert Noise.of([noise(rng)], math.inf).coloured == 0.0
+    both = Noise.of([noise(rng) for _ in range(20)], STEP)
+    assert 0.6 < both.coloured < 1.2
+    assert math.exp(-STEP / 0.1) < both.keeps <= math.exp(-STEP / MEMORY)
+
+
+def test_the_truth_is_in_nine_of_ten_intervals_also_with_an_effect_that_is_not_named() -> None:
+    """Coulomb friction is named, viscous friction is there and is not."""
+    J, inside, alone = columns(), 0, 0
+    for seed in range(RUNS):
+        y = J @ [2.0, 0.6, 0.0] + noise(np.random.default_rng([3, seed]))
+        for columns_of in (J, J[:, :1]):
+            known = problem(y, columns_of).solved(fit("p0"))["p0 @ place"]
+            value, deviation = (x["a", "p0"] for x in (known.values, known.deviations))
+            hit = abs(value - 2.0) < 1.645 * deviation
+            inside, alone = inside + (hit and columns_of is J), alone + (hit and columns_of is not J)
+    assert inside >= 0.85 * RUNS
+    assert alone < 0.5 * RUNS  # it stands for what nobody named
+
+
+def test_a_sign_is_hard_and_what_closes_little_is_said_to() -> None:
+    J = columns()
+    y = J @ [2.0, -0.4, 0.03] + 0.1 * noise(np.random.default_rng(4))
+    known = problem(y, J, low=0.0).solved(fit("p0", "p1", "p2"))
+    assert abs(known["p1 @ place"].values["a", "p1"]) < ROUNDOFF
+    assert known["p0 @ place"].closes > 0.5
+    assert known["p2 @ place"].closes < MATERIAL
