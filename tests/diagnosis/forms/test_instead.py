@@ -19,8 +19,8 @@ from robomill.diagnosis.inference.machines import MACHINES
 from robomill.diagnosis.outcome.verdict import FALSE_ALARM, IDENTIFIED
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis import axis
-from tests.diagnosis.formula import candidate
 from tests.diagnosis.forms.test_selection import NAMES, noise, rows, terms
+from tests.diagnosis.formula import candidate
 from tests.tolerances import ROUNDOFF
 
 V, SIGN = NAMES.index("v"), NAMES.index("sgn v")
