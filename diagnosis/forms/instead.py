@@ -58,7 +58,7 @@ class Laws:
     doubtful: Mapping[str, float] | None = None
     """Name of an effect -> the `p` of the law that puts it into doubt."""
     kinds: Mapping[str, float] | None = None
-    """The same by kind of effect: friction in six joints is one idea, and wrong in one joint it is in doubt in all."""
+    """Kind of effect -> the same `p`: friction in six joints is one idea, and wrong in one joint it is in doubt in all."""
 
     def belief(self, c: Candidate) -> float:
         """Factor on the probability of an effect."""
