@@ -14,6 +14,7 @@ from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.experiment.simulation import Report, Simulator, setting
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.forms.discovery import discovered, left_in, suspects
+from robomill.diagnosis.forms.instead import LITTLE
 from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.gate import log_faults, phases
 from robomill.diagnosis.gate.checks import Finding, stopped
@@ -33,8 +34,6 @@ from robomill.orchestration.slaves.protocol import FloatArray
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.parameters import Convert, same_unit_only
 
-LITTLE = 0.02
-"""Share of what is beyond noise that a model leaves which explains nearly all of a large gap."""
 EXPLAINABLE = ("constant", *log_faults.KINDS)
 """Kinds of findings that an effect may be the reason of: a clipped channel stands still, a small moment changes its sign with a gain.
 They are no fault if the best model does it, and the others but `constant` none if the log is not explained without them."""

@@ -16,7 +16,7 @@ from robomill.diagnosis.forms.layout import Curve, Form, PortForm, Range, TermFo
 from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.loop import Loop, specification
 from robomill.diagnosis.forms.periods import with_periods
-from robomill.diagnosis.forms.ports import Problem, Seen, Signals, behind, direct, into
+from robomill.diagnosis.forms.ports import Problem, Seen, Signals, alike, behind, direct, into, replayed
 from robomill.diagnosis.forms.selection import Products, Values, choose, pruned, values, worse
 from robomill.diagnosis.forms.signals import Variable
 from robomill.diagnosis.inference.search import Search
@@ -196,12 +196,12 @@ def discovered(
     """
     simulator, n = search.simulator, len(search.groups)
     laboratory = simulator.laboratory
-    own = [i for i in range(n) if _alike(laboratory, i)]
+    own = [i for i in range(n) if alike(laboratory, i)]
     if not own:
         return None
     try:
         shown = laboratory.shown_in(own)
-        found = solved(shown, [_replayed(shown, i) for i in own], components, arrays)
+        found = solved(shown, [replayed(shown, i) for i in own], components, arrays)
     except OrchestrationError as error:
         return Form("", "output", 0.0, (), note=f"no form was looked for: {error}")
     if not found:
@@ -236,17 +236,6 @@ def discovered(
         note=note,
         specification=fitted_there,
     )
-
-
-def _alike(laboratory: Laboratory, i: int) -> bool:
-    """Whether a condition is made by the components and connections of the system that is diagnosed."""
-    system, own = laboratory.system, laboratory.conditions[i].system
-    return own is None or ([c.name for c in own.components], own.connections) == ([c.name for c in system.components], system.connections)
-
-
-def _replayed(laboratory: Laboratory, i: int) -> ComponentReplay:
-    condition = laboratory.conditions[i]
-    return ComponentReplay(laboratory, i, [condition.matrix(r, laboratory.channels) for r in condition.runs])
 
 
 def _doubts(s: Solved) -> FloatArray:
@@ -290,9 +279,9 @@ def _ranges(laboratory: Laboratory, found: Sequence[Solved], n: int) -> tuple[Ra
     """Where each variable of the form was, in the diagnosed and in the held-out runs."""
     seen = found[0].problem.seen
     used = list(dict.fromkeys(f.variable for s in found for _, t in s.terms for f in t.factors))
-    held = [i for i in range(n, len(laboratory.conditions)) if _alike(laboratory, i)]
+    held = [i for i in range(n, len(laboratory.conditions)) if alike(laboratory, i)]
     shown = laboratory.shown_in(held)
-    there = Seen.of(shown, [_replayed(shown, i) for i in held], seen.host.name, seen.side).known if held else []
+    there = Seen.of(shown, [replayed(shown, i) for i in held], seen.host.name, seen.side).known if held else []
 
     def span(known: Sequence[Signals], v: Variable) -> list[float] | None:
         values_ = [k[v] for k in known if v in k]

@@ -108,7 +108,7 @@ class Products:
         taken = list[int]()
         best = float(self.square.sum() if without is None else self.square.sum() - self.square[without])
         while len(taken) < min(most, self.gram.shape[1]):
-            left = self._left_beside(taken, without)
+            left = self.left_beside(taken, without)[:, 0]
             j = int(left.argmin())
             if left[j] >= best:
                 break
@@ -116,23 +116,34 @@ class Products:
             taken.append(j)
         return taken
 
-    def _left_beside(self, taken: list[int], without: int | None) -> FloatArray:
-        """Squares left in the folds by fits to the others of the terms `taken` and each further one, [p]; inf where it adds nothing new."""
-        whole, of_all = (self._all, self._right) if without is None else (self._all - self.gram[without], self._right - self.right[without])
-        left = np.zeros(len(of_all))
+    def left_beside(
+        self, taken: list[int], without: int | None = None, right: FloatArray | None = None, square: FloatArray | None = None
+    ) -> FloatArray:
+        """Squares left in the folds by fits to the others of the terms `taken` and each further one, [p, m]; inf where it adds nothing new.
+
+        Of these rows, m is 1. `right` [folds, p, m] and `square` [folds, m]: products with m other residuals in place of y.
+        """
+        right = self.right[..., None] if right is None else right
+        square = self.square[:, None] if square is None else square
+        whole, of_all = self._all, right.sum(axis=0)
+        if without is not None:
+            whole, of_all = whole - self.gram[without], of_all - right[without]
+        left = np.zeros(of_all.shape)
         for f in range(len(self.square)):
             if f == without:
                 continue
-            here, right = self.gram[f], self.right[f]
-            gram, product = whole - here, of_all - right
+            here, product = self.gram[f], of_all - right[f]
+            gram = whole - here
             along = _solve(gram[np.ix_(taken, taken)], gram[taken])  # what the terms taken have of each other one
             values_ = _solve(gram[np.ix_(taken, taken)], product[taken])
             rest = np.diag(gram) - (gram[taken] * along).sum(axis=0)
             new = rest > np.sqrt(np.finfo(float).eps) * np.diag(gram)  # the rest of it is no roundoff
-            value = np.where(new, product - along.T @ product[taken], 0.0) / np.where(new, rest, 1.0)
-            cross = right - here[:, taken] @ values_ - along.T @ (right[taken] - here[np.ix_(taken, taken)] @ values_)
-            size = np.diag(here) - 2.0 * (along * here[taken]).sum(axis=0) + (along * (here[np.ix_(taken, taken)] @ along)).sum(axis=0)
-            left += np.where(new, self.error(f, taken, values_) - 2.0 * value * cross + value**2 * size, np.inf)
+            value = np.where(new[:, None], product - along.T @ product[taken], 0.0) / np.where(new, rest, 1.0)[:, None]
+            own, both = right[f][taken], here[np.ix_(taken, taken)]
+            cross = right[f] - here[:, taken] @ values_ - along.T @ (own - both @ values_)
+            size = np.diag(here) - 2.0 * (along * here[taken]).sum(axis=0) + (along * (both @ along)).sum(axis=0)
+            before = square[f] - 2.0 * (values_ * own).sum(axis=0) + (values_ * (both @ values_)).sum(axis=0)
+            left += np.where(new[:, None], before - 2.0 * value * cross + value**2 * size[:, None], np.inf)
         left[taken] = np.inf
         return left
 
@@ -145,7 +156,8 @@ class Products:
 def _solve(gram: FloatArray, right: FloatArray) -> FloatArray:
     if not len(right):
         return np.zeros(right.shape)
-    scale = np.sqrt(np.diag(gram)) + 1e-300
+    scale = np.sqrt(np.maximum(np.diag(gram), 0.0))
+    scale[scale == 0.0] = 1.0  # a term that is there in the left-out fold only has no value
     return np.asarray((np.linalg.lstsq(gram / np.outer(scale, scale), (right.T / scale).T, rcond=1e-10)[0].T / scale).T)
 
 

@@ -15,6 +15,7 @@ from robomill.diagnosis.catalogue import Address
 from robomill.diagnosis.experiment.design import Kind
 from robomill.diagnosis.experiment.segments import Structure
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, decimate
+from robomill.diagnosis.forms.instead import Instead
 from robomill.diagnosis.forms.layout import Form
 from robomill.diagnosis.forms.onset import Onset
 from robomill.diagnosis.gate import checks as gate
@@ -122,6 +123,8 @@ class Unknown:
     """Name of the best model."""
     changes: Changing | None = None
     """What it is like if it changes with time."""
+    instead: tuple[Instead, ...] = ()
+    """Laws of no name that do better than an effect of the best model in its place, the largest gain first (`forms.instead`)."""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy as np
 from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, physical
 from robomill.diagnosis.experiment.repeats import as_share
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, setting
+from robomill.diagnosis.forms.instead import Laws, laws
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.inference import isolability
 from robomill.diagnosis.inference.estimation import Fit
@@ -99,6 +100,9 @@ class Conclusion:
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
         faulty = any(believed[c] >= IDENTIFIED for c in clocks) and not self.repair
         verdict = judged(search, tests, nominal, self.best, other, believed, faulty)
+        instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if verdict in ("identified", "ambiguous") else Laws()
+        if instead.found:
+            verdict = "unknown"
         for c in clocks if faulty or self.repair else []:
             value, (kind, _, pattern) = self.best.values[c.addresses[0]], c.parameters[0].partition(" ")
             text = SAID[kind].format(
@@ -116,7 +120,7 @@ class Conclusion:
         )
         if verdict != "none":
             self.known = by_least_squares(search, self.best)
-        which = self.which(marginal, pairs, tests.p_fit)
+        which = self.which(marginal, pairs, {c: tests.p_fit * instead.belief(c) for c in marginal})
         answer = Answer(
             verdict,
             tuple(self.findings),
@@ -125,7 +129,7 @@ class Conclusion:
             gap=gap,
             transfer=moved,
             tests=tests,
-            families=self.families(tests.p_fit),
+            families=self.families(tests.p_fit, instead),
             smallest_visible=self.smallest(),
         )
         acts = verdict in ("identified", "ambiguous", "unknown")
@@ -148,7 +152,7 @@ class Conclusion:
                 predictive={f.name: f.predictive for f in self.fits if f.predictive},
             )
         if verdict == "unknown":
-            answer = self.described(answer, found, other if other is not None and changes(search, self.best, other) else None)
+            answer = self.described(answer, found, instead, other if other is not None and changes(search, self.best, other) else None)
         return answer, adopted
 
     def transfer(self) -> Transfer | None:
@@ -158,14 +162,20 @@ class Conclusion:
         doubt = max(math.hypot(BIAS, WIDER * fit.deviations[a] / (size + 1e-300)) for a, size in sizes.items())
         return transfer(self.search, self.groups, fit, min(doubt, 1.0))
 
-    def families(self, p_fit: float) -> tuple[Family, ...]:
-        """Families with a probability of LISTED or more, `p_fit` included."""
+    def families(self, p_fit: float, instead: Laws) -> tuple[Family, ...]:
+        """Families with a probability of LISTED or more, `p_fit` included; of a family no more is believed than of its best member."""
         found = families(self.fits, self.weights, self.search.evidence.space, self.search.candidates)
-        scaled = [replace(f, probability=p_fit * f.probability, members={n: p_fit * p for n, p in f.members.items()}) for f in found]
+        belief = {c.name: p_fit * instead.belief(c) for c in self.search.candidates}
+        scaled = []
+        for f in found:
+            members = {n: belief[n] * p for n, p in f.members.items()}
+            scaled.append(replace(f, probability=f.probability * max(belief[n] for n in members), members=members))
         return tuple(f for f in scaled if f.probability >= LISTED)
 
-    def which(self, marginal: Mapping[Candidate, float], pairs: Sequence[isolability.Pair], p_fit: float) -> tuple[Which, ...]:
-        """Every candidate with a probability of LISTED or more if the best model is right; said is its product with `p_fit`."""
+    def which(
+        self, marginal: Mapping[Candidate, float], pairs: Sequence[isolability.Pair], belief: Mapping[Candidate, float]
+    ) -> tuple[Which, ...]:
+        """Every candidate with a probability of LISTED or more if the best model is right; said is its product with `belief`."""
         listed = []
         sets: dict[str, list[str]] = {}
         for one, other in (p.pair for p in pairs if p.confusable):
@@ -177,7 +187,7 @@ class Conclusion:
             fit = max((f for f in self.fits if c in f.model), key=lambda f: float(self.weights[self.fits.index(f)]))
             known = self.known.get(c.name)
             closes = known.closes if known else None
-            listed.append(Which(c.effect, c.component, c.location, p * p_fit, self.parameters(c, fit), sets.get(c.name, []), closes))
+            listed.append(Which(c.effect, c.component, c.location, p * belief[c], self.parameters(c, fit), sets.get(c.name, []), closes))
         return tuple(listed)
 
     def parameters(self, c: Candidate, fit: Fit) -> dict[str, Estimate]:
@@ -277,9 +287,9 @@ class Conclusion:
         fits, weights = [self.fits[i] for i in rivals], [max(float(self.weights[i]), LISTED) for i in rivals]
         return next_run.recommend(fits, weights, kinds, self.search, self.simulator)
 
-    def described(self, answer: Answer, found: Located, other: Changing | None) -> Answer:
+    def described(self, answer: Answer, found: Located, instead: Laws, other: Changing | None) -> Answer:
         """The answer with what is known of an effect that is not in the catalogue; `other`: what it is like if it changes with time."""
-        unknown, where = self.unknown(), answer.where
+        unknown, where = replace(self.unknown(), instead=instead.found), answer.where
         if found.where:
             first = where[0]
             unknown = replace(unknown, component=first.component, direction=first.direction, regime=first.regime)

@@ -129,4 +129,9 @@ def _unknown(s: Subject, known: Unknown) -> str:
             f" The gap changes with time: it is like what {spoken(known.changes.candidate.name)} would do if that {known.changes.how}. "
             "That is a description, not a cause."
         )
+    for x in known.instead[:1]:
+        text += (
+            f" In {s.label(x.port)}, {x.law} in place of {spoken(x.effect)} would predict what was left out better, by {percent(x.gain)} of the gap there: "
+            "that effect stands in for something else, and its outputs and others of its kind are in doubt with it."
+        )
     return paragraph(text) + table(("Share of what is left", "Signal", "Channel"), rows)

@@ -57,6 +57,19 @@ def test_in_noise_alone_hardly_anything_is_found() -> None:
     assert sum(k > 0 for k in found) <= 2  # twice the 5 % that DIAGNOSIS2 allows wrong names, and what chance does to 12 tries
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_term_that_is_there_in_one_block_only_is_no_error() -> None:
+    """Where that block is left out nothing is known of it: its value is zero, as if it were not there."""
+    rng = np.random.default_rng(5)
+    X = terms(rng)
+    X[: N - 40, -1] = 0.0  # in the last of six blocks
+    products = Products(rows(X[:, 1] + 0.1 * noise(rng, 0.0), X), rows(X[:, 1], X).parts(6))
+    last = len(NAMES) - 1
+    assert products.fit([1, last], without=5)[1] == 0.0
+    assert np.isfinite(products.left_beside([last], None)[1:last]).all()
+    assert np.isfinite(products.errors([1, last])).all()
+
+
 @pytest.mark.slow
 def test_an_interval_holds_the_truth_nine_times_in_ten() -> None:
     inside = []

@@ -1,0 +1,95 @@
+"""Stand-ins: an effect whose law is not that of the machine is beaten in its place, one whose law is that of the machine is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.forms.instead import LITTLE, Instead, Laws, Port, better
+from robomill.diagnosis.forms.library import Term
+from robomill.diagnosis.forms.ports import Problem
+from robomill.diagnosis.forms.selection import Rows
+from robomill.diagnosis.inference.machines import MACHINES
+from robomill.diagnosis.outcome.verdict import FALSE_ALARM, IDENTIFIED
+from robomill.orchestration.slaves.protocol import FloatArray
+from tests.diagnosis import axis
+from tests.diagnosis.forms.test_selection import NAMES, noise, rows, terms
+from tests.diagnosis.formula import candidate
+from tests.tolerances import ROUNDOFF
+
+V, SIGN = NAMES.index("v"), NAMES.index("sgn v")
+
+
+def port(law: FloatArray, X: FloatArray, true: FloatArray, rest: FloatArray) -> Port:
+    """An output whose gap is `true` + `rest`, with a model that has `law` [n] at its best size; the terms of the library are X."""
+    gap = true + rest
+    fitted = law * float(law @ gap) / float(law @ law)
+    named = [("y", cast(Term, SimpleNamespace(text=name))) for name in NAMES]
+    made: Rows = rows(gap - fitted, X)
+    return Port("a.y", cast(Problem, SimpleNamespace(terms=named)), made, {candidate("rubbing"): fitted})
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.05])
+def test_a_stand_in_is_beaten_by_the_law_of_the_machine(memory: float) -> None:
+    rng = np.random.default_rng(1)
+    X = terms(rng)
+    (found,) = better(port(X[:, V], X, X[:, SIGN], 0.2 * noise(rng, memory)), 1, False)
+    assert (found.effect, found.port, found.law) == (candidate("rubbing").name, "a.y", "sgn v")
+    assert found.gain > LITTLE
+    assert found.p == 1.0 / (1 + MACHINES)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.05])
+def test_the_right_law_is_not(memory: float) -> None:
+    """Not even where it leaves much, and is not quite that of the library."""
+    alarms = 0
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        X = terms(rng)
+        smooth = np.tanh(X[:, V] / 0.05)
+        alarms += any(x.p <= FALSE_ALARM for x in better(port(smooth, X, smooth, 0.7 * noise(rng, memory)), 1, False))
+    assert alarms <= 1  # FALSE_ALARM of ten, and what chance does to them
+
+
+def test_the_more_tries_the_less_a_rank_says() -> None:
+    rng = np.random.default_rng(1)
+    X = terms(rng)
+    made = port(X[:, V], X, X[:, SIGN], 0.2 * noise(rng, 0.0))
+    one, many = (better(made, tries, True)[0].p for tries in (1, 20))
+    assert many == pytest.approx(20.0 * one, rel=ROUNDOFF)
+    assert better(made, 10 * MACHINES, True)[0].p == 1.0
+
+
+def test_what_does_better_by_little_says_nothing() -> None:
+    rng = np.random.default_rng(1)
+    X = terms(rng)
+    nearly = X[:, SIGN] + 0.02 * X[:, V]
+    assert better(port(X[:, SIGN], X, nearly, 0.02 * noise(rng, 0.0)), 1, True) == []
+
+
+def test_doubt_is_that_of_the_port_and_of_the_kind() -> None:
+    beaten, beside, elsewhere, other = (replace(candidate(e), location=p) for e, p in (("a", "1"), ("b", "1"), ("a", "2"), ("b", "2")))
+    found = Laws((Instead(beaten.name, "x.y[1]", "v", 0.1, 0.01),), {beaten.name: 0.01, beside.name: 0.01}, {"a": 0.01})
+    assert [found.belief(c) for c in (beaten, beside, elsewhere, other)] == [0.01, 0.01, 0.01, 1.0]
+    assert Laws().belief(beaten) == 1.0
+
+
+def answer(folder: Path, truth: dict[str, float], without: str = "") -> dict[str, Any]:
+    known = axis.catalogue(folder)
+    known = replace(known, candidates=tuple(c for c in known.candidates if c.effect not in (without, "clock")))
+    return diagnose(axis.system(), axis.measure(truth, repeats=2), known, resolver=axis.resolve).result
+
+
+def test_an_axis_without_its_friction_in_the_catalogue_is_unknown(tmp_path: Path) -> None:
+    truth = {"coulomb": 1.0, "angle_offset": 0.0}
+    whole, rest = answer(tmp_path, truth), answer(tmp_path, truth, "coulomb")
+    assert whole["verdict"] == "identified"
+    assert whole["which"][0]["effect"] == "coulomb"
+    assert rest["verdict"] == "unknown"
+    assert max(w["probability"] for w in rest["which"]) < IDENTIFIED
