@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from robomill.models.components.file_names import FORM
 from robomill.models.components.recording import literal_unroll
 from robomill.models.maths.elementary import exp, sincos
 from robomill.models.model.declaration import FloatArray, Model, Record, Variable, kernel
@@ -29,8 +30,6 @@ KINDS = ("one", "value", "sign", "size", "signed_square", "square", "cube", "roo
 exp(-x / p)."""
 FACTORS = 2
 """Factors of a term."""
-FORM = ".form.json"
-"""How the name of a file ends that holds the specification of a form."""
 TIME = "t"
 """Name of the time among the variables."""
 

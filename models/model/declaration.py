@@ -16,18 +16,21 @@ from __future__ import annotations
 
 import math
 import string
+import sys
 import weakref
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from robomill.models.model.table import Table, from_rows
 from robomill.models.model.units import EXPECTED, unit_of
+
+if TYPE_CHECKING:
+    from robomill.models.model.model_code import ModelCode
 
 Causality = Literal["input", "output", "parameter", "state"]
 Kind = Literal["real", "integer", "boolean", "table"]
@@ -47,19 +50,30 @@ COMPILER_OPTIONS: dict[str, Any] = {
 error; no fast maths and no contraction keep the numbers equal to those of plain Python."""
 
 RESERVED_NAMES = frozenset(dir(np.record)) | frozenset(dir(np.recarray))
+_UNTOLD: list[Callable[..., Any]] = []
+"""Kernels that Numba does not know yet."""
 
 
 def kernel(function: Function) -> Function:
     """Mark a helper that `init` or `step` calls: plain Python stays plain, compiled code compiles it.
 
-    Without Numba the function is only marked.
+    Numba is told when it is there, or by `tell_numba` before something is compiled: code that is kept is loaded without Numba.
     """
     function.is_kernel = True  # type: ignore[attr-defined]  # for `models.model.calls`
-    with suppress(ImportError):
-        from numba.extending import register_jitable
-
-        register_jitable(**COMPILER_OPTIONS)(function)
+    _UNTOLD.append(function)
+    if "numba.extending" in sys.modules:
+        tell_numba()
     return function
+
+
+def tell_numba() -> None:
+    """Let Numba compile the kernels declared so far where compiled code calls them. ImportError without Numba."""
+    from numba.extending import register_jitable
+
+    from robomill.models.model import table_access_compiled  # noqa: F401  # tells Numba how to read a number at an address
+
+    while _UNTOLD:
+        register_jitable(**COMPILER_OPTIONS)(_UNTOLD.pop())
 
 
 @dataclass(frozen=True)
@@ -238,37 +252,21 @@ class Model:
 
     def compiled(self, cache: bool = True) -> tuple[Callable[..., int], Callable[..., int]]:
         """`init` and `step` compiled by Numba for this record type (cached on disk; see `models.model.cache`)."""
-        return _compiled("record", self.init, self.step, lambda: (self.init, self.step), cache)
+        return _compiled(self.init, self.step, cache)
 
-    def compiled_for_data(self) -> tuple[Callable[..., int], Callable[..., int]]:
-        """`init(data)` and `step(data, t, h)`, compiled, of the one-element array instead of its record.
+    def machine_code(self) -> ModelCode:
+        """`init` and `step` compiled for addresses of records, kept on disk and loaded without Numba. ImportError without LLVM or Numba."""
+        from robomill.models.model.model_code import model_code
 
-        Numba unpacks an array in 0.3 us and a record in 3.5 us; the model functions are the same.
-        """
-
-        def wrappers() -> tuple[Callable[..., int], Callable[..., int]]:
-            model_init, model_step = kernel(self.init), kernel(self.step)
-
-            def init(data: npt.NDArray[np.void]) -> int:
-                return model_init(data[0])
-
-            def step(data: npt.NDArray[np.void], t: float, h: float) -> int:
-                return model_step(data[0], t, h)
-
-            init.__qualname__, step.__qualname__ = f"{self.name}_init", f"{self.name}_step"  # names of their cache files
-            return init, step
-
-        return _compiled("data", self.init, self.step, wrappers, True)
+        return model_code(self)
 
 
-_COMPILED: dict[tuple[object, ...], tuple[Callable[..., int], Callable[..., int]]] = {}
+_COMPILED: dict[tuple[object, object], tuple[Callable[..., int], Callable[..., int]]] = {}
 
 
-def _compiled(
-    kind: str, init: Any, step: Any, functions: Callable[[], tuple[Callable[..., int], Callable[..., int]]], cache: bool
-) -> tuple[Callable[..., int], Callable[..., int]]:
-    """The dispatchers of what `functions` returns, made once per process, model functions and `kind`."""
-    key = (kind, init, step)
+def _compiled(init: Any, step: Any, cache: bool) -> tuple[Callable[..., int], Callable[..., int]]:
+    """The dispatchers of both functions, made once per process."""
+    key = (init, step)
     if key not in _COMPILED:
         from numba import njit
 
@@ -277,10 +275,10 @@ def _compiled(
 
         if not compiled_before(init, step):  # the same sources were checked then
             check_kernels(init, step)
+        tell_numba()
         options = {**COMPILER_OPTIONS, "nogil": True, "cache": cache}
         with compiled_code(init, step):
-            first, second = functions()
-            _COMPILED[key] = njit(**options)(first), njit(**options)(second)
+            _COMPILED[key] = njit(**options)(init), njit(**options)(step)
     return _COMPILED[key]
 
 

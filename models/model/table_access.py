@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from robomill.models.model.declaration import COMPILER_OPTIONS, kernel
+from robomill.models.model.declaration import kernel
 
 
 def number_at(address: int) -> float:
@@ -15,7 +15,7 @@ def number_at(address: int) -> float:
     return np.float64(ctypes.c_double.from_address(int(address)).value)
 
 
-number_at.is_kernel = True  # type: ignore[attr-defined]  # compiled code has one of its own, below
+number_at.is_kernel = True  # type: ignore[attr-defined]  # compiled code has one of its own, `table_access_compiled`
 
 
 @kernel
@@ -54,28 +54,3 @@ def row_at(address: int, rows: int, columns: int, time: float, guess: int) -> in
         else:
             high = middle - 1
     return low
-
-
-try:
-    from numba import types
-    from numba.extending import intrinsic, overload
-except ImportError:
-    pass
-else:
-    OPTIONS: Any = COMPILER_OPTIONS
-
-    @intrinsic
-    def _load(typing_context: Any, address: Any) -> Any:
-        """A load instruction."""
-
-        def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return builder.load(builder.inttoptr(arguments[0], context.get_value_type(signature.return_type).as_pointer()))
-
-        return types.float64(types.int64), code
-
-    @overload(number_at, jit_options=OPTIONS)
-    def _number_at(address: int) -> Any:
-        def compiled(address: int) -> Any:
-            return _load(address)  # type: ignore[call-arg]  # Numba gives the context
-
-        return compiled

@@ -235,7 +235,7 @@ def _at_rest(plan: Plan, robot: Robot, tool: Tool, q_start: Sequence[float] | Fl
     data["q_start"] = q_start
     data["speed_ratio"] = 0.0  # the path time is set, not run
     MODEL.load_table(data, "segments", plan.table)
-    _refuse(plan, data, MODEL.compiled_for_data()[0](data))
+    _refuse(plan, data, MODEL.machine_code().init(data.ctypes.data))
     return data
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from robomill.models.model.compiled import compiled_on_call
+from robomill.models.model.compiled import loaded_on_call
 from robomill.models.model.declaration import FloatArray
 from robomill.models.model.parameters import load, quantity
 from robomill.models.planning.blend import blend, hermite
@@ -165,7 +165,7 @@ class _Turn:
         return (0.0, 0.0) if self.steady else (_largest(self.f_1, self.f_2, 1, length), _largest(self.f_1, self.f_2, 2, length))
 
 
-@compiled_on_call
+@loaded_on_call
 def _largest(f_1: FloatArray, f_2: FloatArray, order: int, length: float) -> float:
     """Sum of the largest sizes of a derivative of two quintics (6,) over [0, length], at even steps."""
     one = two = 0.0
@@ -594,7 +594,7 @@ def _rows(run: list[_Stretch], elements: FloatArray, profile: FloatArray, tau: f
     return rows
 
 
-@compiled_on_call
+@loaded_on_call
 def _cut(edges: FloatArray, profile: FloatArray, tau: float, owners: IntArray, laws: FloatArray) -> int:
     """Fill the elements and time laws (tau, sigma, speed, acceleration, jerk) of the rows of a run; returns their number.
 

@@ -13,7 +13,7 @@ from types import ModuleType
 
 import pytest
 
-from robomill.models.model.cache import IN_USE, _key, compiled_before, compiled_code, prune, source_files, user_folder
+from robomill.models.model.cache import _key, compiled_before, compiled_code, source_files
 from robomill.models.model.calls import check_kernels
 
 MODEL = """
@@ -32,6 +32,7 @@ MODEL = Model("edited", "A model with a helper elsewhere", (Variable("y", "outpu
 RUN = """
 import edited
 from robomill.models.model.declaration import record
+from robomill.user_cache import IN_USE, prune, user_folder
 _, step = edited.MODEL.compiled()
 data = edited.MODEL.new()
 step(record(data), 0.0, 1.0)

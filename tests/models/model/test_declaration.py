@@ -219,7 +219,8 @@ class TestRunning:
         plain, compiled, for_data = TANK.new(), TANK.new(), TANK.new()
         expected = self.run(*TANK.plain(), record(plain), plain)
         assert self.run(*TANK.compiled(cache=False), record(compiled), compiled) == expected
-        assert self.run(*TANK.compiled_for_data(), for_data, for_data) == expected
+        code = TANK.machine_code()
+        assert self.run(code.init, code.step, for_data.ctypes.data, for_data) == expected
         assert plain.tobytes() == compiled.tobytes() == for_data.tobytes()
         assert plain["count"][0] == 300
 
@@ -239,7 +240,7 @@ class TestRunning:
 
     def test_compiled_functions_are_made_once(self) -> None:
         assert TANK.compiled(cache=False) is TANK.compiled(cache=False)
-        assert TANK.compiled_for_data() is TANK.compiled_for_data()
+        assert TANK.machine_code() is TANK.machine_code()
 
     def test_an_array_temporary_is_a_compile_error(self) -> None:
         """Without the Numba runtime nothing can be allocated: a model that needs no heap cannot leak in a native FMU."""
