@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from robomill.models.components.file_names import FORM
 from robomill.models.components.recording import literal_unroll
 from robomill.models.maths.elementary import exp, sincos
 from robomill.models.model.declaration import FloatArray, Model, Record, Variable, kernel

@@ -32,7 +32,6 @@ from robomill.orchestration.loop.operations import (
     INT32,
     LIMIT,
     MEAN,
-    N,
     OPERATION,
     RATE,
     REFERENCES,
@@ -42,6 +41,7 @@ from robomill.orchestration.loop.operations import (
     TICK,
     UNFIT,
     VIOLATED,
+    N,
 )
 
 # Numba's decorators change signatures in ways that types cannot say

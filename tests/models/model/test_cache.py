@@ -15,6 +15,7 @@ import pytest
 
 from robomill.models.model.cache import _key, compiled_before, compiled_code, source_files
 from robomill.models.model.calls import check_kernels
+from robomill.user_cache import IN_USE, prune, user_folder
 
 MODEL = """
 from robomill.models.model.declaration import Model, Variable
@@ -32,7 +33,6 @@ MODEL = Model("edited", "A model with a helper elsewhere", (Variable("y", "outpu
 RUN = """
 import edited
 from robomill.models.model.declaration import record
-from robomill.user_cache import IN_USE, prune, user_folder
 _, step = edited.MODEL.compiled()
 data = edited.MODEL.new()
 step(record(data), 0.0, 1.0)
