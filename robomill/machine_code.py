@@ -22,6 +22,8 @@ import numpy as np
 
 FORBIDDEN = ("Py", "_Py", "NRT_", "numba_")
 """Beginnings of names of functions that only exist inside Python."""
+_DIGEST = hashlib.sha256().digest_size
+"""Bytes at the beginning of a kept file: the hash of the others."""
 _RETURNED: Mapping[str, Any] = {"": ctypes.c_int64, ".float64": ctypes.c_double, ".bool": ctypes.c_bool}
 """What is added to the name of a function for the type that it returns. Nothing returned is read as 0."""
 _Code = tuple[str, str, str]
@@ -29,7 +31,7 @@ _Code = tuple[str, str, str]
 
 
 class MachineCode:
-    """Functions in memory, for as long as this object lives. ValueError (RuntimeError of LLVM) if the content is no object code."""
+    """Functions in memory, for as long as this object lives."""
 
     def __init__(self, content: bytes) -> None:
         llvm = _llvm()
@@ -68,14 +70,16 @@ def machine_code(file: Path | None, make: Callable[[], tuple[bytes, bool]]) -> M
     """
     kept = None if file is None else file.with_name(f"{file.name}.{_processor()}.o")
     if kept is not None:
-        with suppress(OSError, RuntimeError):
-            return MachineCode(kept.read_bytes())
+        with suppress(OSError):
+            found = kept.read_bytes()
+            if hashlib.sha256(found[_DIGEST:]).digest() == found[:_DIGEST]:  # LLVM ends the process over a file that is torn
+                return MachineCode(found[_DIGEST:])
     content, lasting = make()
     if kept is not None and lasting:
         with suppress(OSError):
             kept.parent.mkdir(parents=True, exist_ok=True)
             partial = kept.with_name(f"{kept.name}.{os.getpid()}")
-            partial.write_bytes(content)
+            partial.write_bytes(hashlib.sha256(content).digest() + content)
             partial.replace(kept)
     return MachineCode(content)
 

@@ -1,0 +1,67 @@
+"""robomill.machine_code: compiled functions are kept as object code and loaded without Numba."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robomill.machine_code import c_types, flat, kind_of, machine_code, numba_types, object_code
+
+OPTIONS = {"error_model": "numpy", "_nrt": False, "boundscheck": True}
+LOADS = """
+import ctypes, sys
+from pathlib import Path
+from robomill.machine_code import machine_code
+def refuse():
+    raise AssertionError("nothing was kept")
+half = machine_code(Path(sys.argv[1]), refuse).function("half", ctypes.c_double)
+assert half(3.0) == 1.5
+assert "numba" not in sys.modules
+"""
+
+
+def half(x):
+    return 0.5 * x
+
+
+def put(values, at):
+    values[at] = 2.0
+    return at
+
+
+def test_what_is_kept_is_loaded_by_another_process_without_numba(tmp_path: Path) -> None:
+    file = tmp_path / "half"
+    code = machine_code(file, lambda: object_code({"half": (half, numba_types(["float64"]))}, OPTIONS))
+    assert code.function("half", ctypes.c_double)(3.0) == half(3.0)
+    assert code.address("other") == 0
+    subprocess.run([sys.executable, "-c", LOADS, str(file)], check=True)
+
+
+def test_arrays_and_exceptions_come_through() -> None:
+    values = np.zeros((3, 2))[:, 1]
+    kinds = [kind_of(a) for a in (values, 1)]
+    assert kinds == ["array(float64, 1d, A)", "int64"]
+    fill = machine_code(None, lambda: object_code({"put": (put, numba_types(kinds))}, OPTIONS)).function("put", *c_types(kinds))
+    assert fill(*flat([values, 1])) == 1
+    assert values.tolist() == [0.0, 2.0, 0.0]
+    with pytest.raises(IndexError, match="out of bounds"):
+        fill(*flat([values, 7]))
+
+
+def test_a_broken_file_is_made_anew(tmp_path: Path) -> None:
+    made = []
+
+    def make() -> tuple[bytes, bool]:
+        made.append(1)
+        return object_code({"half": (half, numba_types(["float64"]))}, OPTIONS)
+
+    machine_code(tmp_path / "half", make)
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(b"broken")
+    assert machine_code(tmp_path / "half", make).function("half", ctypes.c_double)(1.0) == 0.5
+    assert len(made) == 2
