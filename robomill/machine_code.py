@@ -96,10 +96,11 @@ def numba_types(kinds: Sequence[str]) -> list[Any]:
     from numba import types
     from numba.np.numpy_support import from_dtype
 
+    array: Any = types.Array
     found: list[Any] = []
     for kind in kinds:
         dtype, *rest = kind[6:-1].split(", ") if kind.startswith("array") else (kind,)
-        found.append(types.Array(from_dtype(np.dtype(dtype)), int(rest[0][:-1]), rest[1]) if rest else getattr(types, kind))
+        found.append(array(from_dtype(np.dtype(dtype)), int(rest[0][:-1]), rest[1]) if rest else getattr(types, kind))
     return found
 
 

@@ -51,7 +51,8 @@ def _file(model: Model) -> Path | None:
         if getattr(sys.modules.get(function.__module__), function.__qualname__, None) is not function:
             from numba.core.serialize import dumps
 
-            held: Any = dumps(tuple(c.cell_contents for c in function.__closure__ or ()))
+            pickled: Any = dumps
+            held = pickled(tuple(c.cell_contents for c in function.__closure__ or ()))
             digest.update(f"{function.__code__.co_firstlineno}".encode() + function.__code__.co_code + held)
     return kept_code(f"{model.name}.{digest.hexdigest()[:12]}", model.init, model.step)
 
@@ -62,5 +63,5 @@ def _make(model: Model) -> tuple[bytes, bool]:
     check_kernels(model.init, model.step)
     tell_numba()
     record: Any = numba.from_dtype(model.dtype)
-    functions = {"model_init": (model.init, (record,)), "model_step": (model.step, (record, numba.float64, numba.float64))}
+    functions: dict[str, Any] = {"model_init": (model.init, (record,)), "model_step": (model.step, (record, numba.float64, numba.float64))}
     return object_code(functions, COMPILER_OPTIONS, c_step="model_step")

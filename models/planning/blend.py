@@ -121,7 +121,7 @@ def dot(a: FloatArray, b: FloatArray) -> float:
 
 def put_control(corner: FloatArray, distance: float, control: FloatArray) -> bool:
     """`bezier_control` of a corner into (6, 3); False if there is none."""
-    return loaded(control_points)(corner, distance, control, np.zeros((6, 3)), np.zeros((4, 3)))
+    return bool(loaded(control_points)(corner, distance, control, np.zeros((6, 3)), np.zeros((4, 3))))
 
 
 @kernel
