@@ -1,16 +1,17 @@
 """Compiled functions as object code that is kept on disk and loaded without Numba, which takes half a second to import and wake.
 
 Numba compiles; what is kept of that are the functions by name, in its calling convention, and what they call. LLVM's loader puts them
-into memory. Only code that needs nothing of Python and Numba at run time can be kept; other code stays in the process that made it.
+into memory. Only code that needs nothing of the process at run time can be kept; other code stays in the process that made it.
 """
 
 from __future__ import annotations
 
 import ctypes
 import hashlib
-import os
 import pickle
 import re
+import sys
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
@@ -22,6 +23,11 @@ import numpy as np
 
 FORBIDDEN = ("Py", "_Py", "NRT_", "numba_")
 """Beginnings of names of functions that only exist inside Python."""
+ANYWHERE = re.compile(
+    r"mem(?:set|cpy|move)$|llvm\.(?!(?:a?(?:sin|cos|tan)h?|atan2|sincos(?:pi)?|modf|exp\d*|log\d*|powi?|ldexp|frexp|fma)\.)"
+)
+"""Functions that kept code may call: instructions, and what each process has. LLVM ends a process over one that it does not find, and
+elementary functions are those of the C library that Numba chose, which may round otherwise than the one found without it."""
 _DIGEST = hashlib.sha256().digest_size
 """Bytes at the beginning of a kept file: the hash of the others."""
 _RETURNED: Mapping[str, Any] = {"": ctypes.c_int64, ".float64": ctypes.c_double, ".bool": ctypes.c_bool}
@@ -34,6 +40,7 @@ class MachineCode:
     """Functions in memory, for as long as this object lives."""
 
     def __init__(self, content: bytes) -> None:
+        """Load object code made for this processor. The process ends if it is torn: see `machine_code`."""
         llvm = _llvm()
         self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(content))
@@ -51,24 +58,35 @@ class MachineCode:
         """
         kind, address = next((k, a) for n, k in _RETURNED.items() if (a := self.address(name + n)))
         call = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.POINTER(kind), ctypes.POINTER(ctypes.c_void_p), *kinds)(address)
-        code, by_reference = self, ctypes.byref
+        by_reference = ctypes.byref
 
         def function(*arguments: Any) -> Any:
             returned, raised = kind(), ctypes.c_void_p()
             if call(by_reference(returned), by_reference(raised), *arguments):
-                raise _exception(raised.value, code)
+                raise self._exception(raised.value)
             return returned.value
 
         return function
+
+    def _exception(self, address: int | None) -> BaseException:
+        """What the code raised, from where Numba put it: the pickled class and arguments, and their length."""
+        if address:
+            data = ctypes.c_void_p.from_address(address).value
+            size = ctypes.c_int32.from_address(address + ctypes.sizeof(ctypes.c_void_p)).value
+            with suppress(Exception):
+                kind, arguments, *_ = pickle.loads(ctypes.string_at(data or 0, size))
+                found: BaseException = kind(*(arguments or ()))
+                return found
+        return RuntimeError("an exception in compiled code")
 
 
 def machine_code(file: Path | None, make: Callable[[], tuple[bytes, bool]]) -> MachineCode:
     """The code kept in `file`, else what `make` returns: object code, and whether it can be kept. None: it is not kept.
 
-    A file of another processor is another file: its name is completed by the processor's. Where nothing can be written, each process
-    compiles.
+    The name of the file is completed by the processor and the versions of the compilers. Where nothing can be written, each process
+    compiles. ImportError without Numba.
     """
-    kept = None if file is None else file.with_name(f"{file.name}.{_processor()}.o")
+    kept = None if file is None else file.with_name(f"{file.name}.{_target()}.o")
     if kept is not None:
         with suppress(OSError):
             found = kept.read_bytes()
@@ -78,9 +96,12 @@ def machine_code(file: Path | None, make: Callable[[], tuple[bytes, bool]]) -> M
     if kept is not None and lasting:
         with suppress(OSError):
             kept.parent.mkdir(parents=True, exist_ok=True)
-            partial = kept.with_name(f"{kept.name}.{os.getpid()}")
-            partial.write_bytes(hashlib.sha256(content).digest() + content)
-            partial.replace(kept)
+            partial = kept.with_name(f"{kept.name}.{uuid.uuid4().hex}")  # others may write it, too, also in this process
+            try:
+                partial.write_bytes(hashlib.sha256(content).digest() + content)
+                partial.replace(kept)
+            finally:
+                partial.unlink(missing_ok=True)
     return MachineCode(content)
 
 
@@ -137,31 +158,34 @@ def flat(arguments: Sequence[Any]) -> list[Any]:
 def object_code(
     functions: Mapping[str, tuple[Callable[..., Any], Sequence[Any]]], options: Mapping[str, Any], c_step: str = ""
 ) -> tuple[bytes, bool]:
-    """Compile functions (name -> function, its Numba types) for this processor: object code, and whether it needs nothing of Python.
+    """Compile functions (name -> function, its Numba types) for this processor: object code, and whether it can be kept.
 
     With `c_step` = NAME there is a function NAME_c, too: ``int f(void *instance, double t, double h, int)``, the status that NAME of
     (instance, t, h) returns, or -1 if it raises.
     """
     import numba
 
-    texts = []
+    texts, lasting = [], True
     for name, (function, kinds) in functions.items():
         dispatcher: Any = numba.njit(**options)(function)
         dispatcher.compile(tuple(kinds))
         signature = dispatcher.signatures[0]
-        returned: Any = dispatcher.overloads[signature].signature.return_type
+        compiled: Any = dispatcher.overloads[signature]
+        returned = compiled.signature.return_type
         ending = "" if returned in (numba.types.int64, numba.types.none) else f".{returned}"
         if ending not in _RETURNED:
             known = "an integer, a float, a truth value or nothing"
             raise TypeError(f"{function.__module__}.{function.__qualname__} returns {returned}; expected {known}")
-        texts.append((name + ending, dispatcher.overloads[signature].fndesc.llvm_func_name, dispatcher.inspect_llvm(signature)))
+        lasting = lasting and not compiled.library.has_dynamic_globals  # addresses of this process, as of a ctypes function
+        texts.append((name + ending, compiled.fndesc.llvm_func_name, dispatcher.inspect_llvm(signature)))
     if c_step:
         texts.append((f"{c_step}_c", f"{c_step}_c", _c_step(c_step)))
     module = linked(texts)
     machine = _machine()
     module.triple, module.data_layout = machine.triple, str(machine.target_data)
     content: bytes = machine.emit_object(module)
-    return content, not missing(module)
+    declared = [v.name for v in (*module.functions, *module.global_variables) if v.is_declaration]
+    return content, lasting and all(map(ANYWHERE.match, declared))
 
 
 @cache
@@ -204,6 +228,8 @@ def without_target(text: str) -> str:
 def _llvm() -> Any:
     from llvmlite import binding
 
+    if not hasattr(binding.newpassmanagers.ModulePassManager, "add_strip_symbols_pass"):
+        raise ImportError(f"llvmlite {version('llvmlite')} is installed, which comes with Numba before 0.62; update Numba")
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
     return binding
@@ -215,14 +241,24 @@ def _machine() -> Any:
     target = llvm.Target.from_default_triple()
     reloc = "static" if target.name.startswith("x86") else "default"
     return target.create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=3, reloc=reloc, codemodel="jitdefault", jit=True
+        cpu=llvm.get_host_cpu_name(), features=_features(), opt=3, reloc=reloc, codemodel="jitdefault", jit=True
     )
 
 
-def _processor() -> str:
+def _features() -> str:
+    try:
+        features: str = _llvm().get_host_cpu_features().flatten()
+    except RuntimeError:  # LLVM cannot tell them on this system
+        return ""
+    return features
+
+
+@cache
+def _target() -> str:
+    """A short name of the processor, of the compilers and of Python, whose pickles the code holds."""
     llvm = _llvm()
-    described = f"{llvm.llvm_version_info} {llvm.get_default_triple()} {llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}"
-    return hashlib.sha256(described.encode()).hexdigest()[:8]
+    processor = f"{llvm.get_default_triple()} {llvm.get_host_cpu_name()} {_features()}"
+    return hashlib.sha256(f"{llvm.llvm_version_info} {numba_version()} {sys.version} {processor}".encode()).hexdigest()[:8]
 
 
 def _c_step(name: str) -> str:
@@ -239,17 +275,3 @@ def _c_step(name: str) -> str:
     status = builder.trunc(builder.load(returned), whole)
     builder.ret(builder.select(builder.icmp_signed("==", failed, whole(0)), status, whole(-1)))
     return str(module)
-
-
-def _exception(address: int | None, _: MachineCode) -> BaseException:
-    """What compiled code raised, from where Numba put it: the pickled class and arguments, and their length."""
-    if address:
-        data, size = (
-            ctypes.c_void_p.from_address(address).value,
-            ctypes.c_int32.from_address(address + ctypes.sizeof(ctypes.c_void_p)).value,
-        )
-        with suppress(Exception):
-            kind, arguments, *_rest = pickle.loads(ctypes.string_at(data or 0, size))
-            found: BaseException = kind(*(arguments or ()))
-            return found
-    return RuntimeError("an exception in compiled code")

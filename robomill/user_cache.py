@@ -29,6 +29,15 @@ def user_folder() -> Path:
     return Path(base) / "robomill"
 
 
+def use(folder: Path) -> None:
+    """Mark a cache folder as used now; if it is not there yet, make room for it among its neighbours."""
+    with suppress(OSError):
+        if folder.is_dir():
+            os.utime(folder)
+        else:
+            prune(folder.parent, folder.name)
+
+
 def prune(folder: Path, current: str, kept: int = KEPT) -> None:
     """Remove the subfolders of `folder` that were used longest ago, all but `kept`, `current` and those used within `IN_USE`."""
     with suppress(OSError):

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from robomill.machine_code import numba_version
-from robomill.user_cache import prune, user_folder
+from robomill.user_cache import prune, use, user_folder
 
 PACKAGE = Path(__file__).parents[1]
 # builds side by side: CPython 3.11 counts the depth of its trees for all threads together, and then finds it wrong
@@ -71,11 +71,7 @@ def kept_code(name: str, *functions: Callable[..., Any]) -> Path | None:
     if __name__ != "robomill.models.model.cache":
         return Path(__file__).parent / "__pycache__" / name
     folder = _folder(functions)
-    with suppress(OSError):
-        if folder.is_dir():
-            os.utime(folder)
-        else:
-            prune(folder.parent, folder.name)
+    use(folder)
     return folder / name
 
 

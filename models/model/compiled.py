@@ -33,8 +33,8 @@ def compiled(function: Function) -> Function:
 def loaded(function: Function) -> Function:
     """As `compiled`, but kept as machine code that is loaded without Numba. For scalar loops over arrays that allocate nothing.
 
-    Arguments are arrays, integers and floats; it returns an integer, a float, a truth value or nothing. Without Numba and kept
-    code it runs as it is.
+    Arguments are arrays, integers and floats; it returns an integer, a float, a truth value or nothing. Without Numba it
+    runs as it is.
     """
     codes: dict[tuple[str, ...], Callable[..., Any]] = {}
 

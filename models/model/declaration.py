@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 import string
 import sys
+import threading
 import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -52,6 +53,7 @@ error; no fast maths and no contraction keep the numbers equal to those of plain
 RESERVED_NAMES = frozenset(dir(np.record)) | frozenset(dir(np.recarray))
 _UNTOLD: list[Callable[..., Any]] = []
 """Kernels that Numba does not know yet."""
+_TELLING = threading.Lock()  # who compiles in another thread waits for the last of them; nothing is imported meanwhile
 
 
 def kernel(function: Function) -> Function:
@@ -72,8 +74,9 @@ def tell_numba() -> None:
 
     from robomill.models.model import table_access_compiled  # noqa: F401  # tells Numba how to read a number at an address
 
-    while _UNTOLD:
-        register_jitable(**COMPILER_OPTIONS)(_UNTOLD.pop())
+    with _TELLING:
+        while _UNTOLD:
+            register_jitable(**COMPILER_OPTIONS)(_UNTOLD.pop())
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ class ModelCode:
     step_address: int
     """Address of `int f(record *, double t, double h, int)`, which returns -1 for an exception."""
     code: MachineCode
+    """Holds the memory at `step_address`."""
 
 
 _LOADED: dict[Any, ModelCode] = {}

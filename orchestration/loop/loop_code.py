@@ -9,7 +9,7 @@ from typing import Any
 
 from robomill import machine_code
 from robomill.orchestration.loop import operations
-from robomill.user_cache import prune, user_folder
+from robomill.user_cache import use, user_folder
 
 _LOADED: dict[tuple[str, ...], Callable[..., int]] = {}
 
@@ -32,8 +32,7 @@ def _make(kinds: tuple[str, ...]) -> tuple[bytes, bool]:
 def _file(kinds: tuple[str, ...]) -> Path:
     """Named after what the code is made from."""
     sources = [Path(str(m.__file__)) for m in (operations, machine_code)] + [Path(__file__).with_name("compiled.py")]
-    digest = hashlib.sha256(b"".join(f.read_bytes() for f in sources) + f"{machine_code.numba_version()} {kinds}".encode())
+    digest = hashlib.sha256(b"".join(f.read_bytes() for f in sources) + repr(kinds).encode())
     folder = user_folder() / "numba" / digest.hexdigest()[:20]
-    if not folder.is_dir():
-        prune(folder.parent, folder.name)
+    use(folder)
     return folder / "advance"

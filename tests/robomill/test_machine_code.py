@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,3 +67,42 @@ def test_a_broken_file_is_made_anew(tmp_path: Path) -> None:
     file.write_bytes(b"broken")
     assert machine_code(tmp_path / "half", make).function("half", ctypes.c_double)(1.0) == 0.5
     assert len(made) == 2
+
+
+def sine(x):
+    return math.sin(x)
+
+
+SINE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(("sin", ctypes.CDLL(None))) if sys.platform != "win32" else None
+
+
+def sine_at_an_address(x):
+    return SINE(x)
+
+
+def said(x):
+    print(x)
+    return x
+
+
+@pytest.mark.parametrize("function", [sine, said, *([sine_at_an_address] if SINE else [])])
+def test_code_that_needs_something_of_its_process_is_not_kept(function: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    code = machine_code(tmp_path / "code", lambda: object_code({"code": (function, numba_types(["float64"]))}, OPTIONS))
+    assert code.function("code", ctypes.c_double)(0.5) == function(0.5)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_written_to_is_done_without(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    code = machine_code(tmp_path / "file" / "half", lambda: object_code({"half": (half, numba_types(["float64"]))}, OPTIONS))
+    assert code.function("half", ctypes.c_double)(3.0) == 1.5
+
+
+def test_code_of_another_compiler_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def make() -> tuple[bytes, bool]:
+        return object_code({"half": (half, numba_types(["float64"]))}, OPTIONS)
+
+    machine_code(tmp_path / "half", make)
+    monkeypatch.setattr("robomill.machine_code._target", lambda: "another")
+    machine_code(tmp_path / "half", make)
+    assert len(list(tmp_path.iterdir())) == 2
