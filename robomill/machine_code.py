@@ -160,6 +160,8 @@ def object_code(
 ) -> tuple[bytes, bool]:
     """Compile functions (name -> function, its Numba types) for this processor: object code, and whether it can be kept.
 
+    ValueError for code that calls Python, TypeError for one that returns what `MachineCode.function` cannot.
+
     With `c_step` = NAME there is a function NAME_c, too: ``int f(void *instance, double t, double h, int)``, the status that NAME of
     (instance, t, h) returns, or -1 if it raises.
     """
@@ -181,6 +183,8 @@ def object_code(
     if c_step:
         texts.append((f"{c_step}_c", f"{c_step}_c", _c_step(c_step)))
     module = linked(texts)
+    if "numba_gil_ensure" in missing(module):  # Numba sets up what that takes in its own copy of the code only
+        raise ValueError(f"{', '.join(functions)}: compiled code calls Python (print?); take that out, or run the model with Model.plain")
     machine = _machine()
     module.triple, module.data_layout = machine.triple, str(machine.target_data)
     content: bytes = machine.emit_object(module)

@@ -85,8 +85,8 @@ def said(x):
     return x
 
 
-@pytest.mark.parametrize("function", [sine, said, *([sine_at_an_address] if SINE else [])])
-def test_code_that_needs_something_of_its_process_is_not_kept(function: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("function", [sine, *([sine_at_an_address] if SINE else [])])
+def test_code_that_needs_something_of_its_process_is_not_kept(function: Any, tmp_path: Path) -> None:
     code = machine_code(tmp_path / "code", lambda: object_code({"code": (function, numba_types(["float64"]))}, OPTIONS))
     assert code.function("code", ctypes.c_double)(0.5) == function(0.5)
     assert list(tmp_path.iterdir()) == []
@@ -106,3 +106,8 @@ def test_code_of_another_compiler_is_not_loaded(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr("robomill.machine_code._target", lambda: "another")
     machine_code(tmp_path / "half", make)
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_code_that_calls_python_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"code: compiled code calls Python \(print\?\); take that out, or run the model with Model.plain"):
+        object_code({"code": (said, numba_types(["float64"]))}, OPTIONS)
