@@ -193,6 +193,7 @@ def _stamps(files: set[str]) -> dict[str, list[int]]:
     return {file: list(_stamp(file)) for file in files}
 
 
+@cache
 def _data_files() -> list[str]:
-    """The parameter files."""
+    """The parameter files. One that comes later is not what a model of this process was made from."""
     return [f"{folder}{os.sep}{n}" for folder, _, names in os.walk(PACKAGE) for n in names if n.endswith(".toml")]

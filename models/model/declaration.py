@@ -135,7 +135,7 @@ class Variable:
         values = np.asarray(self.start, dtype=np.float64)
         if values.ndim and values.shape != self.shape:
             raise ValueError(f"variable {self.name!r}: start has shape {values.shape}, declared is {self.shape}")
-        return np.broadcast_to(values, self.shape)
+        return np.full(self.shape, values)
 
     @property
     def dtype(self) -> type[np.float64] | type[np.int64]:
@@ -228,13 +228,19 @@ class Model:
 
     def new(self) -> npt.NDArray[np.void]:
         """A fresh instance: a one-element array of `dtype` with every variable at its start value."""
+        data = self._first.copy()
+        _keep(data, self.built_in)
+        return data
+
+    @cached_property
+    def _first(self) -> npt.NDArray[np.void]:
+        """What `new` copies: a system makes many instances of few models."""
         data = np.zeros(1, self.dtype)
         for v in self.variables:
             if v.kind == "table":
                 point(data, v.name, self.built_in[v.name])
             else:
                 data[v.name] = v.start_values
-        _keep(data, self.built_in)
         return data
 
     def load_table(self, data: npt.NDArray[np.void], name: str, rows: FloatArray) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation as Theirs
@@ -34,7 +36,7 @@ def test_a_matrix_that_is_not_quite_orthogonal_is_made_so() -> None:
 
 
 def test_turning_on_and_back_is_that_of_scipy() -> None:
-    for first, second in zip(SETS[:-1], SETS[1:], strict=True):
+    for first, second in itertools.pairwise(SETS):
         for size in (1.0, 1e-4):
             ours = Rotation.from_abc(first), Rotation.from_rotvec(size * second)
             theirs = Theirs.from_euler("ZYX", first), Theirs.from_rotvec(size * second)
