@@ -13,6 +13,7 @@ import numpy as np
 
 from robomill.fmus.instance import ComponentError, Instance
 from robomill.fmus.interface import Port
+from robomill.models.model.model_code import model_code
 
 RAISED = -1
 """Status for an exception inside compiled code: an index out of bounds."""
@@ -36,7 +37,7 @@ class Addresses:
 
     def __init__(self, instance: Instance) -> None:
         self._instance = instance
-        self._code = instance.model.machine_code()  # kept: its code goes with it
+        self._code = model_code(instance.model)  # kept: its code goes with it
         self.instance: int = instance.data.ctypes.data
         self.step: int = self._code.step_address
         self.inputs = _blocks(instance.interface.inputs, self.instance)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from robomill.fmus.interface import WORD, Interface, Port
 from robomill.models.model.declaration import FloatArray, Model, point, record
+from robomill.models.model.model_code import model_code
 from robomill.models.model.table import Table, from_file, from_rows
 
 DEFAULT_STEP = 0.004
@@ -81,7 +82,7 @@ class Instance:
         if self._functions is None:
             if not self.plain:
                 try:
-                    code = self.model.machine_code()  # loaded here rather than in the first step
+                    code = model_code(self.model)  # loaded here rather than in the first step
                     self._functions = code.init, code.step, self.data.ctypes.data
                 except ImportError:
                     self.plain = True

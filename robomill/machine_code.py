@@ -25,7 +25,7 @@ FORBIDDEN = ("Py", "_Py", "NRT_", "numba_")
 """Beginnings of names of functions that only exist inside Python."""
 _OF_C = r"|llvm\.(?:sin|cos)\.f64$" if sys.platform != "win32" else ""
 ANYWHERE = re.compile(
-    r"(?:mem(?:set|cpy|move)|sqrt)$"
+    r"(?:memset|memcpy|memmove|sqrt)$"
     r"|llvm\.(?!(?:a?(?:sin|cos|tan)h?|atan2|sincos(?:pi)?|modf|exp\d*|log\d*|powi?|ldexp|frexp|fma)\.)" + _OF_C
 )
 """Functions that kept code may call: instructions, and what each process has. LLVM ends a process over one that it does not find.

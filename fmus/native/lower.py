@@ -29,7 +29,8 @@ from robomill.machine_code import linked, missing, without_target
 from robomill.models.components.recording import ReplayModel, from_specification
 from robomill.models.model.cache import PACKAGE, source_files
 from robomill.models.model.calls import check_kernels
-from robomill.models.model.declaration import COMPILER_OPTIONS, Model, tell_numba
+from robomill.models.model.declaration import Model
+from robomill.models.model.kernels import COMPILER_OPTIONS, tell_numba
 from robomill.user_cache import prune, user_folder
 
 INEXACT = re.compile(r"\b(?:fast|contract|reassoc|arcp|afn|nnan|ninf|nsz) |llvm\.fmuladd|llvm\.fma\.")

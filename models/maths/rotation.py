@@ -30,7 +30,7 @@ class Rotation:
 
     @classmethod
     def from_quat(cls, quat: Sequence[float] | FloatArray) -> Rotation:
-        """Of a quaternion (x, y, z, w) of any length but 0; ValueError for 0."""
+        """That of a quaternion (x, y, z, w) of any length but 0; ValueError for 0."""
         x, y, z, w = map(float, quat)
         norm = math.sqrt(x * x + y * y + z * z + w * w)
         if norm == 0.0:
@@ -39,7 +39,7 @@ class Rotation:
 
     @classmethod
     def from_matrix(cls, matrix: FloatArray) -> Rotation:
-        """Of a matrix (3, 3): the nearest rotation if it is not quite orthogonal."""
+        """That of a matrix (3, 3): the nearest rotation if it is not quite orthogonal."""
         m = np.asarray(matrix, dtype=np.float64)
         if not np.allclose(m @ m.T, np.eye(3), rtol=0.0, atol=_UNITY):
             u, _, vt = np.linalg.svd(m)
@@ -67,7 +67,7 @@ class Rotation:
 
     @classmethod
     def from_rotvec(cls, vector: Sequence[float] | FloatArray) -> Rotation:
-        """Of an axis times an angle [rad]."""
+        """That about an axis, given times its angle [rad]."""
         x, y, z = map(float, vector)
         angle = math.sqrt(x * x + y * y + z * z)
         square = angle * angle

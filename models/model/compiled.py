@@ -20,7 +20,7 @@ def compiled(function: Function) -> Function:
     except ImportError:
         return function
     from robomill.models.model.cache import compiled_code
-    from robomill.models.model.declaration import tell_numba
+    from robomill.models.model.kernels import tell_numba
 
     tell_numba()
     with compiled_code(function):
@@ -55,7 +55,7 @@ def _load(function: Callable[..., Any], kinds: tuple[str, ...]) -> Callable[...,
     from robomill.models.model.cache import kept_code
 
     def make() -> tuple[bytes, bool]:
-        from robomill.models.model.declaration import COMPILER_OPTIONS, tell_numba
+        from robomill.models.model.kernels import COMPILER_OPTIONS, tell_numba
 
         tell_numba()
         return object_code({"loop": (function, numba_types(kinds))}, {**COMPILER_OPTIONS, "boundscheck": False})

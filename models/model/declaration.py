@@ -16,22 +16,19 @@ from __future__ import annotations
 
 import math
 import string
-import sys
-import threading
 import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from robomill.models.model.kernels import COMPILER_OPTIONS, tell_numba
+from robomill.models.model.kernels import kernel as kernel  # noqa: PLC0414  # who declares a model takes it from here
 from robomill.models.model.table import Table, from_rows
 from robomill.models.model.units import EXPECTED, unit_of
-
-if TYPE_CHECKING:
-    from robomill.models.model.model_code import ModelCode
 
 Causality = Literal["input", "output", "parameter", "state"]
 Kind = Literal["real", "integer", "boolean", "table"]
@@ -39,44 +36,8 @@ Record = Any
 """A `numpy.record` (plain Python) or a Numba record (compiled); its fields are the declared variables."""
 
 FloatArray = npt.NDArray[np.float64]
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-COMPILER_OPTIONS: dict[str, Any] = {
-    "error_model": "numpy",
-    "fastmath": False,
-    "boundscheck": True,
-    "_nrt": False,
-}
-"""Options of every compiled function. Without the Numba runtime an array temporary is a compile
-error; no fast maths and no contraction keep the numbers equal to those of plain Python."""
 
 RESERVED_NAMES = frozenset(dir(np.record)) | frozenset(dir(np.recarray))
-_UNTOLD: list[Callable[..., Any]] = []
-"""Kernels that Numba does not know yet."""
-_TELLING = threading.Lock()  # who compiles in another thread waits for the last of them; nothing is imported meanwhile
-
-
-def kernel(function: Function) -> Function:
-    """Mark a helper that `init` or `step` calls: plain Python stays plain, compiled code compiles it.
-
-    Numba is told when it is there, or by `tell_numba` before something is compiled: code that is kept is loaded without Numba.
-    """
-    function.is_kernel = True  # type: ignore[attr-defined]  # for `models.model.calls`
-    _UNTOLD.append(function)
-    if "numba.extending" in sys.modules:
-        tell_numba()
-    return function
-
-
-def tell_numba() -> None:
-    """Let Numba compile the kernels declared so far where compiled code calls them. ImportError without Numba."""
-    from numba.extending import register_jitable
-
-    from robomill.models.model import table_access_compiled  # noqa: F401  # tells Numba how to read a number at an address
-
-    with _TELLING:
-        while _UNTOLD:
-            register_jitable(**COMPILER_OPTIONS)(_UNTOLD.pop())
 
 
 @dataclass(frozen=True)
@@ -262,12 +223,6 @@ class Model:
     def compiled(self, cache: bool = True) -> tuple[Callable[..., int], Callable[..., int]]:
         """`init` and `step` compiled by Numba for this record type (cached on disk; see `models.model.cache`)."""
         return _compiled(self.init, self.step, cache)
-
-    def machine_code(self) -> ModelCode:
-        """`init` and `step` compiled for addresses of records, kept on disk and loaded without Numba. ImportError without LLVM or Numba."""
-        from robomill.models.model.model_code import model_code
-
-        return model_code(self)
 
 
 _COMPILED: dict[tuple[object, object], tuple[Callable[..., int], Callable[..., int]]] = {}

@@ -13,7 +13,8 @@ from typing import Any
 from robomill.machine_code import MachineCode, machine_code, object_code
 from robomill.models.model.cache import kept_code
 from robomill.models.model.calls import check_kernels
-from robomill.models.model.declaration import COMPILER_OPTIONS, Model, tell_numba
+from robomill.models.model.declaration import Model
+from robomill.models.model.kernels import COMPILER_OPTIONS, tell_numba
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-
-import numpy as np
-
-from robomill.models.model.declaration import kernel
-
-
-def number_at(address: int) -> float:
-    """The float64 at an address. Compiled it is a load instruction; in plain Python ctypes does it."""
-    return np.float64(ctypes.c_double.from_address(int(address)).value)
-
-
-number_at.is_kernel = True  # type: ignore[attr-defined]  # compiled code has one of its own, `table_access_compiled`
+from robomill.models.model.kernels import kernel, number_at
 
 
 @kernel

@@ -109,7 +109,7 @@ class FmuDescription:
 
     @cached_property
     def by_kind(self) -> dict[str, list[tuple[str, list[int], list[Variable]]]]:
-        """Of "input" and "output", each type that occurs: its name, the places of its elements in the flat image, its variables."""
+        """Each type among inputs ("input") and outputs: its name, the places of its elements in the flat image, its variables."""
         found: dict[str, list[tuple[str, list[int], list[Variable]]]] = {}
         for causality, ports in (("input", inputs(self.ports)), ("output", outputs(self.ports))):
             place = {p.name: i for i, p in enumerate(ports)}

@@ -19,6 +19,7 @@ from robomill.fmus.in_process import InProcessSlave
 from robomill.models.components.robot_compliance import MODEL as STATIC
 from robomill.models.components.robot_compliance_dynamic import MODEL, VARIABLES
 from robomill.models.model.declaration import FloatArray, Model, Record, record
+from robomill.models.model.model_code import model_code
 from robomill.models.robot.elastic_modes import ElasticMachine, elastic_modes, load_machine, machine_values, system_matrices
 from robomill.orchestration.assembly import run
 from robomill.orchestration.loop.acceleration import Iteration
@@ -52,7 +53,7 @@ class Robot:
                 self.data[name] = value
         self.s: Record = record(self.data)
         self.t = 0.0
-        code = model.machine_code()
+        code = model_code(model)
         self._step = code.step
         assert code.init(self.data.ctypes.data) == 0
 
@@ -439,7 +440,7 @@ def failure(step: bool = False, h: float = H, **values: Any) -> str:
     for name, value in {**machine_values(KR210), "q_link": MILLING, **values}.items():
         if name in MODEL.dtype.names:
             data[name] = value
-    s, code = record(data), MODEL.machine_code()
+    s, code = record(data), model_code(MODEL)
     status = code.init(data.ctypes.data)
     if step and status == 0:
         if "jump" in values:
