@@ -177,7 +177,7 @@ def object_code(
         dispatcher.compile(tuple(kinds))
         signature = dispatcher.signatures[0]
         compiled: Any = dispatcher.overloads[signature]
-        returned = compiled.signature.return_type
+        returned = numba.types.unliteral(compiled.signature.return_type)  # a function may return nothing but 0
         ending = "" if returned in (numba.types.int64, numba.types.none) else f".{returned}"
         if ending not in _RETURNED:
             known = "an integer, a float, a truth value or nothing"
