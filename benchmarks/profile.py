@@ -29,9 +29,10 @@ from robomill.cell.milling import prepare
 from robomill.cell.scenario import load_scenario
 from robomill.orchestration.assembly import assemble
 from robomill.orchestration.errors import ResultsError
-from robomill.orchestration.loop import compiled
-from robomill.orchestration.loop.compiled import DONE, FAILED, LIMIT, OPTIONS, TICK, begin, finish, intrinsic, njit, operate
+from robomill.orchestration.loop import loop_code, operations
+from robomill.orchestration.loop.compiled import OPTIONS, begin, finish, intrinsic, njit, operate
 from robomill.orchestration.loop.master import Master
+from robomill.orchestration.loop.operations import DONE, FAILED, LIMIT, TICK
 from robomill.orchestration.runs.memory import Memory
 from robomill.orchestration.runs.recorder import Recorder
 from robomill.orchestration.runs.run import Run
@@ -40,7 +41,7 @@ from robomill.orchestration.system.definition import System
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs" / "benchmarks"
 HOUR = 3600.0  # s
-PHASES = {compiled.STEP: "step", **dict.fromkeys((compiled.SET, 3, 4), "inputs"), **dict.fromkeys((compiled.GET, 6, 7), "outputs")}
+PHASES = {operations.STEP: "step", **dict.fromkeys((operations.SET, 3, 4), "inputs"), **dict.fromkeys((operations.GET, 6, 7), "outputs")}
 
 
 @intrinsic
@@ -57,7 +58,7 @@ def _ticks(context: Any) -> Any:
 @njit(nogil=True, **OPTIONS)
 def _timed(
     steps: int, ticks: Any, rates: bool, ops: Any, clocks: Any, places: Any, bus: Any, low: Any, high: Any, columns: Any, report: Any,
-    spent: Any,
+    called: Any, spent: Any,
 ) -> int:  # fmt: skip
     """As `compiled.advance` for a system without rates; `spent` keeps the least that each operation of each step took [clock ticks]."""
     n, h = len(low), ticks[1] / TICK
@@ -69,7 +70,7 @@ def _timed(
             bus[n + i] = bus[i]
         begin(rates, clocks, now)
         for o in range(len(ops)):
-            status = operate(ops, o, rates, clocks, bus, n, places, now / TICK, h)
+            status = operate(ops, o, rates, clocks, bus, n, places, called, now / TICK, h)
             after = _ticks()
             row[o] = min(row[o], after - before)
             before = after
@@ -106,14 +107,14 @@ def profile(system: System, steps: int, rounds: int) -> Profile:
         return int(_timed(most, ticks, rates, ops, *others, spent))
 
     began, counted = time.perf_counter(), _now()
-    with assemble(system, resolve, convert) as a, patch.object(compiled, "advance", advance):
+    with assemble(system, resolve, convert) as a, patch.object(loop_code, "advance", advance):
         for _ in range(rounds):
             memory = Memory()
             Master(a.slaves, a.wiring, system.step, system.algorithm, [memory], loop="compiled").run(steps * system.step)
         names, order = [], a.wiring.order
     rate = (_now() - counted) / (time.perf_counter() - began) * 1e-6  # ticks per us
     (ops,) = tables
-    names = [order[c] for c in ops[:, compiled.COMPONENT]]
+    names = [order[c] for c in ops[:, operations.COMPONENT]]
     phases = _phases(ops)
     force = memory.run()["milling.f_T_B"]
     made = slice(1, steps)  # the first step is made in Python
@@ -129,8 +130,8 @@ def _phases(ops: Any) -> list[str]:
     """A call that reads or writes the bus itself is one for inputs before the step of its component, one for outputs after it."""
     found, stepped = [], set()
     for o in ops:
-        component, what = int(o[compiled.COMPONENT]), int(o[compiled.OPERATION])
-        if what == compiled.STEP:
+        component, what = int(o[operations.COMPONENT]), int(o[operations.OPERATION])
+        if what == operations.STEP:
             stepped.add(component)
         found.append(PHASES.get(what, "outputs" if component in stepped else "inputs"))
     return found

@@ -21,7 +21,7 @@ from robomill.blind.signatures import Change, clocks, confusable, features, libr
 from robomill.blind.situation import Situation, nominal_run, situations
 from robomill.blind.truth import Truth
 from robomill.blind.workers import Progress, work
-from robomill.models.components.correction import FORM
+from robomill.models.components.file_names import FORM
 from robomill.models.model.declaration import FloatArray
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.runs.run import Run

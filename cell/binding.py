@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from robomill.cell.form_slave import FormSlave
 from robomill.fmus.components import COMPONENTS, PYTHON, component, is_component
 from robomill.fmus.in_process import InProcessSlave
 from robomill.models.components.applied_load import MODEL as APPLIED_LOAD
-from robomill.models.components.correction import FORM, read_form
+from robomill.models.components.file_names import FORM
 from robomill.models.model.units import convert
 from robomill.orchestration.slaves.protocol import Slave
 from robomill.orchestration.system.definition import System
@@ -21,6 +20,9 @@ def resolve(source: str, name: str) -> Slave:
     if source == "applied_load":  # for experiments; no component of the twin, so no FMU is built of it
         return InProcessSlave(APPLIED_LOAD, name)
     if source.endswith(FORM):
+        from robomill.cell.form_slave import FormSlave  # its model needs Numba, which takes half a second to import
+        from robomill.models.components.correction import read_form
+
         return FormSlave(name, read_form(Path(source)).specification)
     if not is_component(source):
         known = ", ".join([*COMPONENTS, "applied_load"])

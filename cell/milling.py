@@ -14,7 +14,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from robomill.cell.binding import convert, resolve, with_fmus
 from robomill.cell.combination import check_combination
@@ -24,9 +23,9 @@ from robomill.cell.plausibility import unusual_values
 from robomill.cell.points import read_points
 from robomill.cell.robot_programs import is_robot_program, read_robot_program
 from robomill.cell.scenario import ComponentParameters, Scenario, ScenarioError, Variant, Workpiece
+from robomill.models.maths.rotation import Rotation
 from robomill.models.model.declaration import FloatArray
 from robomill.models.planning import gcode
-from robomill.models.planning.languages.convert import path_of
 from robomill.models.planning.point_path import Interpolation, PointPath
 from robomill.models.planning.segment_table import TOOL
 from robomill.models.planning.trajectory import Plan, pilot_table, plan
@@ -175,6 +174,8 @@ def read_program(file: Path, reading: gcode.Setup, orientation: Interpolation | 
     `orientation` is given and the program has none.
     """
     if is_robot_program(file):
+        from robomill.models.planning.languages.convert import path_of  # with SciPy, which takes a third of a second
+
         path = path_of(read_robot_program(file))
         note = f"{file.name}: the frames of the file are not used; workpiece and tool stand as said here"
         read: gcode.Program | PointPath = replace(path, name=file.name, notes=(note,))

@@ -13,7 +13,7 @@ import numpy as np
 
 from robomill.fmus.instance import ComponentError, Instance
 from robomill.fmus.interface import Port
-from robomill.models.model.declaration import COMPILER_OPTIONS, Model, kernel
+from robomill.models.model.model_code import model_code
 
 RAISED = -1
 """Status for an exception inside compiled code: an index out of bounds."""
@@ -37,9 +37,9 @@ class Addresses:
 
     def __init__(self, instance: Instance) -> None:
         self._instance = instance
-        self._function = _step_function(instance.model)  # kept: its code goes with it
+        self._code = model_code(instance.model)  # kept: its code goes with it
         self.instance: int = instance.data.ctypes.data
-        self.step: int = self._function.address
+        self.step: int = self._code.step_address
         self.inputs = _blocks(instance.interface.inputs, self.instance)
         self.outputs = _blocks(instance.interface.outputs, self.instance)
 
@@ -83,31 +83,3 @@ def _blocks(ports: Sequence[Port], record: int) -> list[Block]:
         else:
             found.append([kind, record + p.offset, [i], p.reference + 1])
     return [Block(kind, buffer, tuple(places)) for kind, buffer, places, _ in found]
-
-
-_FUNCTIONS: dict[Any, Any] = {}
-
-
-def _step_function(model: Model) -> Any:
-    """`int f(record *, double t, double h, int)`: the model's step as a C function, compiled once per process and kept on disk."""
-    if model.step not in _FUNCTIONS:
-        import numba
-        from numba import cfunc, types
-
-        from robomill.models.model.cache import compiled_code
-
-        record: Any = numba.from_dtype(model.dtype)  # Numba hands records on as the pointers that they are
-        signature = types.int32(record, types.float64, types.float64, types.int32)
-        options = {**COMPILER_OPTIONS, "cache": True}
-        with compiled_code(model.init, model.step):
-            model_step = kernel(model.step)
-
-            def step(s: Any, t: float, h: float, _: int) -> int:
-                try:
-                    return model_step(s, t, h)
-                except Exception:
-                    return -1
-
-            step.__qualname__ = f"{model.name}_step_address"  # name of its cache file
-            _FUNCTIONS[model.step] = cfunc(signature, **options)(step)
-    return _FUNCTIONS[model.step]

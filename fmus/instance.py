@@ -15,12 +15,11 @@ import numpy.typing as npt
 
 from robomill.fmus.interface import WORD, Interface, Port
 from robomill.models.model.declaration import FloatArray, Model, point, record
+from robomill.models.model.model_code import model_code
 from robomill.models.model.table import Table, from_file, from_rows
 
 DEFAULT_STEP = 0.004
 """Communication step that the model descriptions name [s]."""
-_READY: set[tuple[Any, np.dtype[np.void]]] = set()
-"""Dispatchers and the records that they are compiled for: to ask Numba takes a millisecond."""
 
 
 class ComponentError(RuntimeError):
@@ -75,33 +74,22 @@ class Instance:
     @property
     def compiled(self) -> bool:
         """Whether the compiled functions run; compiles or loads them if that has not happened."""
-        return self._load()[2] is self.data
+        self._load()
+        return not self.plain
 
     def _load(self) -> tuple[Any, Any, Any]:
-        """`init`, `step` and what they take: the array (compiled) or the record (plain)."""
+        """`init`, `step` and what they take: the address of the record (compiled) or the record (plain)."""
         if self._functions is None:
             if not self.plain:
                 try:
-                    self._functions = (*self._compiled(), self.data)
+                    code = model_code(self.model)  # loaded here rather than in the first step
+                    self._functions = code.init, code.step, self.data.ctypes.data
                 except ImportError:
                     self.plain = True
             if self.plain:
                 self._functions = (*self.model.plain(), record(self.data))
         assert self._functions is not None
         return self._functions
-
-    def _compiled(self) -> tuple[Any, Any]:
-        """Both functions compiled for this record, or loaded from the disk cache, here rather than in the first step."""
-        import numba
-
-        init, step = self.model.compiled_for_data()
-        typeof: Any = numba.typeof
-        dispatchers: tuple[Any, Any] = (init, step)
-        if (init, self.data.dtype) not in _READY:
-            dispatchers[0].compile((typeof(self.data),))
-            dispatchers[1].compile((typeof(self.data), numba.float64, numba.float64))
-            _READY.add((init, self.data.dtype))
-        return dispatchers
 
     # Values
 
@@ -205,7 +193,7 @@ class Instance:
 
         ComponentError with the model's message; the instance then needs a state or a reset.
         """
-        t, h = float(t), float(h)  # integers would be compiled for once more
+        t, h = float(t), float(h)
         if not 0.0 < h < math.inf or not math.isfinite(t):
             raise ComponentError(f"{self.name}: step from t = {t} s of h = {h} s: expected a finite time and a positive step")
         self.leave_initialisation()

@@ -31,7 +31,8 @@ from robomill.files import FILES, vacant
 from robomill.fmus.components import NAMES, companion, component, home, is_component
 from robomill.fmus.python.builder import build
 from robomill.joints import projections
-from robomill.models.components.correction import FORM, correction_model
+from robomill.models.components.correction import correction_model
+from robomill.models.components.file_names import FORM
 from robomill.models.model.cache import source_files
 from robomill.models.model.declaration import Model
 from robomill.orchestration.runs.run import Run

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from robomill.models.model.cache import prune, user_folder
+from robomill.user_cache import prune, user_folder
 
 FloatArray = npt.NDArray[np.float64]
 _F = TypeVar("_F", bound=Callable[..., Any])

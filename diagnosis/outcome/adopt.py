@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from robomill.diagnosis.catalogue import LOGGING, Address
-from robomill.models.components.correction import FORM, read_form
+from robomill.models.components.correction import read_form
+from robomill.models.components.file_names import FORM
 from robomill.orchestration.errors import SystemFileError, unknown
 from robomill.orchestration.ssp.files import Files
 from robomill.orchestration.ssp.parameter_set import ROOT, given_by, parameter_set

@@ -25,13 +25,14 @@ from typing import Any
 import numpy as np
 
 from robomill.fmus.components import home
+from robomill.machine_code import linked, missing, without_target
 from robomill.models.components.recording import ReplayModel, from_specification
-from robomill.models.model.cache import PACKAGE, prune, source_files, user_folder
+from robomill.models.model.cache import PACKAGE, source_files
 from robomill.models.model.calls import check_kernels
-from robomill.models.model.declaration import COMPILER_OPTIONS, Model
+from robomill.models.model.declaration import Model
+from robomill.models.model.kernels import COMPILER_OPTIONS, tell_numba
+from robomill.user_cache import prune, user_folder
 
-FORBIDDEN = ("Py", "_Py", "NRT_", "numba_")
-"""Beginnings of names of functions that a native FMU does not have."""
 INEXACT = re.compile(r"\b(?:fast|contract|reassoc|arcp|afn|nnan|ninf|nsz) |llvm\.fmuladd|llvm\.fma\.")
 """Marks of arithmetic that may come out differently on another processor."""
 _STATUS_BITS = 64
@@ -217,6 +218,7 @@ def _lower(model: Model) -> tuple[str, tuple[Any, Any]]:
     """The module as text, and the two functions compiled here."""
     import numba
 
+    tell_numba()
     record = numba.from_dtype(model.dtype)
     texts, functions = [], []
     for name, function, signature in (
@@ -240,28 +242,13 @@ def portable(modules: list[tuple[str, str, str]]) -> str:
     Everything but these functions becomes private or goes. NativeBuildError names a function that would
     be missing at run time, or arithmetic that is not exact.
     """
-    import llvmlite.binding as llvm
-
-    whole = llvm.parse_assembly("")
-    public = [new for new, _, _ in modules]
-    for new, old, text in modules:
-        module = llvm.parse_assembly(_without_target(text))
-        module.get_function(old).name = new
-        whole.link_in(module)
-    for value in (*whole.functions, *whole.global_variables):
-        if not value.is_declaration and value.name not in public:
-            value.linkage = "internal"
-    llvm.initialize_native_target()
-    machine = llvm.Target.from_default_triple().create_target_machine()
-    passes = llvm.create_new_module_pass_manager()
-    passes.add_global_dead_code_eliminate_pass()
-    passes.add_strip_symbols_pass()
-    passes.run(whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=0)))
-    missing = sorted({f.name for f in whole.functions if f.is_declaration and f.name.startswith(FORBIDDEN)})
-    if missing:
+    whole = linked(modules)
+    unavailable = missing(whole)
+    if unavailable:
         raise NativeBuildError(
-            f"the code calls {', '.join(missing)}, which only exist inside Python; write it in terms of models/maths/elementary.py"
+            f"the code calls {', '.join(unavailable)}, which only exist inside Python; write it in terms of models/maths/elementary.py"
         )
+    public = [new for new, _, _ in modules]
     for name in public:  # seen by the C sources beside it, not by other FMUs in the same process
         whole.get_function(name).visibility = "hidden"
     counts = {"function": 0, "global": 0}
@@ -271,7 +258,7 @@ def portable(modules: list[tuple[str, str, str]]) -> str:
             value.name = f"{kind}_{counts[kind]}"
             counts[kind] += 1
     whole.verify()
-    text = _square_roots(_without_target(str(whole)))
+    text = _square_roots(without_target(str(whole)))
     inexact = INEXACT.search(text)
     if inexact:
         raise NativeBuildError(
@@ -279,12 +266,6 @@ def portable(modules: list[tuple[str, str, str]]) -> str:
             "; write it as plain sums and products"
         )
     return text
-
-
-def _without_target(text: str) -> str:
-    """Without what names a machine or the order in which things were compiled (comments, scopes of inlined functions)."""
-    text = re.sub(r"(?m)^(?:target (?:datalayout|triple) =|source_filename =|; ModuleID =).*\n", "", text)
-    return re.sub(r'!"_ZN[^"]*"', '!"scope"', text)
 
 
 def _square_roots(text: str) -> str:

@@ -175,7 +175,7 @@ def _sources(model: Model) -> tuple[dict[str, bytes], str]:
             raise ValueError(f"model {model.name!r}: not bundled: {error}") from None
         imports = f"from {module} import {attribute}{'' if attribute == 'MODEL' else ' as MODEL'}"
     try:
-        modules = source_files(module) | source_files(RUNTIME) | source_files(_INSTALLER) | source_files("robomill.models.model.cache")
+        modules = source_files(module) | source_files(RUNTIME) | source_files(_INSTALLER) | source_files("robomill.user_cache")
     except ModuleNotFoundError as error:
         raise ValueError(f"model {model.name!r}: not bundled: {error}") from None
     files: dict[str, bytes] = {}

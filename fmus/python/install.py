@@ -22,7 +22,7 @@ from types import ModuleType
 def install(package: str, bundle: str) -> ModuleType:
     """Import the package that stands in the folder `bundle`, from its copy in the cache folder if that is possible."""
     source = Path(bundle)
-    cache = _module("cache", source / "robomill" / "models" / "model" / "cache.py")
+    cache = _module("user_cache", source / "robomill" / "user_cache.py")
     folder, notes = source, []
     try:
         folder = _copy(source, cache.user_folder() / "fmu" / package)

@@ -29,8 +29,6 @@ KINDS = ("one", "value", "sign", "size", "signed_square", "square", "cube", "roo
 exp(-x / p)."""
 FACTORS = 2
 """Factors of a term."""
-FORM = ".form.json"
-"""How the name of a file ends that holds the specification of a form."""
 TIME = "t"
 """Name of the time among the variables."""
 

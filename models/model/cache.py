@@ -12,38 +12,21 @@ import hashlib
 import importlib.util
 import json
 import os
-import shutil
 import sys
 import sysconfig
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-KEPT = 100
-"""Folders that stay however long ago they were used: the components of this project, and some former sources of each."""
-IN_USE = 86400.0
-"""Time [s] since its last use in which a folder stays however many there are: a process may still run from it."""
+from robomill.machine_code import numba_version
+from robomill.user_cache import prune, use, user_folder
+
 PACKAGE = Path(__file__).parents[1]
 # builds side by side: CPython 3.11 counts the depth of its trees for all threads together, and then finds it wrong
 _PARSING = threading.Lock()
-
-
-def user_folder() -> Path:
-    """The per-user cache folder of this project: $ROBOMILL_CACHE_DIR or what the platform has for that purpose."""
-    chosen = os.environ.get("ROBOMILL_CACHE_DIR")
-    if chosen:
-        return Path(chosen)
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or str(Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = str(Path.home() / "Library" / "Caches")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "robomill"
 
 
 @contextmanager
@@ -78,19 +61,22 @@ def compiled_before(*functions: Callable[..., Any]) -> bool:
     return __name__ == "robomill.models.model.cache" and _folder(functions).is_dir()
 
 
+def kept_code(name: str, *functions: Callable[..., Any]) -> Path | None:
+    """File (its name is to be completed) for the machine code of functions; None if it cannot be told what they are made from.
+
+    Inside an FMU it stands in the package's own folder, which is named after its content.
+    """
+    if not all(Path(f.__code__.co_filename).is_file() for f in functions):
+        return None
+    if __name__ != "robomill.models.model.cache":
+        return Path(__file__).parent / "__pycache__" / name
+    folder = _folder(functions)
+    use(folder)
+    return folder / name
+
+
 def _folder(functions: tuple[Callable[..., Any], ...]) -> Path:
-    import numba
-
-    return user_folder() / "numba" / _key(functions, numba.__version__)
-
-
-def prune(folder: Path, current: str, kept: int = KEPT) -> None:
-    """Remove the subfolders of `folder` that were used longest ago, all but `kept`, `current` and those used within `IN_USE`."""
-    with suppress(OSError):
-        used = {f: f.stat().st_mtime for f in folder.iterdir() if f.is_dir() and f.name != current}
-        for old in sorted(used, key=used.__getitem__, reverse=True)[kept:]:
-            if time.time() - used[old] > IN_USE:
-                shutil.rmtree(old, ignore_errors=True)
+    return user_folder() / "numba" / _key(functions, numba_version())
 
 
 def source_files(module: str) -> dict[str, Path]:
@@ -207,6 +193,7 @@ def _stamps(files: set[str]) -> dict[str, list[int]]:
     return {file: list(_stamp(file)) for file in files}
 
 
+@cache
 def _data_files() -> list[str]:
-    """The parameter files."""
+    """The parameter files. One that comes later is not what a model of this process was made from."""
     return [f"{folder}{os.sep}{n}" for folder, _, names in os.walk(PACKAGE) for n in names if n.endswith(".toml")]

@@ -18,14 +18,15 @@ import math
 import string
 import weakref
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from robomill.models.model.kernels import COMPILER_OPTIONS, tell_numba
+from robomill.models.model.kernels import kernel as kernel  # noqa: PLC0414  # who declares a model takes it from here
 from robomill.models.model.table import Table, from_rows
 from robomill.models.model.units import EXPECTED, unit_of
 
@@ -35,31 +36,8 @@ Record = Any
 """A `numpy.record` (plain Python) or a Numba record (compiled); its fields are the declared variables."""
 
 FloatArray = npt.NDArray[np.float64]
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-COMPILER_OPTIONS: dict[str, Any] = {
-    "error_model": "numpy",
-    "fastmath": False,
-    "boundscheck": True,
-    "_nrt": False,
-}
-"""Options of every compiled function. Without the Numba runtime an array temporary is a compile
-error; no fast maths and no contraction keep the numbers equal to those of plain Python."""
 
 RESERVED_NAMES = frozenset(dir(np.record)) | frozenset(dir(np.recarray))
-
-
-def kernel(function: Function) -> Function:
-    """Mark a helper that `init` or `step` calls: plain Python stays plain, compiled code compiles it.
-
-    Without Numba the function is only marked.
-    """
-    function.is_kernel = True  # type: ignore[attr-defined]  # for `models.model.calls`
-    with suppress(ImportError):
-        from numba.extending import register_jitable
-
-        register_jitable(**COMPILER_OPTIONS)(function)
-    return function
 
 
 @dataclass(frozen=True)
@@ -118,7 +96,7 @@ class Variable:
         values = np.asarray(self.start, dtype=np.float64)
         if values.ndim and values.shape != self.shape:
             raise ValueError(f"variable {self.name!r}: start has shape {values.shape}, declared is {self.shape}")
-        return np.broadcast_to(values, self.shape)
+        return np.full(self.shape, values)
 
     @property
     def dtype(self) -> type[np.float64] | type[np.int64]:
@@ -211,13 +189,19 @@ class Model:
 
     def new(self) -> npt.NDArray[np.void]:
         """A fresh instance: a one-element array of `dtype` with every variable at its start value."""
+        data = self._first.copy()
+        _keep(data, self.built_in)
+        return data
+
+    @cached_property
+    def _first(self) -> npt.NDArray[np.void]:
+        """What `new` copies: a system makes many instances of few models."""
         data = np.zeros(1, self.dtype)
         for v in self.variables:
             if v.kind == "table":
                 point(data, v.name, self.built_in[v.name])
             else:
                 data[v.name] = v.start_values
-        _keep(data, self.built_in)
         return data
 
     def load_table(self, data: npt.NDArray[np.void], name: str, rows: FloatArray) -> None:
@@ -238,37 +222,15 @@ class Model:
 
     def compiled(self, cache: bool = True) -> tuple[Callable[..., int], Callable[..., int]]:
         """`init` and `step` compiled by Numba for this record type (cached on disk; see `models.model.cache`)."""
-        return _compiled("record", self.init, self.step, lambda: (self.init, self.step), cache)
-
-    def compiled_for_data(self) -> tuple[Callable[..., int], Callable[..., int]]:
-        """`init(data)` and `step(data, t, h)`, compiled, of the one-element array instead of its record.
-
-        Numba unpacks an array in 0.3 us and a record in 3.5 us; the model functions are the same.
-        """
-
-        def wrappers() -> tuple[Callable[..., int], Callable[..., int]]:
-            model_init, model_step = kernel(self.init), kernel(self.step)
-
-            def init(data: npt.NDArray[np.void]) -> int:
-                return model_init(data[0])
-
-            def step(data: npt.NDArray[np.void], t: float, h: float) -> int:
-                return model_step(data[0], t, h)
-
-            init.__qualname__, step.__qualname__ = f"{self.name}_init", f"{self.name}_step"  # names of their cache files
-            return init, step
-
-        return _compiled("data", self.init, self.step, wrappers, True)
+        return _compiled(self.init, self.step, cache)
 
 
-_COMPILED: dict[tuple[object, ...], tuple[Callable[..., int], Callable[..., int]]] = {}
+_COMPILED: dict[tuple[object, object], tuple[Callable[..., int], Callable[..., int]]] = {}
 
 
-def _compiled(
-    kind: str, init: Any, step: Any, functions: Callable[[], tuple[Callable[..., int], Callable[..., int]]], cache: bool
-) -> tuple[Callable[..., int], Callable[..., int]]:
-    """The dispatchers of what `functions` returns, made once per process, model functions and `kind`."""
-    key = (kind, init, step)
+def _compiled(init: Any, step: Any, cache: bool) -> tuple[Callable[..., int], Callable[..., int]]:
+    """The dispatchers of both functions, made once per process."""
+    key = (init, step)
     if key not in _COMPILED:
         from numba import njit
 
@@ -277,10 +239,10 @@ def _compiled(
 
         if not compiled_before(init, step):  # the same sources were checked then
             check_kernels(init, step)
+        tell_numba()
         options = {**COMPILER_OPTIONS, "nogil": True, "cache": cache}
         with compiled_code(init, step):
-            first, second = functions()
-            _COMPILED[key] = njit(**options)(first), njit(**options)(second)
+            _COMPILED[key] = njit(**options)(init), njit(**options)(step)
     return _COMPILED[key]
 
 

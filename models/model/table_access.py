@@ -2,20 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-from typing import Any
-
-import numpy as np
-
-from robomill.models.model.declaration import COMPILER_OPTIONS, kernel
-
-
-def number_at(address: int) -> float:
-    """The float64 at an address. Compiled it is a load instruction; in plain Python ctypes does it."""
-    return np.float64(ctypes.c_double.from_address(int(address)).value)
-
-
-number_at.is_kernel = True  # type: ignore[attr-defined]  # compiled code has one of its own, below
+from robomill.models.model.kernels import kernel, number_at
 
 
 @kernel
@@ -54,28 +41,3 @@ def row_at(address: int, rows: int, columns: int, time: float, guess: int) -> in
         else:
             high = middle - 1
     return low
-
-
-try:
-    from numba import types
-    from numba.extending import intrinsic, overload
-except ImportError:
-    pass
-else:
-    OPTIONS: Any = COMPILER_OPTIONS
-
-    @intrinsic
-    def _load(typing_context: Any, address: Any) -> Any:
-        """A load instruction."""
-
-        def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return builder.load(builder.inttoptr(arguments[0], context.get_value_type(signature.return_type).as_pointer()))
-
-        return types.float64(types.int64), code
-
-    @overload(number_at, jit_options=OPTIONS)
-    def _number_at(address: int) -> Any:
-        def compiled(address: int) -> Any:
-            return _load(address)  # type: ignore[call-arg]  # Numba gives the context
-
-        return compiled

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from robomill.models.model.compiled import compiled_on_call
+from robomill.models.model.compiled import loaded, loaded_on_call
 from robomill.models.model.declaration import FloatArray, kernel
 from robomill.models.planning.path_geometry import SAMPLES, Polynomial, Shape, polynomial_at
 from robomill.models.planning.segment_table import HELIX
@@ -119,10 +119,9 @@ def dot(a: FloatArray, b: FloatArray) -> float:
     return product
 
 
-@compiled_on_call
 def put_control(corner: FloatArray, distance: float, control: FloatArray) -> bool:
     """`bezier_control` of a corner into (6, 3); False if there is none."""
-    return control_points(corner, distance, control, np.zeros((6, 3)), np.zeros((4, 3)))
+    return bool(loaded(control_points)(corner, distance, control, np.zeros((6, 3)), np.zeros((4, 3))))
 
 
 @kernel
@@ -168,7 +167,7 @@ def bernstein(degree: int, j: int, u: float) -> float:
     return value
 
 
-@compiled_on_call
+@loaded_on_call
 def put_bezier(control: FloatArray, u: float, out: FloatArray) -> None:
     """`bezier_derivatives` into (3, 3)."""
     bezier(control, u, out)
@@ -187,7 +186,7 @@ def bezier(control: FloatArray, u: float, out: FloatArray) -> None:
             out[2, i] += bernstein(3, j, u) * 20.0 * (control[j + 2, i] - 2.0 * control[j + 1, i] + control[j, i])
 
 
-@compiled_on_call
+@loaded_on_call
 def arc_length(control: FloatArray, u0: float, u1: float) -> float:
     """Length [m] of the Bezier curve between two parameters (Gauss-Legendre, 24 nodes)."""
     return length_between(control, u0, u1)
@@ -221,10 +220,16 @@ def put_state(control: FloatArray, u: float, out: FloatArray) -> None:
         out[2, i] = (out[2, i] - along * out[1, i]) / (speed * speed)
 
 
-@compiled_on_call
 def put_pieces(control: FloatArray, coefficients: FloatArray, lengths: FloatArray) -> int:
     """`arc_length_pieces` into (n, 3, 6) and (n,), room for 2^7; returns their number."""
-    start, end, spans = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((_HALVINGS + 2, 3))
+    return _put_pieces(control, coefficients, lengths, np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((_HALVINGS + 2, 3)))
+
+
+@loaded_on_call
+def _put_pieces(
+    control: FloatArray, coefficients: FloatArray, lengths: FloatArray, start: FloatArray, end: FloatArray, spans: FloatArray
+) -> int:
+    """`put_pieces`; `start`, `end` (3, 3) and `spans` (_HALVINGS + 2, 3) are scratch."""
     spans[0, 1] = 1.0
     waiting, count = 1, 0
     while waiting > 0:
@@ -272,11 +277,18 @@ def speed_error(piece: FloatArray, length: float) -> float:
     return worst
 
 
-@compiled_on_call
 def _within(corner: FloatArray, limit: float, tolerance: float) -> float:
     """Largest distance up to `limit` [m] at which path and blend deviate by at most `tolerance` [m]."""
-    control, ends, v = np.zeros((6, 3)), np.zeros((6, 3)), np.zeros((4, 3))
-    curve, p = np.zeros((_CHORDS + 1, 3)), np.zeros((3, 3))
+    scratch = np.zeros((6, 3)), np.zeros((6, 3)), np.zeros((4, 3)), np.zeros((_CHORDS + 1, 3)), np.zeros((3, 3))
+    return _widest(corner, limit, tolerance, *scratch)
+
+
+@loaded_on_call
+def _widest(
+    corner: FloatArray, limit: float, tolerance: float, control: FloatArray, ends: FloatArray, v: FloatArray, curve: FloatArray,
+    p: FloatArray,
+) -> float:  # fmt: skip
+    """`_within`; the last five are scratch."""
     widest = deviation(corner, limit, math.inf, control, ends, v, curve, p)
     if widest <= tolerance:
         return limit

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robomill.models.model.compiled import compiled_on_call
+from robomill.models.model.compiled import loaded_on_call
 from robomill.models.model.declaration import FloatArray, kernel
 
 
@@ -142,11 +142,15 @@ def put_phase(phases: FloatArray, count: int, duration: float, speed: float, acc
     return count + 1
 
 
-@compiled_on_call
-def zones_to_phases(lengths: FloatArray, limits: FloatArray, acceleration: float, jerk: float, phases: FloatArray) -> int:
-    """Fill the rows of `phases`, as the fields of `Phase`, for zones (n,); 7 n + 1 rows are enough. Returns how many are filled."""
+@loaded_on_call
+def zones_to_phases(
+    lengths: FloatArray, limits: FloatArray, acceleration: float, jerk: float, phases: FloatArray, borders: FloatArray
+) -> int:
+    """Fill the rows of `phases`, as the fields of `Phase`, for zones (n,); 7 n + 1 rows are enough. Returns how many are filled.
+
+    `borders` (n + 1,) are zeros, for scratch.
+    """
     n = len(lengths)
-    borders = np.zeros(n + 1)
     for i in range(1, n):
         borders[i] = min(limits[i - 1], limits[i])
     for i in range(n - 1, 0, -1):
@@ -184,4 +188,4 @@ def phases(zones: Sequence[tuple[float, float]], acceleration: float, jerk: floa
         )
     lengths, limits = np.array(zones, dtype=np.float64).T.copy()
     rows = np.zeros((7 * len(zones) + 1, 6))
-    return rows[: zones_to_phases(lengths, limits, float(acceleration), float(jerk), rows)]
+    return rows[: zones_to_phases(lengths, limits, float(acceleration), float(jerk), rows, np.zeros(len(zones) + 1))]

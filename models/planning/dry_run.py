@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robomill.models.model.compiled import compiled
+from robomill.models.model.compiled import loaded
 from robomill.models.model.declaration import FloatArray, kernel
 from robomill.models.planning.gcode import Arc, Move, Vector
 from robomill.models.process import dexels as workpiece
@@ -52,7 +52,7 @@ def dry_run(moves: Sequence[Move], size: Vector, radii: Mapping[int, float]) -> 
     radius = np.array([radii[m.tool] for m in moves])
     feeds = np.array([m.feed is not None for m in moves])
     depth, removed, below, near = np.zeros(len(moves)), np.zeros(len(moves)), np.zeros(len(moves)), np.zeros(len(moves))
-    compiled(_mill)(np.zeros(nx * ny), nx, ny, lx / nx, ly / ny, -lz, points, owner, radius, feeds, depth, removed, below, near)
+    loaded(_mill)(np.zeros(nx * ny), nx, ny, lx / nx, ly / ny, -lz, points, owner, radius, feeds, depth, removed, below, near)
     return DryRun(tuple(moves), depth, removed, float(np.sum(below)), float(np.sum(below[near == 0.0])))
 
 

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from robomill.models.model.compiled import compiled_on_call
+from robomill.models.model.compiled import loaded_on_call
 from robomill.models.model.declaration import FloatArray, kernel
 from robomill.models.planning.segment_table import GEOMETRY_COLUMNS, HELIX, POLYNOMIAL
 
@@ -145,7 +145,7 @@ def shift(coefficients: FloatArray, start: float) -> FloatArray:
     return result
 
 
-@compiled_on_call
+@loaded_on_call
 def shift_rows(rows: FloatArray, start: float) -> None:
     """`shift` in place, for (n, 6): repeated synthetic division."""
     for i in range(len(rows)):
@@ -166,7 +166,7 @@ def polynomial_at(c: FloatArray, s: float, order: int) -> float:
     return value
 
 
-@compiled_on_call
+@loaded_on_call
 def largest_curvature(coefficients: FloatArray, length: float) -> float:
     """Largest length of the second derivative [1/m] of a polynomial curve (3, 6), at `SAMPLES` even steps."""
     largest = 0.0

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robomill.models.components.milling_force import BINS
-from robomill.models.model.compiled import compiled
+from robomill.models.model.compiled import loaded
 from robomill.models.model.declaration import FloatArray
 from robomill.models.planning.gcode import Vector
 from robomill.models.planning.segment_table import LINE, TAU, TOOL
@@ -82,7 +82,7 @@ def planned_cuts(plan: Plan, size: Vector, radii: Mapping[int, float]) -> tuple[
     angle = 0.5 * (BOUNDS[1:] + BOUNDS[:-1])
     depth = np.zeros((len(middle), BINS))
     removed = np.zeros(len(middle))
-    compiled(_walk)(np.zeros(nx * ny), nx, ny, lx / nx, ly / ny, -lz, points, radius, np.sin(angle), np.cos(angle), depth, removed)
+    loaded(_walk)(np.zeros(nx * ny), nx, ny, lx / nx, ly / ny, -lz, points, radius, np.sin(angle), np.cos(angle), depth, removed)
     ways = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
     area = np.where(removed > LEAST_REMOVED * 2.0 * radius * depth.max(axis=1) * ways, depth.sum(axis=1), 0.0)
     lines, speeds = rows[:, LINE].astype(int), plan.spindle_speed(middle)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from robomill.models.components.path_interpolator import MODEL, Q_START, evaluate
 from robomill.models.model.compiled import compiled_on_call
 from robomill.models.model.declaration import FloatArray, record
+from robomill.models.model.model_code import model_code
 from robomill.models.model.parameters import load, quantity
 from robomill.models.planning.gcode import Program
 from robomill.models.planning.point_path import PointPath
@@ -235,7 +236,7 @@ def _at_rest(plan: Plan, robot: Robot, tool: Tool, q_start: Sequence[float] | Fl
     data["q_start"] = q_start
     data["speed_ratio"] = 0.0  # the path time is set, not run
     MODEL.load_table(data, "segments", plan.table)
-    _refuse(plan, data, MODEL.compiled_for_data()[0](data))
+    _refuse(plan, data, model_code(MODEL).init(data.ctypes.data))
     return data
 
 

@@ -15,12 +15,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
-from robomill.models.model.compiled import compiled_on_call
+from robomill.models.maths.rotation import Rotation
+from robomill.models.model.compiled import loaded_on_call
 from robomill.models.model.declaration import FloatArray
 from robomill.models.model.parameters import load, quantity
 from robomill.models.planning.blend import blend, hermite
@@ -49,6 +50,9 @@ from robomill.models.planning.segment_table import (
     TAU,
     TOOL,
 )
+
+if TYPE_CHECKING:  # takes a third of a second: see `Plan.rotation`
+    from scipy.spatial.transform import Rotation as Rotations
 
 IntArray = npt.NDArray[np.int64]
 _STRAIGHT_ON = 1e-6
@@ -103,7 +107,7 @@ class Placement:
     @cached_property
     def R_BP(self) -> FloatArray:
         """Orientation of P in B."""
-        matrix: FloatArray = Rotation.from_euler("ZYX", self.abc_BP).as_matrix()
+        matrix: FloatArray = Rotation.from_abc(self.abc_BP).as_matrix()
         return matrix
 
     @property
@@ -165,7 +169,7 @@ class _Turn:
         return (0.0, 0.0) if self.steady else (_largest(self.f_1, self.f_2, 1, length), _largest(self.f_1, self.f_2, 2, length))
 
 
-@compiled_on_call
+@loaded_on_call
 def _largest(f_1: FloatArray, f_2: FloatArray, order: int, length: float) -> float:
     """Sum of the largest sizes of a derivative of two quintics (6,) over [0, length], at even steps."""
     one = two = 0.0
@@ -283,14 +287,16 @@ class Plan:
         _, d, dd, v, a = self._geometry(tau)
         return dd * (v * v)[:, None] + d * a[:, None]
 
-    def rotation(self, tau: FloatArray) -> Rotation:
+    def rotation(self, tau: FloatArray) -> Rotations:
         """R_BT as a scipy Rotation of n."""
+        from scipy.spatial.transform import Rotation as Rotations
+
         rows, s, _, _ = self.rows(tau)
         powers = s[:, None] ** np.arange(6)
-        result = Rotation.from_quat(np.roll(rows[:, QUAT : QUAT + 4], -1, axis=1))
+        result = Rotations.from_quat(np.roll(rows[:, QUAT : QUAT + 4], -1, axis=1))
         for axis, f in ((AXIS_1, F_1), (AXIS_2, F_2)):
             angle = np.sum(rows[:, f : f + 6] * powers, axis=1)
-            result = result * Rotation.from_rotvec(rows[:, axis : axis + 3] * angle[:, None])
+            result = result * Rotations.from_rotvec(rows[:, axis : axis + 3] * angle[:, None])
         return result
 
     def spindle_speed(self, tau: FloatArray) -> FloatArray:
@@ -416,7 +422,7 @@ def _orientations(points: Sequence[PathPoint], placement: Placement) -> list[Rot
         if i > 0 and p.quat == points[i - 1].quat and p.abc == points[i - 1].abc:
             found.append(found[-1])
         else:
-            found.append(upright * Rotation.from_euler("ZYX", p.abc) if p.quat is None else R_BP * Rotation.from_quat(np.roll(p.quat, -1)))
+            found.append(upright * Rotation.from_abc(p.abc) if p.quat is None else R_BP * Rotation.from_quat(np.roll(p.quat, -1)))
     return found
 
 
@@ -594,7 +600,7 @@ def _rows(run: list[_Stretch], elements: FloatArray, profile: FloatArray, tau: f
     return rows
 
 
-@compiled_on_call
+@loaded_on_call
 def _cut(edges: FloatArray, profile: FloatArray, tau: float, owners: IntArray, laws: FloatArray) -> int:
     """Fill the elements and time laws (tau, sigma, speed, acceleration, jerk) of the rows of a run; returns their number.
 

@@ -24,7 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from robomill.models.maths.elementary import exp, sincos, tanh
-from robomill.models.model.declaration import COMPILER_OPTIONS, FloatArray, Model, Record, Variable, kernel, record
+from robomill.models.model.declaration import FloatArray, Model, Record, Variable, kernel, record
+from robomill.models.model.kernels import COMPILER_OPTIONS, tell_numba
 from robomill.models.model.parameters import load, quantity
 from robomill.models.robot.kinematics import KR300, ROBOT_VARIABLES, SPINDLE_ACROSS, Robot, forward
 
@@ -433,6 +434,7 @@ def _compiled_over_time() -> Callable[..., None]:
         from numba import njit
     except ImportError:
         return _over_time
+    tell_numba()
     compiled: Callable[..., None] = njit(**COMPILER_OPTIONS, cache=True)(_over_time)
     return compiled
 

@@ -1,6 +1,6 @@
 """The loop of the compiled master: one function that walks through tables of addresses (see `chunks`, which lays them out).
 
-Numba compiles it once and keeps it on disk; it knows no FMU, only addresses of C functions that it calls as they are.
+Numba compiles it once, and `loop_code` keeps it on disk; it knows no FMU, only addresses of C functions that it calls as they are.
 """
 
 from __future__ import annotations
@@ -14,29 +14,42 @@ from numba import njit as numba_njit
 from numba import types
 from numba.extending import intrinsic as numba_intrinsic
 
+from robomill.orchestration.loop.operations import (
+    BEGAN,
+    BUFFER,
+    CALL,
+    COMPONENT,
+    COUNT,
+    DONE,
+    EACH,
+    EVERY,
+    EXACT,
+    FAILED,
+    FIRST,
+    FUNCTION,
+    GET,
+    INSTANCE,
+    INT32,
+    LIMIT,
+    MEAN,
+    OPERATION,
+    RATE,
+    REFERENCES,
+    SET,
+    STEP,
+    STOPPED,
+    TICK,
+    UNFIT,
+    VIOLATED,
+    N,
+)
+
 # Numba's decorators change signatures in ways that types cannot say
 njit: Callable[..., Callable[[Callable[..., Any]], Any]] = numba_njit
 intrinsic: Callable[[Callable[..., Any]], Any] = numba_intrinsic
 
-TICK = 1_000_000_000  # as in `system`; Numba's cache does not notice constants of other modules
-
 OPTIONS = {"error_model": "numpy", "_nrt": False}
 """Without counting references to the tables at every use: that took longer than the calls themselves."""
-DONE, STOPPED, FAILED, VIOLATED, UNSAVED, STUCK, UNCONVERGED = range(7)
-"""Outcomes in the first place of the report."""
-STEP, CALL, SET, GET = 0, 1, 2, 5
-"""Operations: a step; a set or get that reads or writes the bus itself; sets and gets by way of a buffer (plus the number of its kind)."""
-MEAN = 1 << 40
-"""Added to the place of an input that holds the mean of the values at both ends of the step."""
-UNFIT = -(1 << 40)
-"""Instead of a status: an input is a whole number that the type of its buffer cannot hold."""
-INT32, EXACT = (1 << 31) - 1, (1 << 53) - 1  # largest of the type; of those that float64 tells from all others (`slave.EXACT`)
-KINDS = ("float64", "int32", "int64")
-"""Types of the buffers."""
-# Columns of the table of operations, in the order in which a step makes them; N of a step is its last argument (`native.Native.final`)
-OPERATION, FUNCTION, INSTANCE, REFERENCES, N, BUFFER, FIRST, LIMIT, COMPONENT = range(9)
-# Columns of the table of clocks, one row per component; times in ticks
-RATE, EVERY, EACH, COUNT, BEGAN = range(5)
 
 
 def pointer(builder: Any, value: Any, kind: Any) -> Any:
@@ -209,7 +222,6 @@ def finish(rates: bool, clocks: Any, now: int, k: int, bus: Any, low: Any, high:
     return good
 
 
-@njit(cache=True, nogil=True, **OPTIONS)
 def advance(
     steps: int, ticks: Any, rates: bool, delayed: bool, watched: int, ops: Any, clocks: Any, places: Any, bus: Any,
     low: Any, high: Any, columns: Any, report: Any, called: Any,

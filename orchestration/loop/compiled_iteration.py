@@ -12,26 +12,9 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import register_jitable
 
-from robomill.orchestration.loop import acceleration, compiled
-from robomill.orchestration.loop.compiled import (
-    DONE,
-    FAILED,
-    LIMIT,
-    OPTIONS,
-    STOPPED,
-    STUCK,
-    TICK,
-    UNCONVERGED,
-    UNSAVED,
-    VIOLATED,
-    begin,
-    finish,
-    intrinsic,
-    load_i64,
-    njit,
-    operate,
-    pointer,
-)
+from robomill.orchestration.loop import acceleration, compiled, operations
+from robomill.orchestration.loop.compiled import OPTIONS, begin, finish, intrinsic, load_i64, njit, operate, pointer
+from robomill.orchestration.loop.operations import DONE, FAILED, LIMIT, STOPPED, STUCK, TICK, UNCONVERGED, UNSAVED, VIOLATED
 
 # Columns of the table of stages: components that are stepped once, or a loop (then it has members and unknowns)
 FIRST, END, MEMBERS, MEMBERS_END, UNKNOWNS, UNKNOWNS_END = range(6)
@@ -219,6 +202,6 @@ def _advance(
 
 
 # Numba looks whether this file has changed, but not those that it takes functions from: they are in the name of what it keeps
-_SOURCES = b"".join(Path(str(module.__file__)).read_bytes() for module in (acceleration, compiled))
+_SOURCES = b"".join(Path(str(module.__file__)).read_bytes() for module in (acceleration, compiled, operations))
 _advance.__qualname__ = f"advance_{zlib.crc32(_SOURCES):08x}"
 advance: Callable[..., int] = njit(cache=True, nogil=True, **OPTIONS)(_advance)

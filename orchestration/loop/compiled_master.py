@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from robomill.orchestration.errors import SlaveError
-from robomill.orchestration.loop import compiled
+from robomill.orchestration.loop import loop_code, operations
 from robomill.orchestration.loop.acceleration import Iteration, Work
 from robomill.orchestration.loop.iteration import unconverged, unsaved
 from robomill.orchestration.runs.disk import zeros_on_lines
@@ -104,12 +104,12 @@ class CompiledLoop:
         self._rated = [(c, s) for c, s in enumerate(slaves.values()) if isinstance(s, MultiRate) and native_of(s) is not None]
         self._clocks = np.array([[1, 1, 0, 0, 0]] * len(slaves), dtype=np.int64)
         for c, slave in self._rated:
-            self._clocks[c, [compiled.RATE, compiled.EVERY]] = slave.rate, slave.every
+            self._clocks[c, [operations.RATE, operations.EVERY]] = slave.rate, slave.every
         self._operations = np.zeros((len(self._calls), 9), np.int64)
         self._places = np.zeros(sum(len(call.places) for call in self._calls), np.int64)
         first = 0
         for o, call in enumerate(self._calls):
-            self._operations[o, compiled.FIRST] = first
+            self._operations[o, operations.FIRST] = first
             first += len(call.places)
         self._loops = None if iteration is None else Loops(slaves, wiring, iteration, [call.component for call in self._calls])
 
@@ -120,34 +120,34 @@ class CompiledLoop:
         """
         self._prepare(gather)
         self._ticks[:] = start, step, done
-        self._clocks[:, compiled.EACH] = step * self._clocks[:, compiled.EVERY] // self._clocks[:, compiled.RATE]
+        self._clocks[:, operations.EACH] = step * self._clocks[:, operations.EVERY] // self._clocks[:, operations.RATE]
         for c, slave in self._rated:
-            self._clocks[c, [compiled.COUNT, compiled.BEGAN]] = slave.count, round(slave.began * TICK)
+            self._clocks[c, [operations.COUNT, operations.BEGAN]] = slave.count, round(slave.began * TICK)
         most, rates = int(min(steps, self._steps)), bool(self._rated)
         if self._columns is None or self._kept:
             self._columns = self._new_columns(self._width, _length(most if self._kept else self.capacity))
         tables = self._operations, self._clocks, self._places, self._bus, *self._bounds, self._columns, self._report, self._called
         if self._loops is None:
-            made = compiled.advance(most, self._ticks, rates, self._wiring.any_delayed, watched, *tables)
+            made = loop_code.advance(most, self._ticks, rates, self._wiring.any_delayed, watched, *tables)
         else:
             made = self._loops.advance(most, self._ticks, rates, watched, *tables)
         names = list(self._slaves)
         for c, slave in self._rated:  # what they keep themselves in Python: a checkpoint asks them for it
-            count, began = int(self._clocks[c, compiled.COUNT]), int(self._clocks[c, compiled.BEGAN]) / TICK
+            count, began = int(self._clocks[c, operations.COUNT]), int(self._clocks[c, operations.BEGAN]) / TICK
             slave.take_over(count, began, self._bus[self._wiring.output_slice[names[c]]])
         outcome, operation, status = (int(x) for x in self._report)
         failed = None
-        if outcome == compiled.FAILED:
+        if outcome == operations.FAILED:
             call = self._calls[operation]
             t = (start + (done + made) * step) / TICK
-            if status == compiled.UNFIT:
+            if status == operations.UNFIT:
                 error: Exception = SlaveError(f"a whole number does not fit an input of type {call.block.kind if call.block else ''}")
             else:
                 error = self._natives[call.component].failed(call.phase, call.number, status, t, step / TICK)
             failed = names[call.component], error
         elif self._loops is not None:
             failed = self._loops.failed(outcome, operation, status)
-        return Chunk(made, self._columns, failed, outcome != compiled.VIOLATED)
+        return Chunk(made, self._columns, failed, outcome != operations.VIOLATED)
 
     def reached(self, t: float) -> float:
         """Time of the last row in the middle of a chunk that began at `t` [s]."""
@@ -175,23 +175,23 @@ class CompiledLoop:
         for o, call in enumerate(self._calls):
             native = self._natives[call.component]
             row = self._operations[o]
-            row[[compiled.INSTANCE, compiled.LIMIT, compiled.COMPONENT]] = native.instance, native.limit, call.component
+            row[[operations.INSTANCE, operations.LIMIT, operations.COMPONENT]] = native.instance, native.limit, call.component
             if call.block is None:
-                row[[compiled.OPERATION, compiled.FUNCTION, compiled.N]] = compiled.STEP, native.step, native.final
+                row[[operations.OPERATION, operations.FUNCTION, operations.N]] = operations.STEP, native.step, native.final
                 continue
-            block, name, first = call.block, names[call.component], int(row[compiled.FIRST])
+            block, name, first = call.block, names[call.component], int(row[operations.FIRST])
             own = np.array(call.places, dtype=np.int64)
             places = gather[name][own] if call.phase == "inputs" else self._wiring.output_slice[name].start + own
             if call.phase == "inputs" and self._loops is not None:
-                places = places + compiled.MEAN * self._loops.holds_mean(name, gather[name])[own]
+                places = places + operations.MEAN * self._loops.holds_mean(name, gather[name])[own]
             self._places[first : first + len(places)] = places
             # reals that stand on the bus in the order of the block are read from (written to) there
-            plain = block.kind == "float64" and block.references != 0 and places.max(initial=-1) < compiled.MEAN
+            plain = block.kind == "float64" and block.references != 0 and places.max(initial=-1) < operations.MEAN
             direct = plain and len(places) > 0 and bool(np.all(np.diff(places) == 1))
-            through = (compiled.SET if call.phase == "inputs" else compiled.GET) + compiled.KINDS.index(block.kind)
-            row[compiled.OPERATION] = compiled.CALL if direct else through
-            row[compiled.BUFFER] = self._bus.ctypes.data + 8 * int(places[0]) if direct else block.buffer
-            row[[compiled.FUNCTION, compiled.REFERENCES, compiled.N]] = block.function, block.references, len(places)
+            through = (operations.SET if call.phase == "inputs" else operations.GET) + operations.KINDS.index(block.kind)
+            row[operations.OPERATION] = operations.CALL if direct else through
+            row[operations.BUFFER] = self._bus.ctypes.data + 8 * int(places[0]) if direct else block.buffer
+            row[[operations.FUNCTION, operations.REFERENCES, operations.N]] = block.function, block.references, len(places)
 
 
 def _length(steps: int) -> int:
@@ -263,10 +263,10 @@ class Loops:
 
     def failed(self, outcome: int, place: int, status: int) -> tuple[str, Exception] | None:
         """Component and its error, if the outcome is one of the iteration."""
-        if outcome == compiled.UNCONVERGED:
+        if outcome == operations.UNCONVERGED:
             loop = self._loop_of[self._members[self._stages[place, self._kernel.MEMBERS]]]
             return loop.members[0], unconverged(loop, self._settings, float(self._found[0]), int(self._found[1]))
-        if outcome in (compiled.UNSAVED, compiled.STUCK):
-            name, error = self._members[place], self._rollbacks[place].failed("save" if outcome == compiled.UNSAVED else "back", status)
-            return name, unsaved(name, self._loop_of[name], error) if outcome == compiled.UNSAVED else error
+        if outcome in (operations.UNSAVED, operations.STUCK):
+            name, error = self._members[place], self._rollbacks[place].failed("save" if outcome == operations.UNSAVED else "back", status)
+            return name, unsaved(name, self._loop_of[name], error) if outcome == operations.UNSAVED else error
         return None

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that end a run in order."""
-_WORTH_NUMBA = 20_000  # steps that repay importing Numba, where nobody else has
+_WORTH_LOADING = 20_000  # steps that repay loading compiled code, where nobody has loaded any
 _MAX_TICKS = 2**53  # whole numbers that float64 holds exactly
 
 
@@ -354,14 +354,14 @@ class Master:
             obstacle = "its times are too large to be counted exactly"
         if obstacle is not None and self._wanted_loop == "compiled":
             raise OrchestrationError(f"loop = 'compiled' is not possible: {obstacle}; use loop = 'auto' or 'python'")
-        worth_it = self._wanted_loop == "compiled" or "numba" in sys.modules or _WORTH_NUMBA <= total < math.inf
+        worth_it = self._wanted_loop == "compiled" or "llvmlite" in sys.modules or _WORTH_LOADING <= total < math.inf
         return obstacle is None and worth_it
 
     def _chunk(self, room: float, watched: int | None) -> None:
         """Many steps by compiled code, at most `room`; then the observers."""
         began = time.perf_counter()
         if self._compiled is None:
-            from robomill.orchestration.loop.compiled_master import CompiledLoop  # it needs Numba, which takes half a second to import
+            from robomill.orchestration.loop.compiled_master import CompiledLoop  # a run of a few steps does without
 
             jacobi, settings = self.algorithm == "jacobi", None if self._iterated is None else self._iterated.settings
             self._compiled = CompiledLoop(

@@ -6,6 +6,7 @@ process was killed, to the last row that it had (`flight`).
 
 from __future__ import annotations
 
+import importlib
 import math
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,8 +17,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.csv
-import pyarrow.parquet
 
 from robomill.orchestration import html
 from robomill.orchestration.errors import ResultsError, unknown
@@ -139,7 +138,9 @@ class Run:
         columns = {n: self.columns[n] for name in self.arrays(*names) for n in self._members(name)}
         if place.exists() and not overwrite:
             raise ResultsError(f"{place} is there already; choose another name, or allow overwriting (overwrite = True)")
-        pyarrow.csv.write_csv(pa.table({"t": self.t, **columns}), place)
+        from pyarrow import csv
+
+        csv.write_csv(pa.table({"t": self.t, **columns}), place)
         return place
 
     def plot(self, *names: str) -> Figure:
@@ -238,7 +239,7 @@ def _came_to_nothing(folder: Path) -> bool:
     if not ((folder / RUN).is_file() and (folder / SIGNALS).is_file() and read_info(folder).get("outcome") == "failed"):
         return False
     try:
-        return bool(pyarrow.parquet.read_metadata(folder / SIGNALS).num_rows <= 1)  # the first row is that of the start
+        return bool(_parquet().read_metadata(folder / SIGNALS).num_rows <= 1)  # the first row is that of the start
     except (pa.ArrowInvalid, OSError):
         return False
 
@@ -261,14 +262,21 @@ def read_info(folder: Path) -> dict[str, Any]:
 def _read_table(folder: Path) -> pa.Table:
     try:
         if (folder / SIGNALS).is_file():
-            return pyarrow.parquet.read_table(folder / SIGNALS)
+            return _parquet().read_table(folder / SIGNALS)
         if (folder / LIVE).is_file():
             return pa.Table.from_batches(list(_all_rows(folder, late=not is_locked(folder))), _schema(folder / LIVE))
         if (folder / CSV).is_file():
-            return pyarrow.csv.read_csv(folder / CSV)
+            from pyarrow import csv
+
+            return csv.read_csv(folder / CSV)
     except (pa.ArrowInvalid, OSError) as error:
         raise ResultsError(f"{folder}: the signals cannot be read: {error}; run or import it anew") from None
     raise ResultsError(f"{folder}: there is no {SIGNALS}, {LIVE} or {CSV} in it; run or import it anew")
+
+
+def _parquet() -> Any:
+    """Imported when a run ends or is read: one begins without what else that loads."""
+    return importlib.import_module("pyarrow.parquet")
 
 
 def _schema(file: Path) -> pa.Schema:
@@ -348,7 +356,7 @@ def finalise(folder: Path) -> None:
     reals = [f.name for f in schema if pa.types.is_floating(f.type)]
     others = [f.name for f in schema if not pa.types.is_floating(f.type)]
     options: dict[str, Any] = {"compression": "zstd", "use_dictionary": others or False, "use_byte_stream_split": reals or False}
-    with pyarrow.parquet.ParquetWriter(part, schema, **options) as writer:
+    with _parquet().ParquetWriter(part, schema, **options) as writer:
         rows: list[pa.RecordBatch] = []
         for batch in _all_rows(folder, late=True):
             rows.append(batch)
@@ -384,7 +392,7 @@ def rows_of(file: Path) -> Iterator[pa.RecordBatch]:
     """The complete chunks of a file of signals."""
     try:
         if file.suffix == Path(SIGNALS).suffix:
-            with pyarrow.parquet.ParquetFile(file) as table:
+            with _parquet().ParquetFile(file) as table:
                 yield from table.iter_batches()
         else:
             with pa.OSFile(str(file)) as source:
@@ -395,5 +403,7 @@ def rows_of(file: Path) -> Iterator[pa.RecordBatch]:
 
 def write_csv(folder: Path) -> Path:
     """Write `signals.csv` (all digits) beside the signals of a run, and return its path."""
-    pyarrow.csv.write_csv(_read_table(folder), folder / CSV)
+    from pyarrow import csv
+
+    csv.write_csv(_read_table(folder), folder / CSV)
     return folder / CSV

@@ -19,7 +19,7 @@ from fmpy.model_description import ValidationError, read_model_description
 from robomill.orchestration.errors import SlaveError
 from robomill.orchestration.slaves.archive import check_xml, unpack
 from robomill.orchestration.slaves.library import problem
-from robomill.orchestration.slaves.protocol import Port, PortData, Scalar, base_name
+from robomill.orchestration.slaves.protocol import Port, PortData, Scalar, base_name, inputs, outputs
 
 FMI_2, FMI_3 = 2, 3
 """Versions of FMI: the number before the point."""
@@ -107,6 +107,19 @@ class FmuDescription:
         """Value reference by port name; the elements of an array share that of the array."""
         return {p.name: v.reference for v in self.variables for p in v.ports}
 
+    @cached_property
+    def by_kind(self) -> dict[str, list[tuple[str, list[int], list[Variable]]]]:
+        """Each type among inputs ("input") and outputs: its name, the places of its elements in the flat image, its variables."""
+        found: dict[str, list[tuple[str, list[int], list[Variable]]]] = {}
+        for causality, ports in (("input", inputs(self.ports)), ("output", outputs(self.ports))):
+            place = {p.name: i for i, p in enumerate(ports)}
+            kinds: dict[str, list[Variable]] = {}
+            for v in self.variables:
+                if v.ports[0].name in place:
+                    kinds.setdefault(v.kind, []).append(v)
+            found[causality] = [(kind, [place[p.name] for v in chosen for p in v.ports], chosen) for kind, chosen in kinds.items()]
+        return found
+
 
 def open_fmu(file: Path, folder: Path) -> FmuDescription:
     """Unpack `file` into `folder` and check that it can run here.
@@ -136,7 +149,7 @@ def describe(file: Path, folder: Path, names: Sequence[str]) -> FmuDescription:
         library=_library(file, folder, known.identifier, names, str(fmpy.platform if known.fmi == FMI_2 else fmpy.platform_tuple)),
         made_by_pythonfmu=(folder / "resources" / "slavemodule.txt").is_file(),
     )
-    vars(made).update(ports=known.ports, references=known.references)  # one for all components that are this FMU
+    vars(made).update(ports=known.ports, references=known.references, by_kind=known.by_kind)  # one for all components that are this FMU
     return made
 
 

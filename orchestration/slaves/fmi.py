@@ -20,7 +20,7 @@ import numpy.typing as npt
 from robomill.orchestration.errors import SlaveError
 from robomill.orchestration.slaves.description import FmuDescription, Variable
 from robomill.orchestration.slaves.native import BlockData
-from robomill.orchestration.slaves.protocol import FloatArray, Scalar, inputs, outputs
+from robomill.orchestration.slaves.protocol import FloatArray, Scalar
 
 WARNING, FATAL = 1, 4
 """Statuses: the largest that is no error; the one after which no call is allowed."""
@@ -168,7 +168,7 @@ class Fmi(ABC):
     def groups(self, way: str, causality: str) -> list[Group]:
         """Inputs or outputs by type; `way` is Set or Get. SlaveError if the library has no function for one."""
         made = []
-        for kind, places, variables in _by_kind(self.description, causality):
+        for kind, places, variables in self.description.by_kind[causality]:
             name = f"{way}{kind}"
             try:
                 function = self.function(name)
@@ -245,13 +245,3 @@ def _with_neighbours(library: Path) -> ctypes.CDLL:
 def address(function: Any) -> int:
     """Address of a C function that ctypes knows."""
     return ctypes.cast(function, ctypes.c_void_p).value or 0
-
-
-def _by_kind(description: FmuDescription, causality: str) -> Iterator[tuple[str, list[int], list[Variable]]]:
-    """(type, places of the elements in the flat image, variables) for each type that occurs among the inputs or outputs."""
-    ports = {"input": inputs, "output": outputs}[causality](description.ports)
-    place = {p.name: i for i, p in enumerate(ports)}
-    chosen = [v for v in description.variables if v.ports[0].name in place]
-    for kind in dict.fromkeys(v.kind for v in chosen):
-        found = [v for v in chosen if v.kind == kind]
-        yield kind, [place[p.name] for v in found for p in v.ports], found

@@ -77,6 +77,8 @@ class FmuSlave:
 
     def configure(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Take parameters, and start values of inputs (elements or whole arrays), for the next `initialise`."""
+        if not parameters:
+            return
         inputs = {p.name for p in self.ports if p.causality == "input"}
         starts = {name: value for name, value in parameters.items() if name in inputs}
         self._parameters.update(prepare(self._name, self.ports, {k: v for k, v in parameters.items() if k not in starts}))
@@ -105,7 +107,7 @@ class FmuSlave:
 
     def _set_parameters(self) -> None:
         """Those that were given; of an array with them its other elements, too, at their starts."""
-        for variable in self.description.variables:
+        for variable in self.description.variables if self._parameters else ():
             if any(p.name in self._parameters for p in variable.ports):
                 values = [self._parameters.get(p.name, p.start) for p in variable.ports]
                 missing = [p.name for p, v in zip(variable.ports, values, strict=True) if v is None]

@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import json
 import mmap
-import multiprocessing
 import os
 import pickle
 import signal
@@ -73,7 +72,9 @@ class IsolatedSlave:
             raise
 
     def _start(self) -> None:
-        ours, theirs = multiprocessing.Pipe()
+        from multiprocessing import Pipe  # which takes ten milliseconds, and few systems need it
+
+        ours, theirs = Pipe()
         handle = theirs.fileno()
         options: dict[str, Any]
         if sys.platform == "win32":

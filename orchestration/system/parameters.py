@@ -142,6 +142,8 @@ def prepare(
     values of inputs). SlaveError names component, parameter,
     value, what is expected (unit, type, bounds) and, for unknown names, what there is.
     """
+    if not values:
+        return {}
     by_name = {p.name: p for p in ports}
     result: dict[str, Scalar] = {}
     try:

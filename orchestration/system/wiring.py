@@ -241,7 +241,10 @@ def _open_inputs(components: Mapping[str, Sequence[Port]], taken: Mapping[Elemen
     """One text per array with open elements."""
     texts = []
     for name, ports in components.items():
-        for base, members in arrays(inputs(ports)).items():
+        connectable = inputs(ports)
+        if all((name, p.name) in taken for p in connectable):
+            continue
+        for base, members in arrays(connectable).items():
             missing = [p for p in members if (name, p.name) not in taken]
             if missing:
                 which = f"{name}.{base}" if len(missing) == len(members) else ", ".join(f"{name}.{p.name}" for p in missing)

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from robomill.diagnosis.forms.layout import Form, PortForm
 from robomill.diagnosis.localisation.where import WHOLE
-from robomill.models.components.correction import FORM
+from robomill.models.components.file_names import FORM
 from robomill.report.html import code, figure, paragraph, table
 from robomill.report.sheet import Sheet
 from robomill.report.style import AFTER, BEFORE, MUTED

@@ -11,6 +11,7 @@ import pytest
 
 from robomill.fmus.in_process import InProcessSlave
 from robomill.fmus.instance import ComponentError
+from robomill.models.model import model_code
 from robomill.orchestration.slaves.protocol import Slave
 from tests.fmus.demo import MODEL
 
@@ -72,7 +73,7 @@ def test_compiled_and_plain_agree_bitwise() -> None:
     assert run(compiled, 0, 50) == run(plain, 0, 50)
 
 
-def test_without_numba_it_runs_in_plain_python(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_numba_it_runs_in_plain_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = run(ready(), 0, 5)
     original = builtins.__import__
 
@@ -82,6 +83,8 @@ def test_without_numba_it_runs_in_plain_python(monkeypatch: pytest.MonkeyPatch) 
         return original(name, *arguments, **keywords)
 
     monkeypatch.setattr(builtins, "__import__", no_numba)
+    monkeypatch.setattr(model_code, "_LOADED", {})
+    monkeypatch.setenv("ROBOMILL_CACHE_DIR", str(tmp_path))  # else there is code that is kept
     slave = ready()
     assert not slave.instance.compiled
     assert run(slave, 0, 5) == expected

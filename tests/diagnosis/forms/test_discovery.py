@@ -18,7 +18,7 @@ from robomill.diagnosis.forms.layout import Form
 from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.outcome import adopt
-from robomill.models.components.correction import FORM
+from robomill.models.components.file_names import FORM
 from robomill.models.model.units import convert
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run

@@ -294,17 +294,18 @@ print("RESULT" + json.dumps({{"rows": result.tolist()}}))
 def test_it_runs_outside_of_the_repository_and_compiles_the_first_time_only(built: Built, tmp_path: Path) -> None:
     cache = {"ROBOMILL_CACHE_DIR": str(tmp_path / "cache")}
     first = in_a_fresh_process(built("robot_compliance"), tmp_path, environment=cache)
-    compiled = {f: f.stat().st_mtime_ns for f in (tmp_path / "cache").rglob("*.nbc")}
+    compiled = {f: f.stat().st_mtime_ns for f in (tmp_path / "cache").rglob("*.o")}
     second = in_a_fresh_process(built("robot_compliance"), tmp_path, environment=cache)
     assert first["rows"] == second["rows"]
     assert compiled
-    assert {f: f.stat().st_mtime_ns for f in (tmp_path / "cache").rglob("*.nbc")} == compiled
+    assert {f: f.stat().st_mtime_ns for f in (tmp_path / "cache").rglob("*.o")} == compiled
 
 
 @pytest.mark.slow
 def test_without_numba_it_runs_and_says_so(built: Built, tmp_path: Path) -> None:
     with_numba = in_a_fresh_process(built("demo"), tmp_path)
-    without = in_a_fresh_process(built("demo"), tmp_path, before='sys.modules["numba"] = None')
+    cache = {"ROBOMILL_CACHE_DIR": str(tmp_path / "cache")}  # with nothing in it
+    without = in_a_fresh_process(built("demo"), tmp_path, before='sys.modules["numba"] = None', environment=cache)
     assert without["rows"] == with_numba["rows"]
     assert "Numba is not installed here; the model runs in plain Python" in without["log"]
     assert "Numba" not in with_numba["log"]

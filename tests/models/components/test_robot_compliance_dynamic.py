@@ -19,6 +19,7 @@ from robomill.fmus.in_process import InProcessSlave
 from robomill.models.components.robot_compliance import MODEL as STATIC
 from robomill.models.components.robot_compliance_dynamic import MODEL, VARIABLES
 from robomill.models.model.declaration import FloatArray, Model, Record, record
+from robomill.models.model.model_code import model_code
 from robomill.models.robot.elastic_modes import ElasticMachine, elastic_modes, load_machine, machine_values, system_matrices
 from robomill.orchestration.assembly import run
 from robomill.orchestration.loop.acceleration import Iteration
@@ -33,7 +34,6 @@ FORCE, MOMENT = np.array([300.0, -200.0, 100.0]), np.array([5.0, 3.0, -9.0])
 STATIC_LIMIT = 1e-9
 """Required: relative difference to robot_compliance at rest."""
 RIGID = 1e96
-INIT, STEP = MODEL.compiled_for_data()
 
 
 def eighteen_springs() -> ElasticMachine:
@@ -53,11 +53,12 @@ class Robot:
                 self.data[name] = value
         self.s: Record = record(self.data)
         self.t = 0.0
-        init, self._step = (INIT, STEP) if model is MODEL else model.compiled_for_data()
-        assert init(self.data) == 0
+        code = model_code(model)
+        self._step = code.step
+        assert code.init(self.data.ctypes.data) == 0
 
     def step(self, h: float = H) -> FloatArray:
-        assert self._step(self.data, self.t, h) == 0
+        assert self._step(self.data.ctypes.data, self.t, h) == 0
         self.t += h
         return np.array(self.s.d_T_B)
 
@@ -439,12 +440,12 @@ def failure(step: bool = False, h: float = H, **values: Any) -> str:
     for name, value in {**machine_values(KR210), "q_link": MILLING, **values}.items():
         if name in MODEL.dtype.names:
             data[name] = value
-    s = record(data)
-    status = INIT(data)
+    s, code = record(data), model_code(MODEL)
+    status = code.init(data.ctypes.data)
     if step and status == 0:
         if "jump" in values:
             s.q_link[0] += values["jump"]
-        status = STEP(data, 0.0, h)
+        status = code.step(data.ctypes.data, 0.0, h)
     assert status != 0
     return MODEL.message(status, s, 0.0)
 

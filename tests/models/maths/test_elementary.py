@@ -16,7 +16,7 @@ import pytest
 from numba import njit
 
 from robomill.models.maths import elementary
-from robomill.models.model.declaration import COMPILER_OPTIONS
+from robomill.models.model.kernels import COMPILER_OPTIONS
 from tests.tolerances import EXACT
 
 DIGITS = 60

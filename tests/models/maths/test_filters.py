@@ -20,7 +20,7 @@ from robomill.models.maths.filters import (
     delay_rest,
     moving_average_window,
 )
-from robomill.models.model.declaration import COMPILER_OPTIONS
+from robomill.models.model.kernels import COMPILER_OPTIONS
 from tests.tolerances import EXACT, ROUNDOFF, physics
 
 SAMPLE = 0.004

@@ -8,7 +8,7 @@ from numba import njit
 from scipy.spatial.transform import Rotation
 
 from robomill.models.maths import frames
-from robomill.models.model.declaration import COMPILER_OPTIONS
+from robomill.models.model.kernels import COMPILER_OPTIONS
 from tests.tolerances import EXACT, ROUNDOFF, physics
 
 SEEDS = range(100)

@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 
 from robomill.models.maths.noise import mix, normal_pair, uniform
-from robomill.models.model.declaration import COMPILER_OPTIONS
+from robomill.models.model.kernels import COMPILER_OPTIONS
 
 N = 20_000
 SIGMAS = 4.0

@@ -13,8 +13,9 @@ from types import ModuleType
 
 import pytest
 
-from robomill.models.model.cache import IN_USE, _key, compiled_before, compiled_code, prune, source_files, user_folder
+from robomill.models.model.cache import _key, compiled_before, compiled_code, source_files
 from robomill.models.model.calls import check_kernels
+from robomill.user_cache import IN_USE, prune, user_folder
 
 MODEL = """
 from robomill.models.model.declaration import Model, Variable

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from robomill.models.model.declaration import Model, Record, Variable, kernel, record
+from robomill.models.model.model_code import model_code
 from robomill.models.model.table_access import cell
 from tests.tolerances import EXACT
 
@@ -219,7 +220,8 @@ class TestRunning:
         plain, compiled, for_data = TANK.new(), TANK.new(), TANK.new()
         expected = self.run(*TANK.plain(), record(plain), plain)
         assert self.run(*TANK.compiled(cache=False), record(compiled), compiled) == expected
-        assert self.run(*TANK.compiled_for_data(), for_data, for_data) == expected
+        code = model_code(TANK)
+        assert self.run(code.init, code.step, for_data.ctypes.data, for_data) == expected
         assert plain.tobytes() == compiled.tobytes() == for_data.tobytes()
         assert plain["count"][0] == 300
 
@@ -239,7 +241,7 @@ class TestRunning:
 
     def test_compiled_functions_are_made_once(self) -> None:
         assert TANK.compiled(cache=False) is TANK.compiled(cache=False)
-        assert TANK.compiled_for_data() is TANK.compiled_for_data()
+        assert model_code(TANK) is model_code(TANK)
 
     def test_an_array_temporary_is_a_compile_error(self) -> None:
         """Without the Numba runtime nothing can be allocated: a model that needs no heap cannot leak in a native FMU."""

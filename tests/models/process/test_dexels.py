@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from robomill.models.model.declaration import COMPILER_OPTIONS
+from robomill.models.model.kernels import COMPILER_OPTIONS
 from robomill.models.process import dexels as workpiece
 from tests.tolerances import EXACT, ROUNDOFF, discretisation
 

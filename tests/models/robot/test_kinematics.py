@@ -10,7 +10,8 @@ import pytest
 from numba import njit
 from scipy.spatial.transform import Rotation
 
-from robomill.models.model.declaration import COMPILER_OPTIONS, Model, Record, record
+from robomill.models.model.declaration import Model, Record, record
+from robomill.models.model.kernels import COMPILER_OPTIONS
 from robomill.models.model.parameters import load
 from robomill.models.robot.kinematics import (
     KR300,

@@ -12,7 +12,7 @@ import pytest
 
 from robomill.orchestration.assembly import assemble, run
 from robomill.orchestration.errors import Interrupted, OrchestrationError, RunError, SystemFileError
-from robomill.orchestration.loop import compiled, compiled_iteration
+from robomill.orchestration.loop import compiled_iteration, loop_code
 from robomill.orchestration.loop import compiled_master as chunks
 from robomill.orchestration.loop.acceleration import HOLDS, METHODS, Iteration
 from robomill.orchestration.loop.master import Master
@@ -152,7 +152,7 @@ def oscillator(fmu, **settings):
 def compiled_steps(monkeypatch):
     """How many steps compiled code has made, by kernel."""
     made = {}
-    for module in (compiled, compiled_iteration):
+    for module in (loop_code, compiled_iteration):
 
         def count(*arguments, kernel=module.advance, module=module):
             done = kernel(*arguments)
