@@ -171,14 +171,15 @@ def object_code(
     """
     import numba
 
+    types: Any = numba.types
     texts, lasting = [], True
     for name, (function, kinds) in functions.items():
         dispatcher: Any = numba.njit(**options)(function)
         dispatcher.compile(tuple(kinds))
         signature = dispatcher.signatures[0]
         compiled: Any = dispatcher.overloads[signature]
-        returned = numba.types.unliteral(compiled.signature.return_type)  # a function may return nothing but 0
-        ending = "" if returned in (numba.types.int64, numba.types.none) else f".{returned}"
+        returned = types.unliteral(compiled.signature.return_type)  # a function may return nothing but 0
+        ending = "" if returned in (types.int64, types.none) else f".{returned}"
         if ending not in _RETURNED:
             known = "an integer, a float, a truth value or nothing"
             raise TypeError(f"{function.__module__}.{function.__qualname__} returns {returned}; expected {known}")

@@ -22,8 +22,9 @@ from robomill.diagnosis.catalogue import LOGGING, Candidate
 from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate, setting
 from robomill.diagnosis.forms.ports import Problem, alike, direct, replayed
-from robomill.diagnosis.forms.selection import MATERIAL, Labels, Products, Rows
+from robomill.diagnosis.forms.selection import Labels, Products, Rows
 from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.intervals import MATERIAL
 from robomill.diagnosis.inference.machines import MACHINES
 from robomill.diagnosis.outcome.ceiling import FOLDS
 from robomill.orchestration.errors import OrchestrationError

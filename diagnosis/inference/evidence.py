@@ -98,8 +98,8 @@ class Evidence:
     def level(self, left: FloatArray) -> float:
         """chi2 of a residual [n] over what noise and discrepancy leave: that of the worst array.
 
-        With b = (I + B'B)^-1 B' u, <u, u> = u'(u - B b) = |u - B b|^2 + |b|^2: the part of an array in it has what nuisances leave there, and
-        what it costs to move them so far.
+        With b = (I + B'B)^-1 B' u, <u, u> = u'(u - B b) = |u - B b|^2 + |b|^2: the part of an array in it has what nuisances leave there,
+        and what it costs to move them so far.
         """
         rest = left * (left - self.space.explained(left))
         worst = 0.0
