@@ -26,7 +26,7 @@ from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 TRUST = 0.02
 """Part of an effect of typical size that the models are not trusted to: the noise floor of each channel."""
-DISCREPANCY = 0.05
+DISCREPANCY = 0.1
 """Deviation of what two formulations of one machine leave, over what the tolerances of its numbers do to an array [1]. Fitted to machines
 without effects of development seeds; a discrepancy has a memory, which DEPENDENCE counts."""
 DEPENDENCE = 10.0
