@@ -128,8 +128,8 @@ def test_who_moves_a_calibrated_number_in_a_new_condition_pays_for_it(tmp_path: 
     result = tolerated(tmp_path, axis.measure(HEAVY, repeats=2, size=0.6, seed=2))
     assert result["verdict"] == "identified"
     moved = result["transfer"]
-    # of 30 deviations the 30 have s / (1 + s), where a single one has the chi2 s: that of 3.8 deviations of noise
-    assert moved["expected_gain"] == pytest.approx(0.5 * 30.0**2 * 14.5 / 15.5, rel=WELL)
+    # of 30 deviations the 30 have s / (1 + s), where a single one has the chi2 s: that of 2.6 deviations of noise, as the force is sudden
+    assert moved["expected_gain"] == pytest.approx(0.5 * 30.0**2 * 6.8 / 7.8, rel=WELL)
     assert moved["gain"] == pytest.approx(moved["expected_gain"], rel=chance(scatter(moved)))
     assert moved["after"] < 1.4 < moved["before"]
 
@@ -191,12 +191,11 @@ class TestGain:
         covariance = np.eye(self.ROWS) + nuisances @ nuisances.T
         y, unsure = there.space.y, covariance + doubt**2 * np.outer(s, s)
         before, after = y @ np.linalg.solve(covariance, y), (y - s) @ np.linalg.solve(unsure, y - s)
-        # one array, twice as large here; three repeats that are all off by the same; (1 + N N')^-1 takes away what nuisances N explain
+        # one array, twice as large here; three repeats that are all off by the same
         off = math.sqrt(3.0) * DISCREPANCY * 2.0 * self.NUISANCE.scale * math.sqrt(float((np.sin(3.0 * self.T + 0.5) ** 2).mean()))
         part = off / np.hypot(there.sudden[0], there.whitening.factor[0, 0])
         allowed = float(there.expected.sum() + (part**2).sum() / DEPENDENCE)
-        levels = [float((np.linalg.solve(c, x) ** 2).sum()) / allowed for c, x in ((covariance, y), (unsure, y - s))]
-        expected = (*levels, 0.5 * (before - after), 0.5 * (s @ np.linalg.solve(covariance, s)), doubt)
+        expected = (before / allowed, after / allowed, 0.5 * (before - after), 0.5 * (s @ np.linalg.solve(covariance, s)), doubt)
         assert (found.before, found.after, found.gain, found.expected_gain, found.doubt) == pytest.approx(expected, rel=1e4 * ROUNDOFF)
         # one condition and one array: what the law may miss there is one column
         wide = np.linalg.inv(covariance + FORM**2 * np.outer(s, s))
