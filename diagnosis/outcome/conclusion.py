@@ -100,7 +100,9 @@ class Conclusion:
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
         faulty = any(believed[c] >= IDENTIFIED for c in clocks) and not self.repair
         verdict = judged(search, tests, nominal, self.best, other, believed, faulty)
-        instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if verdict in ("identified", "ambiguous") else Laws()
+        # with repeats, noise is known, and what a model leaves says whether it is right
+        tried = verdict in ("identified", "ambiguous") and search.evidence.whitening.guessed
+        instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if tried else Laws()
         if instead.found:
             verdict = "unknown"
         for c in clocks if faulty or self.repair else []:

@@ -56,9 +56,10 @@ class TestSmallest:
         assert once.by_tolerance < 0.05
         assert twice.smallest / once.smallest == pytest.approx(2.0, rel=FLOOR_LEFT)
 
-    def test_four_times_the_repeats_show_half_the_size(self, tmp_path: Path) -> None:
+    def test_four_times_the_repeats_show_a_smaller_size(self, tmp_path: Path) -> None:
+        """Half of it if there were noise alone; what is sudden is alike in all repeats."""
         few, many = (of(checked(tmp_path, noisy(50.0, n)), "gain", "sensor 1") for n in (4, 16))
-        assert few.smallest / many.smallest == pytest.approx(2.0, rel=FEW)
+        assert 1.4 < few.smallest / many.smallest < 2.0 * (1.0 + FEW)
 
     def test_a_diagnosis_sees_what_is_twice_as_large_and_not_what_is_a_fifth(self, tmp_path: Path) -> None:
         size = of(checked(tmp_path, measure(repeats=4)), "stiffness", "spring 1").smallest

@@ -83,7 +83,7 @@ def test_doubt_is_that_of_the_port_and_of_the_kind() -> None:
 def answer(folder: Path, truth: dict[str, float], without: str = "") -> dict[str, Any]:
     known = axis.catalogue(folder)
     known = replace(known, candidates=tuple(c for c in known.candidates if c.effect not in (without, "clock")))
-    return diagnose(axis.system(), axis.measure(truth, repeats=2), known, resolver=axis.resolve).result
+    return diagnose(axis.system(), axis.measure(truth, repeats=1), known, resolver=axis.resolve).result
 
 
 def test_an_axis_without_its_friction_in_the_catalogue_is_unknown(tmp_path: Path) -> None:
