@@ -197,7 +197,13 @@ class TestGain:
         allowed = float(there.expected.sum() + (part**2).sum() / DEPENDENCE)
         part = doubt * s * (doubt * s @ np.linalg.solve(covariance, y - s)) / (1.0 + doubt**2 * s @ np.linalg.solve(covariance, s))
         left = y - s - part  # what it costs to doubt the fitted values is in the gain alone
-        expected = (before / allowed, left @ np.linalg.solve(covariance, left) / allowed, 0.5 * (before - after), 0.5 * (s @ np.linalg.solve(covariance, s)), doubt)
+        expected = (
+            before / allowed,
+            left @ np.linalg.solve(covariance, left) / allowed,
+            0.5 * (before - after),
+            0.5 * (s @ np.linalg.solve(covariance, s)),
+            doubt,
+        )
         assert (found.before, found.after, found.gain, found.expected_gain, found.doubt) == pytest.approx(expected, rel=1e4 * ROUNDOFF)
         # one condition and one array: what the law may miss there is one column
         wide = np.linalg.inv(covariance + FORM**2 * np.outer(s, s))
