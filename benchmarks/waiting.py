@@ -234,6 +234,7 @@ def main() -> None:
         timed(["-c", CLOSE, str(folder / "closed"), str(folder / "closed.txt")], ROOT, folder)
         whole, closing = map(float, (folder / "closed.txt").read_text(encoding="utf-8").split())
         text = page(found, (options.runs, options.jobs, *swept), (whole, closing), (busy, load()))
+    options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "waiting.md").write_text(text, encoding="utf-8")
     print(text)
 
