@@ -84,6 +84,11 @@ ABSOLUTE = {"p_FT": 5e-6, "payload": 0.2, "load": 0.02, "offset_f": 0.2, "offset
 """Standard deviations of the calibrated numbers (docs/maintainers/blind.md): relative, and in the unit of the number."""
 
 
+INERTIA_STEPS = (2, 4, 6)
+"""Fine steps [1 ms] over which the arm takes the mean of the force, as drawn: one, two or three times the 2 ms from tooth to tooth of the
+benchmark's cuts (10 000 rev/min, three teeth). Between them the tip would be seen at one phase of the teeth, as if it followed 500 Hz."""
+
+
 @dataclass(frozen=True)
 class Place:
     """Where the block is and what the experimenter sets."""
@@ -187,7 +192,7 @@ def perturbed(c: Cell, draws: np.random.Generator) -> tuple[Cell, dict[str, dict
         gas=float(off(c.dynamics.gas, RELATIVE["gas"])),
         payload=float(c.dynamics.payload + ABSOLUTE["payload"] * draws.standard_normal()),
     )
-    steps = int(draws.choice([2, 3, 4, 6]))
+    steps = int(draws.choice(INERTIA_STEPS))
     numbers: dict[str, dict[str, Any]] = {
         "compliance": {"stiffness": flexure.stiffness.ravel().tolist(), "p_FT_F": p_FT.tolist()},
         "drive": {

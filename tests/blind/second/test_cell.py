@@ -15,6 +15,7 @@ from robomill.blind.generate import ARRAYS
 from robomill.blind.make import Request, make
 from robomill.blind.second import effects, generate, logs, outside
 from robomill.blind.second.kernel import folder_of
+from robomill.blind.second.machine import INERTIA_STEPS
 from robomill.blind.sets import Plan
 from robomill.blind.truth import TrueEffect
 from robomill.blind.world import TRACKER, nominal
@@ -53,6 +54,20 @@ def true(key, value, index=0):
 
 def bare(seed=1):
     return generate.Machine((seed,))
+
+
+def seen_at_the_tip(steps):
+    """Tip [n,3] of a slot without tolerances, whose arm takes the mean of the force over so many fine steps."""
+    machine = generate.Machine((1,), (), lambda cell: cell._replace(inertia_steps=steps), tolerances=False)
+    return column(generate.run(machine, SHORT)[1], TRACKER)
+
+
+@pytest.mark.slow
+def test_arms_of_any_inertia_show_the_same_tip():
+    usual = seen_at_the_tip(4)
+    away = {steps: float(np.sqrt(np.mean((seen_at_the_tip(steps) - usual) ** 2))) for steps in (*INERTIA_STEPS, 3)}
+    assert max(away[steps] for steps in INERTIA_STEPS) < 5e-6  # the force is 1 ms older or younger: 2 um/N at 1 N/ms for a part of the time
+    assert away[3] > 15e-6  # one and a half teeth: logged every 4 ms, they show one phase of them
 
 
 class TestNominal:
