@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robomill.diagnosis.experiment.simulation import setting
-from robomill.diagnosis.inference.adequacy import KEEPS, MISFIT, left_by, misfit
+from robomill.diagnosis.inference.adequacy import KEEPS, MISFIT, kept, left_by, misfit
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.evidence import gather
 from robomill.diagnosis.inference.search import POLISH, Search
@@ -49,12 +49,17 @@ class Transfer:
 
     @property
     def worth(self) -> float:
-        """Log Bayes factor for a right model against a stand-in, from all that is seen in new conditions: promise, and what is left."""
-        return self.promise + left_by(self.before, self.after, self.misfit)
+        """Log Bayes factor for a right model against a stand-in, from new conditions: what counts of the promise, and what is left."""
+        return kept(self.promise) + self.left
+
+    @property
+    def left(self) -> float:
+        """Log Bayes factor for a right model against a stand-in, from what is left in new conditions."""
+        return left_by(self.before, self.after, self.misfit)
 
     @property
     def promise(self) -> float:
-        """Log Bayes factor for a right model against a stand-in, from the amplitude a that is found there.
+        """Log Bayes factor for a right model against a stand-in that does not hold, from the amplitude a that is found there.
 
         Right: a ~ N(1, deviation^2 + doubt^2). A stand-in keeps more or less of its promise: a ~ N(1, deviation^2 + doubt^2 + KEEPS^2).
         """

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import expit
 
 from robomill.diagnosis.catalogue import Candidate
-from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, SPREAD, agreement, left_by, misfit, unexplained
+from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, SPREAD, agreement, kept, left_by, misfit, unexplained
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import ANOTHER, log_priors
 from robomill.diagnosis.inference.search import Search
@@ -79,10 +79,12 @@ def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: floa
     seen = sorted(zip(looks(search, nominal), looks(search, best), strict=True))
     other, larger = (left_by(before, after, misfit(best.model)) for before, after in seen)
     fits += larger + min(other, 0.0)  # where the gap is larger it is seen whether it closes; the other look may refute that
-    fits += held_together(search, best)
+    holds = held_together(search, best)
     if moved is not None:
         odds += moved.gain
-        fits += moved.worth
+        holds += moved.promise
+        fits += moved.left
+    fits += kept(holds)
     return Tests(alpha, p_none, float(expit(fits)), float(expit(-odds)))
 
 

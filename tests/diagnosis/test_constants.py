@@ -52,7 +52,7 @@ def test_the_name_of_a_constant_means_one_thing_in_diagnosis_and_benchmark() -> 
     assert {name: files for name, files in places.items() if len(files) > 1 and name not in SHARED} == {}
 
 
-AT_MOST = 143
+AT_MOST = 144
 """Named constants of diagnosis/. Each one more is one more thing that somebody must set."""
 
 
@@ -288,6 +288,7 @@ NOTICED: list[tuple[Any, str, float, Callable[[], Any], Any, Any]] = [
     (repeats, "MOST_CHANNELS", 2.0, stopped, True, False),
     (machines, "MACHINES", 2, rank, 1.0 / 2001.0, 1.0 / 4001.0),
     (transfer, "KEEPS", 2.0, lambda: transfer.Transfer(5.0, 1.1, 1.0, 1.0, 0.0, 0.8, 0.1).promise > 0.0, False, True),
+    (adequacy, "HOLDS", 0.5, lambda: round(adequacy.kept(50.0), 6), round(math.log(2.0), 6), round(math.log(4.0), 6)),
     (verdict, "UNLISTED", 2.0, lambda: fits(1.0, 1.0, EFFECT) > 0.5, True, False),
     (verdict, "UNKNOWN", 2.0, lambda: judged(3.5, 0.9, 0.5), "unknown", "none"),
     (verdict, "IDENTIFIED", 1.2, lambda: judged(9.0, 0.9, 0.001), "identified", "ambiguous"),

@@ -12,7 +12,7 @@ from scipy.integrate import trapezoid
 from scipy.stats import beta, norm
 
 from robomill.diagnosis.catalogue import LOGGING
-from robomill.diagnosis.inference.adequacy import EXACT, LEVEL, MISFIT, SPREAD, left_by, misfit, unexplained
+from robomill.diagnosis.inference.adequacy import EXACT, HOLDS, LEVEL, MISFIT, SPREAD, kept, left_by, misfit, unexplained
 from tests.diagnosis.inference.test_estimation import candidate
 from tests.tolerances import ROUNDOFF
 
@@ -76,3 +76,15 @@ def test_a_fault_of_the_log_is_exact_and_an_effect_is_not() -> None:
 )
 def test_the_share_that_is_left_is_that_beyond_a_machine_without_effects(before: float, after: float, share: float) -> None:
     assert unexplained(before, after) == pytest.approx(share, rel=1e1 * ROUNDOFF)
+
+
+@pytest.mark.parametrize("odds", [-80.0, -2.0, 0.0, 1.5, 700.0])
+def test_a_stand_in_may_hold_in_all_conditions(odds: float) -> None:
+    right, other = math.exp(min(odds, 0.0)), math.exp(min(-odds, 0.0))  # likelihoods; one that holds has that of a right model
+    assert kept(odds) == pytest.approx(math.log(right / (HOLDS * right + (1.0 - HOLDS) * other)), abs=ROUNDOFF, rel=ROUNDOFF)
+
+
+def test_however_well_a_model_holds_it_is_no_surer_than_that_stand_ins_do() -> None:
+    assert kept(50.0) == pytest.approx(-math.log(HOLDS), rel=ROUNDOFF)
+    assert kept(0.0) == pytest.approx(0.0, abs=ROUNDOFF)
+    assert kept(-50.0) < -49.0

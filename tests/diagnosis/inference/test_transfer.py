@@ -15,7 +15,7 @@ from scipy.stats import norm
 from robomill.diagnosis.catalogue import Address, Catalogue, Nuisance
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.simulation import Simulator
-from robomill.diagnosis.inference.adequacy import EXACT, MISFIT, left_by
+from robomill.diagnosis.inference.adequacy import EXACT, MISFIT, kept, left_by
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.evidence import DEPENDENCE, DISCREPANCY, FORM, Evidence, gather
 from robomill.diagnosis.inference.transfer import KEEPS, Transfer, transfer
@@ -87,7 +87,7 @@ class TestPromise:
         right = math.hypot(deviation, doubt)
         other = math.hypot(right, KEEPS)
         assert found.promise == pytest.approx(norm.logpdf(amplitude, 1.0, right) - norm.logpdf(amplitude, 1.0, other), rel=1e2 * ROUNDOFF)
-        assert found.worth == found.promise + left_by(2.0, 1.1)
+        assert found.worth == kept(found.promise) + left_by(2.0, 1.1)
 
     def test_an_amplitude_that_is_hardly_seen_says_nothing(self) -> None:
         for amplitude in (-3.0, 1.0, 5.0):
