@@ -13,6 +13,7 @@ from robomill.blind.criteria import answer_right, component_right, effect_in_top
 from robomill.blind.prediction import ComponentValues
 from robomill.blind.set_figures import (
     Equivalents,
+    Same,
     campaign,
     claims,
     coverage_of_the_catalogue,
@@ -45,10 +46,11 @@ def figures(
     separates: Separates | None = None,
     equivalents: Equivalents = lambda _: (),
     form_gaps: FormGaps | None = None,
+    same: Same = lambda _: False,
 ) -> dict[str, Figure]:
     """All of them. The callables may be left out: what needs them is then without cases, and withheld effects have no equivalents."""
     return {
-        **withheld(cases, equivalents),
+        **withheld(cases, equivalents, same),
         **alarms(cases),
         **nulls(cases),
         "right_answer": proportion([answer_right(c) for c in answerable(cases)]),
@@ -65,7 +67,7 @@ def figures(
         **machine_closure(cases, tier, squared_gaps),
         **form_closure(cases, tier, form_gaps),
         **campaign(cases),
-        "ece": calibration(claims(cases, equivalents)),
+        "ece": calibration(claims(cases, equivalents, same)),
         **cpu_time(cases),
     }
 

@@ -15,9 +15,9 @@ from robomill.blind.case import DETECTABLE, Case, Confusable
 from robomill.blind.figures import FormGaps, Separates, SquaredGaps
 from robomill.blind.generate import QUANTITIES, difference
 from robomill.blind.next_run import separates
-from robomill.blind.prediction import ComponentValues
-from robomill.blind.set_figures import Equivalents
-from robomill.blind.signatures import Change, clocks, confusable, features, library, make_library
+from robomill.blind.prediction import LOGGING, ComponentValues
+from robomill.blind.set_figures import Equivalents, Same
+from robomill.blind.signatures import Change, apart, clocks, confusable, features, library, make_library
 from robomill.blind.situation import Situation, nominal_run, situations
 from robomill.blind.truth import Truth
 from robomill.blind.workers import Progress, work
@@ -111,6 +111,32 @@ def oracle_equivalents(folder: Path, truths: Truths, tier: str) -> Equivalents:
     """What no test on the runs of a case, held-out ones too, tells from its first effect; looked up once."""
     alike = oracle_confusable(folder, truths, tier, held_out=True)
     return cache(lambda number: alike(number, 0))
+
+
+def oracle_same(folder: Path, truths: Truths, tier: str) -> Same:
+    """Whether all that a prediction claims does, at its values, what the withheld effect does.
+
+    Then no test on the runs of the case, held-out ones too, tells them apart. A clock does nothing to the cell.
+    """
+
+    @cache
+    def found(number: int, text: str) -> bool:
+        truth = truths[number]
+        if len(truth.effects) != 1 or not truth.effects[0].physical:
+            return False
+        true, claimed = truth.effects[0].instance, json.loads(text)
+        component = true.effect.component
+        there = {**truth.hidden, component: {**truth.hidden.get(component, {}), true.parameter: true.value}}
+        try:
+            return all(apart(s, tier, there, claimed) < DETECTABLE for s in situations_of(folder, number, held_out=True))
+        except OrchestrationError:  # what is claimed cannot run
+            return False
+
+    def same(c: Case) -> bool:
+        claimed = c.prediction.claimed_values
+        return LOGGING not in claimed and found(c.number, json.dumps(claimed))
+
+    return same
 
 
 def sealed_gap(folder: Path, number: int, condition: str) -> FloatArray:

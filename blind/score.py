@@ -12,7 +12,15 @@ import numpy as np
 from robomill.blind.baselines import baseline_guesses
 from robomill.blind.case import CASE_KINDS, Cases, load_cases
 from robomill.blind.figures import baseline_figures, figures
-from robomill.blind.oracle import oracle_confusable, oracle_equivalents, oracle_form_gaps, oracle_gaps, oracle_separates, prepare
+from robomill.blind.oracle import (
+    oracle_confusable,
+    oracle_equivalents,
+    oracle_form_gaps,
+    oracle_gaps,
+    oracle_same,
+    oracle_separates,
+    prepare,
+)
 from robomill.blind.results import ALL, Score
 from robomill.blind.sealing import freeze_predictions, unseal
 from robomill.blind.set_figures import claims
@@ -47,6 +55,7 @@ def score(
         prepare(folder, loaded, workers, progress)
     cases = Cases(loaded, oracle_confusable(folder, truths, tier) if isolability else None)
     equivalents = oracle_equivalents(folder, truths, tier) if isolability else lambda _: ()
+    same = oracle_same(folder, truths, tier) if isolability else lambda _: False
     gaps, separates, forms = oracle_gaps(folder), oracle_separates(truths, tier), oracle_form_gaps(folder)
     makers = sorted({c.truth.generator for c in cases.all})
     parts = {ALL: cases, **{name: cases.of_generator(name) for name in makers}}
@@ -65,12 +74,12 @@ def score(
         predictions_as_first_unsealed=first,
         kinds={k: len(cases.of(k)) for k in CASE_KINDS},
         isolability=isolability,
-        scores={name: figures(part, tier, gaps, separates, equivalents, forms) for name, part in parts.items()},
+        scores={name: figures(part, tier, gaps, separates, equivalents, forms, same) for name, part in parts.items()},
         strata=strata(cases),
         per_effect=per_effect(cases),
         confusion=confusion(cases),
         components=by_component(confusion(cases)),
-        claims=claims(cases, equivalents),
+        claims=claims(cases, equivalents, same),
         wall=_mean([c.prediction.wall for c in cases.all]),
         cpu=_mean([c.prediction.cpu for c in cases.all]),
         baselines={name: baseline_figures(cases, by_case) for name, by_case in guesses.items()},

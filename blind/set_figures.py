@@ -14,6 +14,8 @@ from robomill.blind.statistics import Claim, Figure, proportion
 Equivalents = Callable[[int], Sequence[str]]
 """Number of the case -> candidates (`component.parameter`, of a clock `logging.lag DEVICE`) that no test on its runs, held-out ones too,
 tells from its withheld effect."""
+Same = Callable[[Case], bool]
+"""Whether all that a prediction claims, together and at its values, does in all runs what the withheld effect does."""
 
 
 def is_equivalent(said: Candidate, equivalents: Sequence[str]) -> bool:
@@ -22,23 +24,24 @@ def is_equivalent(said: Candidate, equivalents: Sequence[str]) -> bool:
     return any(name in known for name in said.names)
 
 
-def withheld_right(c: Case, equivalents: Sequence[str]) -> bool:
-    """Whether a withheld effect is `unknown`, or what is named, or the set that is named, has an equivalent in it."""
+def withheld_right(c: Case, equivalents: Sequence[str], same: Same) -> bool:
+    """Whether a withheld effect is `unknown`, or what is named has an equivalent in it, or does the same as a whole."""
     p = c.prediction
     if p.verdict == "unknown":
         return True
     said = {"identified": p.claimed, "ambiguous": p.listed}.get(p.verdict, ())
-    return any(is_equivalent(e, equivalents) for e in said)
+    return any(is_equivalent(e, equivalents) for e in said) or (bool(said) and same(c))
 
 
-def withheld(cases: Cases, equivalents: Equivalents) -> dict[str, Figure]:
+def withheld(cases: Cases, equivalents: Equivalents, same: Same) -> dict[str, Figure]:
     """Clear effects that are not in the catalogue."""
     clear = [(c, equivalents(c.number)) for c in cases.detectable("withheld")]
     return {
-        "withheld_unknown_or_equivalent": proportion([withheld_right(c, e) for c, e in clear]),
+        "withheld_unknown_or_equivalent": proportion([withheld_right(c, e, same) for c, e in clear]),
         "withheld_unknown": proportion([c.prediction.verdict == "unknown" for c, _ in clear]),
-        "withheld_confident_wrong": proportion([c.prediction.verdict == "identified" and not withheld_right(c, e) for c, e in clear]),
+        "withheld_confident_wrong": proportion([c.prediction.verdict == "identified" and not withheld_right(c, e, same) for c, e in clear]),
         "withheld_with_equivalents": proportion([bool(e) for _, e in clear]),
+        "withheld_same_together": proportion([bool(c.prediction.claimed) and same(c) for c, _ in clear]),
     }
 
 
@@ -101,14 +104,15 @@ def intervals(cases: Cases) -> dict[str, Figure]:
     return {"interval_coverage_of_all": proportion(covered)}
 
 
-def claims(cases: Cases, equivalents: Equivalents) -> list[Claim]:
+def claims(cases: Cases, equivalents: Equivalents, same: Same) -> list[Claim]:
     """Every candidate that is claimed in a good log, with its probability and whether it is right: for the calibration over all sets."""
     found = []
     for c in cases.all:
         if c.kind == "bad_log":
             continue
         alike = equivalents(c.number) if c.kind == "withheld" and c.prediction.claimed else ()
+        whole = c.kind == "withheld" and bool(c.prediction.claimed) and same(c)
         for e in c.prediction.claimed:
-            right = is_equivalent(e, alike) if c.kind == "withheld" else any(e.is_exactly(true) for true in c.effects)
+            right = whole or is_equivalent(e, alike) if c.kind == "withheld" else any(e.is_exactly(true) for true in c.effects)
             found.append(Claim(e.probability, right, c.truth.generator))
     return found

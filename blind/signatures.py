@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from robomill.blind.effects import EFFECTS, Instance
+from robomill.blind.prediction import ComponentValues
 from robomill.blind.situation import Situation, nominal_run
 from robomill.blind.world import MEASURED, STEP, TRACKER, nominal_system
 from robomill.models.model.declaration import FloatArray
@@ -118,6 +119,15 @@ def library(s: Situation, cache: Path | None = None) -> Library:
 def make_library(s: Situation, cache: Path) -> None:
     """Have the file of a library in `cache`; for processes of their own."""
     library(s, cache)
+
+
+def apart(s: Situation, tier: str, one: ComponentValues, other: ComponentValues) -> float:
+    """Largest rms, over columns and windows of 0.5 s, between what two sets of parameters do in a situation; over `FLOOR`."""
+    reference = nominal_run(s).columns
+    names = tuple(n for a in ARRAYS if tier != "T0" or a != TRACKER for n in reference if n.partition("[")[0] == a)
+    rows = len(nominal_run(s).t) // STRIDE
+    does = [features(s.simulate(values).columns, reference, names, rows) for values in (one, other)]
+    return _largest_window((does[0] - does[1]).reshape(len(names), -1))
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from robomill.blind.run import run_cases
 from robomill.blind.score import score
 from robomill.blind.sealing import BenchmarkError, hashes, unseal
 from robomill.blind.sets import Plan
+from robomill.blind.signatures import apart
 from robomill.blind.situation import situations
 from robomill.blind.truth import Truth
 from robomill.orchestration.errors import RunError
@@ -150,3 +151,9 @@ def test_a_withheld_case_with_loads_has_a_campaign_and_says_what_is_withheld(tmp
     _, truths = unseal(tmp_path / "w")
     assert truths[plan.number].kind == "withheld"
     assert set(truths[plan.number].ceiling) == {"other cut", "other pushes"}
+
+    gain = {"sensor": {"sensor_gain_error": 0.1}}
+    of_axes = {"sensor": {f"sensor_gain_error_axis[{i}]": 0.1 for i in range(1, 7)}}
+    assert apart(given[0], "T1", gain, of_axes) < 0.1
+    assert apart(given[0], "T1", gain, {}) > DETECTABLE
+    assert apart(given[0], "T0", gain, {}) <= apart(given[0], "T1", gain, {})

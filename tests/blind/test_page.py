@@ -49,7 +49,7 @@ def score(name, pairs, tier="T1", **more):
         "per_effect": per_effect(listed),
         "confusion": confusion(listed),
         "components": by_component(confusion(listed)),
-        "claims": claims(listed, lambda _: ()),
+        "claims": claims(listed, lambda _: (), lambda _: False),
         "wall": 30.0,
         "cpu": 24.0,
         "baselines": {"lasso": {"effect_top1": Figure(0.25, 2, (0.1, 0.5))}} if name == "single" else {},

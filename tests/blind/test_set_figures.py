@@ -33,6 +33,10 @@ def test_a_withheld_effect_is_unknown_or_in_a_set_with_an_equivalent():
     assert found["withheld_unknown"].value == 1 / 8
     assert found["withheld_confident_wrong"].value == 1 / 8
     assert found["withheld_with_equivalents"].value == 1.0
+    whole = figures(listed, equivalents=lambda number: ALIKE, same=lambda c: c.prediction.which[-1].component == "sensor")
+    assert whole["withheld_unknown_or_equivalent"].value == 6 / 8  # an answer that names nothing does nothing
+    assert whole["withheld_confident_wrong"].value == 0.0
+    assert whole["withheld_same_together"].value == 3 / 8
     alone = figures(listed)
     assert alone["withheld_unknown_or_equivalent"].value == 1 / 8
     assert alone["withheld_confident_wrong"].value == 3 / 8
@@ -116,7 +120,7 @@ def test_claims_of_all_kinds_count_for_the_calibration_and_an_equivalent_of_a_wi
         (truth("withheld", GAIN), said("unknown")),
         (truth("bad_log", bad_log={"kind": "lag"}), said("identified", b)),
     )
-    found = claims(listed, lambda number: ALIKE)
+    found = claims(listed, lambda number: ALIKE, lambda c: False)
     assert [(c.probability, c.right) for c in found] == [(0.9, True), (0.9, True), (0.7, True), (0.7, False), (0.8, True)]
     assert [c.generator for c in found] == ["second", "first", "first", "first", "first"]
     assert figures(listed.of_generator("second"))["ece"].value == pytest.approx(0.1, rel=ROUNDOFF)
