@@ -20,6 +20,7 @@ from robomill.diagnosis.gate import log_faults, phases
 from robomill.diagnosis.gate.checks import Finding, stopped
 from robomill.diagnosis.gate.gate import Gate
 from robomill.diagnosis.inference.adequacy import left_by
+from robomill.diagnosis.inference.dormant import searched_beside
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import probabilities
 from robomill.diagnosis.inference.search import Search, likely_count, searched
@@ -115,7 +116,7 @@ def diagnose_campaign(
         findings = told + gate.findings()
         fatal = [f for f in findings if f.fatal]
         if all(f.kind in EXPLAINABLE for f in fatal):
-            search, fits = searched(catalogue, simulator, groups[:n], nuisances)
+            search, fits = searched_beside(catalogue, simulator, groups[:n], nuisances)
             if fatal:  # is it the machine, after all?
                 best = _best(search, fits)
                 if _little(search, fits, best) and not any(c.component == LOGGING for c in best.model):

@@ -153,27 +153,34 @@ def _port(problem: Problem, component: str, replays: Sequence[ComponentReplay], 
 
 
 def better(port: Port, tries: int, apart: bool) -> list[Instead]:
-    """For each effect in a port the law that does better by more than LITTLE of the gap, with its rank; `apart`: samples have no memory."""
+    """For each effect in a port the law that does better by more than LITTLE of the gap, with its rank; `apart`: samples have no memory.
+
+    A law that has more than half of its squares in one block is no rival: what it does there the other blocks cannot say.
+    """
     rows, effects = port.rows, list(port.does)
     columns = np.stack([port.does[c] for c in effects], axis=1) if effects else np.zeros((len(rows.y), 0))
     wide, k = replace(rows, y=rows.y + columns.sum(axis=1), X=np.concatenate([columns, rows.X], axis=1)), len(effects)
     parts = rows.parts(FOLDS)
     products, gap = Products(wide, parts), port.gap
+    squares = np.diagonal(products.gram, axis1=1, axis2=2)[:, k:]  # of each law in each block
+    spread = k + np.flatnonzero(squares.max(axis=0) <= 0.5 * squares.sum(axis=0))
+    if not len(spread):
+        return []
     machines: tuple[FloatArray, FloatArray] | None = None
     found = []
     for j, c in enumerate(effects):
         others = [i for i in range(k) if i != j]
         left = products.left_beside(others)[:, 0]
-        law = int(left[k:].argmin())
-        gain = float(left[j] - left[k + law]) / gap
+        law = int(spread[left[spread].argmin()])
+        gain = float(left[j] - left[law]) / gap
         if gain <= LITTLE:
             continue
         if machines is None:
             machines = _machines(wide, columns.sum(axis=1), parts, 0.0 if apart else rows.memory(rows.y))
         simulated = products.left_beside(others, None, *machines)
-        above = int(((simulated[j] - simulated[k:].min(axis=0)) / gap >= gain).sum())
+        above = int(((simulated[j] - simulated[spread].min(axis=0)) / gap >= gain).sum())
         p = min(1.0, tries * (1 + above) / (1 + MACHINES))
-        found.append(Instead(c.name, port.name, port.problem.terms[law][1].text, gain, p))
+        found.append(Instead(c.name, port.name, port.problem.terms[law - k][1].text, gain, p))
     return found
 
 

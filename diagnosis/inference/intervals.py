@@ -10,16 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
 from robomill.diagnosis.catalogue import Address
 from robomill.diagnosis.experiment.simulation import setting
-from robomill.diagnosis.inference.estimation import Fit
-from robomill.diagnosis.inference.search import POLISH, Search
+from robomill.diagnosis.inference.estimation import Fit, Model
+from robomill.diagnosis.inference.search import POLISH, SHARPER, Search
 from robomill.orchestration.slaves.protocol import FloatArray
 
 MEMORY = 0.3
@@ -92,7 +93,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Problem:
-    """What is left of each run, and what each number of any candidate or tolerance does to it, about the values of a model."""
+    """What is left of each run, and what each number of any candidate or tolerance does to it, about values of all of them."""
 
     order: Sequence[Address]
     """The numbers."""
@@ -102,6 +103,10 @@ class Problem:
     """Least values [unit], [numbers]."""
     high: FloatArray
     """Largest values [unit], [numbers]."""
+    at: FloatArray
+    """The values about which all this is [prior scales], [numbers]."""
+    named: npt.NDArray[np.bool_]
+    """Which numbers are of the model: they have no prior, [numbers]."""
     left: Sequence[FloatArray]
     """For each condition [samples, channels]."""
     slopes: Sequence[FloatArray]
@@ -110,8 +115,8 @@ class Problem:
     """Time between samples [s]; infinite where they have no memory."""
 
     @staticmethod
-    def of(search: Search, fit: Fit) -> Problem:
-        """Each condition is simulated once for each number; one that cannot run is left out."""
+    def of(search: Search, fit: Fit, values: Mapping[Address, float]) -> Problem | None:
+        """About `values` [unit]; each condition is simulated once for each number. None where none can run; else those that cannot go."""
         e, simulator, n = search.evidence, search.simulator, len(search.groups)
         laboratory = simulator.laboratory
         known = {a: (c.prior.scale, *c.bounds) for c in fit.model for a in c.addresses}
@@ -121,32 +126,31 @@ class Problem:
                 names.add(c.name)
                 known = dict.fromkeys(c.addresses, (c.prior.scale, *c.bounds)) | known
         known = {u.address: (u.scale, -math.inf, math.inf) for u in search.nuisances} | known
-        at = {a: fit.values.get(a, 0.0) for a in known}
+        at = {a: values.get(a, 0.0) for a in known}
         steps = {a: 0.05 * abs(at[a]) + 0.01 * s if a in fit.values else 0.3 * s for a, (s, _, _) in known.items()}
         steps = {a: s if at[a] + s <= known[a][2] else -s for a, s in steps.items()}
-        settings = [setting(fit.values), *(setting({**fit.values, a: at[a] + s}) for a, s in steps.items())]
+        settings = [setting(at), *(setting({**at, a: at[a] + s}) for a, s in steps.items())]
         results = simulator.many([(i, simulator.seeded(s)) for s in settings for i in range(n)], "intervals")
         ran = [results[k * n : (k + 1) * n] for k in range(len(settings))]
-        means = simulator.repeated(range(n), setting(fit.values), POLISH, "intervals")
         moved = {a: some for a, some in zip(steps, ran[1:], strict=True) if all(r is not None for r in some)}
         left, slopes, step = [], [], math.inf
-        for i, (base, mean, group) in enumerate(zip(ran[0], means, search.groups, strict=True)):
-            if base is None or mean is None:
+        for i, (base, rest) in enumerate(zip(ran[0], _left(search, at), strict=True)):
+            if base is None or rest is None:
                 continue
             rows, on = slice(0 if e.independent[i] else e.whitening.begin, None), e.active
             if not e.independent[i]:
                 step = min(step, laboratory.conditions[i].step * laboratory.factor(i))
-            left.append((np.mean(group, axis=0) - np.mean(mean, axis=0))[rows, on] * e.there[i])
+            left.append(rest)
             changed = [(some[i], known[a][0] / steps[a]) for a, some in moved.items()]
             slopes.append(np.stack([(x - base)[rows, on] * e.there[i] * per for x, per in changed if x is not None], axis=-1))
         scales, low, high = (np.array([known[a][k] for a in moved]) for k in range(3))
-        return Problem(list(moved), scales, low, high, left, slopes, step)
+        here, named = np.array([at[a] for a in moved]) / scales, np.array([a in fit.values for a in moved])
+        return Problem(list(moved), scales, low, high, here, named, left, slopes, step) if left else None
 
-    def solved(self, fit: Fit) -> dict[str, Known]:
-        """What is known of each effect of the model, by name."""
-        start = np.array([fit.values.get(a, 0.0) for a in self.order]) / self.scales
-        prior = np.array([0.0 if a in fit.values else 1.0 for a in self.order])
-        gaps = [r + J @ start for r, J in zip(self.left, self.slopes, strict=True)]
+    def solved(self) -> Solution:
+        """The values by least squares, as if slopes were the same everywhere."""
+        prior = np.where(self.named, 0.0, 1.0)
+        gaps = [r + J @ self.at for r, J in zip(self.left, self.slopes, strict=True)]
         rest = self.left
         for _ in range(2):  # channels are weighed by what the model leaves, and then by what these least squares leave
             weights = np.array([v.weight for v in self._noise(rest)])
@@ -161,21 +165,38 @@ class Problem:
             used = sum(float(np.einsum("ti,ij,tj->", J, inverse, J, optimize=True)) for J in parts)
             there = v.worth * sum(len(J) for J in parts)
             middle = middle + sum(J.T @ v.times(J) for J in parts) * weights[c] ** 2 * there / max(there - used, 1.0)
-        deviations = np.sqrt(np.diag(inverse @ middle @ inverse)) * self.scales
+        return Solution(x, np.sqrt(np.diag(inverse @ middle @ inverse)), gaps, rest)
+
+    def known(self, solution: Solution, model: Model) -> dict[str, Known]:
+        """What is known of each effect of a model, by name."""
         place = {a: i for i, a in enumerate(self.order)}
-        squares = sum((y**2).sum(axis=0) for y in gaps) + 1e-300
+        squares = sum((y**2).sum(axis=0) for y in solution.gaps) + 1e-300
         found = {}
-        for candidate in fit.model:
-            here = [place[a] for a in candidate.addresses if a in place]
-            without = sum(((r + J[:, :, here] @ x[here]) ** 2).sum(axis=0) for r, J in zip(rest, self.slopes, strict=True))
-            closes = float(np.max((without - sum((r**2).sum(axis=0) for r in rest)) / squares))
-            values, spread = ({self.order[i]: float(known[i]) for i in here} for known in (x * self.scales, deviations))
+        for candidate in model:
+            here, x = [place[a] for a in candidate.addresses if a in place], solution.x
+            without = sum(((r + J[:, :, here] @ x[here]) ** 2).sum(axis=0) for r, J in zip(solution.rest, self.slopes, strict=True))
+            closes = float(np.max((without - sum((r**2).sum(axis=0) for r in solution.rest)) / squares))
+            values, spread = ({self.order[i]: float(v[i] * self.scales[i]) for i in here} for v in (x, solution.deviations))
             found[candidate.name] = Known(values, spread, closes)
         return found
 
     def _noise(self, rest: Sequence[FloatArray]) -> list[Noise]:
         """That of each channel, from what is left of all conditions that have it."""
         return [Noise.of([x[:, c] for x in rest if x[:, c].any()], self.step) for c in range(rest[0].shape[1])]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Values of all numbers of a problem."""
+
+    x: FloatArray
+    """[prior scales], [numbers]."""
+    deviations: FloatArray
+    """Their standard deviations [prior scales], [numbers]."""
+    gaps: Sequence[FloatArray]
+    """What is left of each condition without any of them [samples, channels]."""
+    rest: Sequence[FloatArray]
+    """What is left with all of them [samples, channels]."""
 
 
 def _bounded(gram: FloatArray, product: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
@@ -187,9 +208,36 @@ def _bounded(gram: FloatArray, product: FloatArray, low: FloatArray, high: Float
     return np.asarray(found.x / size)
 
 
+def _left(search: Search, values: Mapping[Address, float]) -> list[FloatArray | None]:
+    """Measured minus simulated with these values [unit], of each condition [samples, channels]; None where it cannot run."""
+    e = search.evidence
+    means = search.simulator.repeated(range(len(search.groups)), setting(values), POLISH, "intervals")
+    found: list[FloatArray | None] = []
+    for i, (mean, group) in enumerate(zip(means, search.groups, strict=True)):
+        rows = slice(0 if e.independent[i] else e.whitening.begin, None)
+        found.append(None if mean is None else (np.mean(group, axis=0) - np.mean(mean, axis=0))[rows, e.active] * e.there[i])
+    return found
+
+
 def by_least_squares(search: Search, fit: Fit) -> dict[str, Known]:
-    """What is known of each effect of a model, by name, where its noise is a guess; empty where there are repeats, or no effect."""
-    if not fit.model or not search.evidence.whitening.guessed:
+    """What is known of each effect of a model, by name, where its noise is a guess; empty where there are repeats, or no effect.
+
+    Gauss-Newton: where the slopes of before move the values on from what a simulation at them leaves, slopes are taken anew.
+    """
+    problem = Problem.of(search, fit, fit.values) if fit.model and search.evidence.whitening.guessed else None
+    if problem is None:
         return {}
-    problem = Problem.of(search, fit)
-    return problem.solved(fit) if problem.left else {}
+    solution = problem.solved()
+    for _ in range(SHARPER):
+        values = dict(zip(problem.order, (float(v) for v in solution.x * problem.scales), strict=True))
+        left = [r for r in _left(search, values) if r is not None]
+        if len(left) < len(problem.left):
+            break
+        on = replace(problem, at=solution.x, left=left).solved().x - solution.x
+        if np.all(np.abs(on) < 0.3 * solution.deviations, where=problem.named):  # as fits settle in the search
+            break
+        again = Problem.of(search, fit, values)
+        if again is None or len(again.order) < len(problem.order):
+            break
+        problem, solution = again, again.solved()
+    return problem.known(solution, fit.model)

@@ -154,7 +154,7 @@ class Search:
         """
         if not self.simulator.laboratory.seeds:  # there is no noise to take out, and what has been simulated holds
             ran = [(f, f.signature, f.sensitivities) for f in fits]
-            return [self._about(f, s, d) for f, s, d in ran if s is not None and d is not None]  # the others could not run at any size
+            return [self.about(f, s, d) for f, s, d in ran if s is not None and d is not None]  # the others could not run at any size
         polished = []
         best = max((f.log_evidence for f in fits), default=0.0)
         expected = {f.model: max(f.log_evidence, p.log_evidence) for f, p in zip(fits, linear, strict=True)}
@@ -164,10 +164,10 @@ class Search:
             if signature is None:
                 continue
             assert f.sensitivities is not None
-            polished.append(self._about(f, signature, f.sensitivities))
+            polished.append(self.about(f, signature, f.sensitivities))
         return polished
 
-    def _about(self, fit: Fit, signature: FloatArray, sensitivities: FloatArray) -> Fit:
+    def about(self, fit: Fit, signature: FloatArray, sensitivities: FloatArray) -> Fit:
         """The best fit near the values of another one, where the signature and its slopes are these."""
         scales, _, _ = scaled_bounds(fit.model)
         addresses = [a for c in fit.model for a in c.addresses]
@@ -184,34 +184,40 @@ class Search:
     def sharpen(self, fit: Fit) -> Fit:
         """The fit again with the slopes of the signature where it is: those of the way there miss an effect that turns with its size."""
         space = self.evidence.space
-        addresses = [a for c in fit.model for a in c.addresses]
-        own = space.without(addresses)
-        scales, _, high = scaled_bounds(fit.model)
+        own = space.without([a for c in fit.model for a in c.addresses])
 
         def chi2(signature: FloatArray) -> float:
             return float(own.dot(space.y - signature, space.y - signature))
 
         here = self.mean_signature(setting(fit.values))
         for _ in range(SHARPER):
-            moved = []
-            for a, scale, bound in zip(addresses, scales, high, strict=True):
-                step = max(fit.deviations[a], 0.05 * abs(fit.values[a]))
-                moved.append((a, step if fit.values[a] + step < bound * scale else -step))
-            settings = [setting(fit.values), *(setting({**fit.values, a: fit.values[a] + step}) for a, step in moved)]
-            n = len(self.groups)
-            results = self.simulator.many([(i, self.simulator.seeded(changes)) for changes in settings for i in range(n)], "fits")
-            signatures = [self.evidence.signature(results[k * n : (k + 1) * n]) for k in range(len(settings))]
-            known = [x for x in signatures if x is not None]
-            if here is None or len(known) < len(signatures):
+            slopes = self.slopes(fit) if here is not None else None
+            if here is None or slopes is None:
                 break
-            slopes = [(x - known[0]) * (scale / step) for x, scale, (_, step) in zip(known[1:], scales, moved, strict=True)]
-            trial = self._about(fit, here, np.stack(slopes, axis=1))
+            trial = self.about(fit, here, slopes)
             there = self.mean_signature(setting(trial.values))
             if there is None or chi2(there) > BETTER * chi2(here):
                 break
             assert trial.sensitivities is not None
-            fit, here = self._about(trial, there, trial.sensitivities), there
+            fit, here = self.about(trial, there, trial.sensitivities), there
         return fit
+
+    def slopes(self, fit: Fit) -> FloatArray | None:
+        """ds/dx of a model at its values, per prior scale [n, parameters], by one difference each; None where the system cannot run."""
+        addresses = [a for c in fit.model for a in c.addresses]
+        scales, _, high = scaled_bounds(fit.model)
+        moved = []
+        for a, scale, bound in zip(addresses, scales, high, strict=True):
+            step = max(fit.deviations[a], 0.05 * abs(fit.values[a]))
+            moved.append((a, step if fit.values[a] + step < bound * scale else -step))
+        settings = [setting(fit.values), *(setting({**fit.values, a: fit.values[a] + step}) for a, step in moved)]
+        n = len(self.groups)
+        results = self.simulator.many([(i, self.simulator.seeded(changes)) for changes in settings for i in range(n)], "fits")
+        signatures = [self.evidence.signature(results[k * n : (k + 1) * n]) for k in range(len(settings))]
+        known = [x for x in signatures if x is not None]
+        if len(known) < len(signatures):
+            return None
+        return np.stack([(x - known[0]) * (scale / step) for x, scale, (_, step) in zip(known[1:], scales, moved, strict=True)], axis=1)
 
     def _sharpened(self, fits: Sequence[Fit]) -> list[Fit]:
         """These fits, best first; the SHARPENED best `sharpen`ed where they leave more than ROUGH times noise."""
@@ -302,7 +308,7 @@ class Search:
             if signature is None:
                 continue
             trial = Fit(model, values, {a: fit.deviations[a] for a in values}, 0.0, 0.0)
-            better = self.sharpen(self._about(trial, signature, fit.sensitivities[:, kept]))
+            better = self.sharpen(self.about(trial, signature, fit.sensitivities[:, kept]))
             same = [f for f in (*known, *found) if set(f.model) == set(model)]
             if all(better.log_evidence > f.log_evidence for f in same):
                 found = [f for f in found if f not in same] + [better]

@@ -19,7 +19,7 @@ from robomill.diagnosis.inference.machines import MACHINES
 from robomill.diagnosis.outcome.verdict import FALSE_ALARM, IDENTIFIED
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis import axis
-from tests.diagnosis.forms.test_selection import NAMES, noise, rows, terms
+from tests.diagnosis.forms.test_selection import NAMES, T, noise, rows, terms
 from tests.diagnosis.formula import candidate
 from tests.tolerances import ROUNDOFF
 
@@ -71,6 +71,17 @@ def test_what_does_better_by_little_says_nothing() -> None:
     X = terms(rng)
     nearly = X[:, SIGN] + 0.02 * X[:, V]
     assert better(port(X[:, SIGN], X, nearly, 0.02 * noise(rng, 0.0)), 1, True) == []
+
+
+def test_what_is_there_in_one_block_of_time_only_is_no_rival() -> None:
+    """Something that dies away at the beginning; the other blocks have a little of it left, and foretell it by that."""
+    rng = np.random.default_rng(1)
+    X = terms(rng)
+    X[:, NAMES.index("t")] = np.exp(-T)  # three quarters of its squares are in the first sixth of the time
+    right, dies = 0.2 * X[:, SIGN], np.exp(-T)
+    assert better(port(right, X, right, 2.0 * dies), 1, True) == []
+    X[:, NAMES.index("t")] = np.exp(-T / 20.0)  # what goes on is one
+    assert [x.law for x in better(port(right, X, right, 2.0 * np.exp(-T / 20.0)), 1, True)] == ["t"]
 
 
 def test_doubt_is_that_of_the_port_and_of_the_kind() -> None:

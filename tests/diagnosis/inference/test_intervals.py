@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from robomill.diagnosis.inference.intervals import MATERIAL, MEMORY, Noise, Problem
+from robomill.diagnosis.inference.intervals import MATERIAL, MEMORY, Known, Noise, Problem
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.formula import candidate
 from tests.tolerances import ROUNDOFF
@@ -27,14 +25,14 @@ def noise(rng: np.random.Generator, white: float = 0.3, coloured: float = 1.0, m
     return np.asarray(coloured * slow + white * rng.standard_normal(ROWS))
 
 
-def problem(y: FloatArray, columns: FloatArray, low: float = -math.inf) -> Problem:
+def known(y: FloatArray, columns: FloatArray, *names: str, low: float = -math.inf) -> dict[str, Known]:
+    """What is known of the effects `names`; column i is what p<i> does."""
     k = columns.shape[1]
     order = [("a", f"p{i}") for i in range(k)]
-    return Problem(order, np.ones(k), np.full(k, low), np.full(k, math.inf), [y[:, None]], [columns[:, None, :]], STEP)
-
-
-def fit(*names: str) -> Any:
-    return SimpleNamespace(model=tuple(candidate(n) for n in names), values={("a", n): 0.0 for n in names})
+    named = np.array([p in names for _, p in order])
+    ends = np.full(k, low), np.full(k, math.inf)
+    made = Problem(order, np.ones(k), *ends, np.zeros(k), named, [y[:, None]], [columns[:, None, :]], STEP)
+    return made.known(made.solved(), tuple(candidate(n) for n in names))
 
 
 def columns() -> FloatArray:
@@ -65,8 +63,8 @@ def test_the_truth_is_in_nine_of_ten_intervals_also_with_an_effect_that_is_not_n
     for seed in range(RUNS):
         y = J @ [2.0, 0.6, 0.0] + noise(np.random.default_rng([3, seed]))
         for columns_of in (J, J[:, :1]):
-            known = problem(y, columns_of).solved(fit("p0"))["p0 @ place"]
-            value, deviation = (x["a", "p0"] for x in (known.values, known.deviations))
+            of = known(y, columns_of, "p0")["p0 @ place"]
+            value, deviation = (x["a", "p0"] for x in (of.values, of.deviations))
             hit = abs(value - 2.0) < 1.645 * deviation
             inside, alone = inside + (hit and columns_of is J), alone + (hit and columns_of is not J)
     assert inside >= 0.85 * RUNS
@@ -76,7 +74,7 @@ def test_the_truth_is_in_nine_of_ten_intervals_also_with_an_effect_that_is_not_n
 def test_a_sign_is_hard_and_what_closes_little_is_said_to() -> None:
     J = columns()
     y = J @ [2.0, -0.4, 0.03] + 0.1 * noise(np.random.default_rng(4))
-    known = problem(y, J, low=0.0).solved(fit("p0", "p1", "p2"))
-    assert abs(known["p1 @ place"].values["a", "p1"]) < ROUNDOFF
-    assert known["p0 @ place"].closes > 0.5
-    assert known["p2 @ place"].closes < MATERIAL
+    found = known(y, J, "p0", "p1", "p2", low=0.0)
+    assert abs(found["p1 @ place"].values["a", "p1"]) < ROUNDOFF
+    assert found["p0 @ place"].closes > 0.5
+    assert found["p2 @ place"].closes < MATERIAL
