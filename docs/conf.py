@@ -60,9 +60,9 @@ def setup(app: Sphinx) -> None:
 
 
 def _prepare(cell: nodes.entry) -> None:
-    """Mark a cell with a sentence; ranges such as 0.1 .. 0.3 stay in one line."""
+    """Mark a cell with a sentence; ranges and counts, such as 0.1 .. 0.3 and 3 of 4, stay in one line."""
     if len(cell.astext()) > LONG:
         cell["classes"].append("long")
     for text in list(cell.findall(nodes.Text)):
-        if (kept := re.sub(r" \.\. ", "\N{NO-BREAK SPACE}..\N{NO-BREAK SPACE}", text)) != text:
+        if (kept := re.sub(r" \.\. |(?<=\d) of (?=\d)", lambda m: m[0].replace(" ", "\N{NO-BREAK SPACE}"), text)) != text:
             text.parent.replace(text, nodes.Text(kept))
