@@ -18,7 +18,7 @@ def page(title: str, *parts: str) -> str:
 
 
 def table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table; nothing where it has no rows. A column that is empty in every row is left out, but not the last one: it has to say something."""
+    """A table without columns that are empty in every row, but with the last one, which has to say something; nothing without rows."""
     listed = [tuple(row) for row in rows]
     if not listed:
         return ""

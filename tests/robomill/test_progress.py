@@ -23,9 +23,7 @@ def test_a_log_has_a_line_each_interval_and_none_of_what_is_short(
     assert capsys.readouterr().err == "Cartesian: 40 %, 40 of 100\nCartesian: 80 %, 80 of 100\n"
 
 
-def test_a_log_says_what_takes_long_before_the_first_report(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_says_what_takes_long_before_the_first_report(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "INTERVAL", 0.05)
     with progress_bar(quiet=False):
         time.sleep(0.5)
