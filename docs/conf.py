@@ -50,8 +50,8 @@ html_extra_path = ["_root"]  # index.html: from the root of the site to the star
 html_use_index = False
 
 
-LONG = 60
-"""Characters from which a cell of a table holds a sentence: it needs width on a narrow screen (narrow.css)."""
+LONG = 100
+"""Characters from which a cell of a table needs width on a narrow screen (narrow.css): there they would fill eleven lines or more."""
 
 
 def setup(app: Sphinx) -> None:
