@@ -45,16 +45,24 @@ html_copy_source = False
 html_show_sourcelink = False
 html_static_path = ["_static"]
 html_css_files = ["narrow.css"]
+html_context = {"default_mode": "auto"}  # light or dark, as the browser is set
 html_extra_path = ["_root"]  # index.html: from the root of the site to the start page
 html_use_index = False
 
 
+LONG = 100
+"""Characters from which a cell of a table needs width on a narrow screen (narrow.css): there they would fill eleven lines or more."""
+
+
 def setup(app: Sphinx) -> None:
-    """Ranges in tables, such as 0.1 .. 0.3, stay in one line."""
-    app.connect("doctree-read", lambda _, tree: [_keep_ranges(cell) for cell in tree.findall(nodes.entry)])
+    """Prepare the cells of tables when a page has been read."""
+    app.connect("doctree-read", lambda _, tree: [_prepare(cell) for cell in tree.findall(nodes.entry)])
 
 
-def _keep_ranges(cell: nodes.entry) -> None:
+def _prepare(cell: nodes.entry) -> None:
+    """Mark a cell with a sentence; ranges and counts, such as 0.1 .. 0.3 and 3 of 4, stay in one line."""
+    if len(cell.astext()) > LONG:
+        cell["classes"].append("long")
     for text in list(cell.findall(nodes.Text)):
-        if (kept := re.sub(r" \.\. ", "\N{NO-BREAK SPACE}..\N{NO-BREAK SPACE}", text)) != text:
+        if (kept := re.sub(r" \.\. |(?<=\d) of (?=\d)", lambda m: m[0].replace(" ", "\N{NO-BREAK SPACE}"), text)) != text:
             text.parent.replace(text, nodes.Text(kept))

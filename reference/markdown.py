@@ -18,9 +18,14 @@ def page(title: str, *parts: str) -> str:
 
 
 def table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table; nothing where it has no rows."""
-    lines = [_line(row) for row in rows]
-    return "\n".join([_line(heading), "|" + "---|" * len(heading), *lines]) if lines else ""
+    """A table without columns that are empty in every row, but with the last one, which has to say something; nothing without rows."""
+    listed = [tuple(row) for row in rows]
+    if not listed:
+        return ""
+    last = len(heading) - 1
+    kept = [k for k in range(len(heading)) if k == last or any(row[k].strip() for row in listed)]
+    lines = [_line([row[k] for k in kept]) for row in (heading, *listed)]
+    return "\n".join([lines[0], "|" + "---|" * len(kept), *lines[1:]])
 
 
 def _line(cells: Sequence[str]) -> str:

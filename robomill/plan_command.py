@@ -253,7 +253,11 @@ def _show(planned: Plan, reach: Reach, found: list[str], warnings: tuple[str, ..
         ]
         for axis in _axes(reach)
     ]
-    show("of the limit, and how far the end of the axis is", [Heading("axis", "left"), *map(Heading, (*QUANTITIES, "to the end"))], rows)
+    show(
+        "axes: largest share of the limit, least way to the end of the travel",
+        [Heading("axis", "left"), *map(Heading, (*QUANTITIES, "to the end"))],
+        rows,
+    )
     say("nearest to singular (0): " + ", ".join(f"{name} {w.value:.2f} at line {w.line}" for name, w in _singular(reach)))
     for text in warnings:
         say(f"warning: {text}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
 INTERVAL = 10.0
 """Seconds between two lines, where standard error is no terminal: a log of an hour has 360 of them."""
+PREPARING = "preparing; a first run compiles models"
+"""What is said until the first report: nothing can be counted there, and on a new machine it takes a minute."""
 
 
 @contextmanager
@@ -23,7 +26,11 @@ def progress_bar(quiet: bool) -> Iterator[milling.Progress]:
     if quiet:
         yield lambda what, done, total: None
     elif not sys.stderr.isatty():
-        yield _Lines().report
+        lines = _Lines()
+        try:
+            yield lines.report
+        finally:
+            lines.close()
     else:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -31,9 +38,11 @@ def progress_bar(quiet: bool) -> Iterator[milling.Progress]:
         columns = (TextColumn("{task.description:40}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn())
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
             tasks: dict[str, TaskID] = {}
+            waiting = bar.add_task(PREPARING, total=None)
 
             def report(what: str, done: int, total: int) -> None:
                 if what not in tasks:
+                    bar.update(waiting, visible=False)
                     tasks[what] = bar.add_task(what, total=None)
                 bar.update(tasks[what], completed=done, total=total or None)  # what is expected may grow
 
@@ -45,9 +54,17 @@ class _Lines:
 
     def __init__(self) -> None:
         self._last = time.monotonic()
+        self._waiting = threading.Timer(INTERVAL, print, (PREPARING,), {"file": sys.stderr, "flush": True})
+        self._waiting.daemon = True
+        self._waiting.start()
+
+    def close(self) -> None:
+        """Say nothing any more."""
+        self._waiting.cancel()
 
     def report(self, what: str, done: int, total: int) -> None:
         """Print what is being done and how far it is, if the last line is INTERVAL ago."""
+        self._waiting.cancel()
         now = time.monotonic()
         if now - self._last < INTERVAL:
             return

@@ -6,6 +6,7 @@ import re
 
 import pytest
 
+from reference.markdown import table
 from reference.pages import FOLDER, pages
 
 LONGEST = 40
@@ -37,6 +38,17 @@ def test_every_row_has_a_meaning(made: dict[str, str]) -> None:
         if not row.split(" | ")[-1]
     ]
     assert not empty
+
+
+def test_a_table_has_no_column_that_is_empty_but_its_last() -> None:
+    rows = [("`a`", "", "", "1", ""), ("`b`", "m", "", "", "")]
+    assert table(("key", "unit", "allowed", "default", "meaning"), rows).splitlines() == [
+        "| key | unit | default | meaning |",
+        "|---|---|---|---|",
+        "| `a` |  | 1 |  |",
+        "| `b` | m |  |  |",
+    ]
+    assert table(("key", "meaning"), []) == ""
 
 
 def test_no_sentence_is_long(made: dict[str, str]) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 from rich.progress import Progress
 
 from robomill import progress
-from robomill.progress import INTERVAL, progress_bar
+from robomill.progress import INTERVAL, PREPARING, progress_bar
 
 
 def test_a_log_has_a_line_each_interval_and_none_of_what_is_short(
@@ -19,6 +21,20 @@ def test_a_log_has_a_line_each_interval_and_none_of_what_is_short(
             clock[0] = step * INTERVAL / 40.0
             report("Cartesian", step, 100)
     assert capsys.readouterr().err == "Cartesian: 40 %, 40 of 100\nCartesian: 80 %, 80 of 100\n"
+
+
+def test_a_log_says_what_takes_long_before_the_first_report(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "INTERVAL", 0.05)
+    with progress_bar(quiet=False):
+        time.sleep(0.5)
+    assert capsys.readouterr().err == f"{PREPARING}\n"
+    with progress_bar(quiet=False) as report:
+        report("Cartesian", 1, 100)
+        time.sleep(0.5)
+    with progress_bar(quiet=False):
+        pass
+    time.sleep(0.5)
+    assert capsys.readouterr().err == ""
 
 
 def test_with_json_nothing_is_said(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -39,7 +55,10 @@ def test_a_bar_takes_the_number_that_is_expected_now(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("rich.progress.Progress", Seen)
     monkeypatch.setattr(progress.sys.stderr, "isatty", lambda: True)
     with progress_bar(quiet=False) as report:
+        (waiting,) = shown[0].tasks
+        assert (waiting.description, waiting.visible) == (PREPARING, True)
         for done, total in ((0, 0), (1, 10), (2, 30)):
             report("diagnosis", done, total)
-            (task,) = shown[0].tasks
+            waiting, task = shown[0].tasks
+            assert not waiting.visible
             assert (task.completed, task.total) == (done, total or None)
