@@ -28,23 +28,19 @@ import numpy as np
 import numpy.typing as npt
 
 from robomill.diagnosis.experiment.segments import array_of
-from robomill.diagnosis.experiment.simulation import Laboratory, Setting, decimate, refined
+from robomill.diagnosis.experiment.simulation import DRAWS, Laboratory, Setting, decimate, refined
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.rig import Rig
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.playback import Playback
 from robomill.orchestration.slaves.protocol import FloatArray, Slave
-from robomill.orchestration.system.definition import Component, Connection, System
+from robomill.orchestration.system.definition import TICK, Component, Connection, System
 
 PLAYBACK = "playback:"
 """Source of the components that play back measured signals."""
-HALF_A_TICK = 0.5e-9
-"""Times that lie closer together than this [s] are one: half a tick of the master's clock."""
 KNOWN = 1e-3
-"""Relative deviation that counts as none: up to it the signal of a component without inputs (a program) is taken as it is simulated, and
-so large is the push that shows what adds up: the answer is that of the motion that was measured."""
-NULLS = 3
-"""Repeats that the replay of right signals is made for."""
+"""Part of a whole that counts as none. Up to it the signal of a component without inputs (a program) is taken as it is simulated, and
+what moves that slowly beside its fastest stands still. So large is the push that shows what adds up: the motion stays as measured."""
 ADDS_UP = 0.5
 """Order of growth from which an output adds up what goes in: half way between one that settles (0) and an integrator (1)."""
 
@@ -79,7 +75,7 @@ class ComponentReplay:
         self.cut = {a: [i for i, c in enumerate(self.channels) if array_of(c) == a] for a in arrays}
         seeds = range(1, len(measured) + 1)
         mean = np.mean(measured, axis=0)
-        self.closed = [self._run(self._changed((), s)) for s in range(1, NULLS + 1 if laboratory.seeds else 2)]
+        self.closed = [self._run(self._changed((), s)) for s in range(1, DRAWS + 1 if laboratory.seeds else 2)]
         self._ports = self.closed[0].ports
         right = [self._matrix(r) for r in self.closed]
         self._nominal = right[0]
@@ -89,7 +85,7 @@ class ComponentReplay:
         bias = np.mean(
             [
                 z - self._matrix(self._open(z + x - mean, s))
-                for z, x, s in zip(itertools.cycle(right), measured[:NULLS], seeds, strict=False)
+                for z, x, s in zip(itertools.cycle(right), measured[:DRAWS], seeds, strict=False)
             ],
             axis=0,
         )
@@ -189,11 +185,14 @@ class ComponentReplay:
         return found
 
     def _on_grid(self, result: Run, column: str) -> FloatArray:
-        """A column at the times of the grid: reals on the line between samples, whole numbers and booleans as they last were."""
+        """A column at the times of the grid: reals on the line between samples, whole numbers and booleans as they last were.
+
+        Times that are less than half a tick of the master's clock apart are one.
+        """
         values = result.columns[column]
         if result.ports[column].type == "real":
             return np.interp(self.grid, result.t, values)
-        last = np.searchsorted(result.t, self.grid + HALF_A_TICK, side="right") - 1
+        last = np.searchsorted(result.t, self.grid + 0.5 / TICK, side="right") - 1
         return np.asarray(values[np.maximum(last, 0)], dtype=np.float64)
 
     def alone(self, component: str, changes: Setting = (), shifts: Mapping[str, FloatArray] | None = None) -> dict[str, FloatArray]:

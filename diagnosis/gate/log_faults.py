@@ -43,8 +43,8 @@ FACTORS = {
 """Usual mistakes in units: measured over simulated."""
 KINDS = ("sign", "unit", "axes", "rotation")
 """Kinds of findings that are faults of this sort."""
-VECTOR = 3
-"""Elements of an array that may be a vector in another frame."""
+XYZ = "xyz"
+"""An array with an element for each may be a vector in another frame."""
 TOLERANCE = 0.15
 """Part of a signal by which a machine that is logged well may be off: the largest gain error of a sensor in the catalogue."""
 DECISIVE = 150.0
@@ -141,7 +141,7 @@ def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str]) -> Iterato
             finding = Finding(channels[i], "axes", float(j - i), "1", text)
             for signs in itertools.product((1.0, -1.0), repeat=2):
                 yield _Operator((i, j), np.array([[0.0, signs[1]], [signs[0], 0.0]]), finding)
-        if len(members) == VECTOR:
+        if len(members) == len(XYZ):
             yield _rotation(name, tuple(members), x[:, members], s[:, members])
 
 

@@ -14,27 +14,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import uniform
 
 from robomill.diagnosis.catalogue import LOGGING, Address, Catalogue, Nuisance
-from robomill.diagnosis.experiment.component_replay import ComponentReplay
+from robomill.diagnosis.experiment.component_replay import KNOWN, ComponentReplay
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.experiment.repeats import REPEAT_RESAMPLES, bootstrapped, over_pairs
 from robomill.diagnosis.experiment.segments import array_of
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate
 from robomill.diagnosis.inference.evidence import SUDDEN, TRUST
+from robomill.diagnosis.inference.isolability import CONFUSABLE
 from robomill.diagnosis.inference.marginal import TEMPERATURE, MarginalLikelihood
 from robomill.diagnosis.inference.noise import whitening
+from robomill.diagnosis.localisation.localise import PRESENT
 from robomill.orchestration.slaves.protocol import FloatArray
 
-REPLAY_LATENESS = 12.0**-0.5
+REPLAY_LATENESS = float(uniform.std())
 """Steps that the outputs of a component which is driven alone may be late: measured inputs reach it anywhere within a step."""
-SEEN, PASSED_ON = 9.0, 1e-3
-"""Whitened sum of squares from which a change is seen at all, and part of that at its own outputs below which one further on does not
-count."""
 REACH = 0.05
 """Part of the whitened sum of squares of an effect in an output from which a fault of the component may be looked for there."""
-SIGNIFICANT = 6.0
-"""Deviations of noise from which something is left."""
+SIGNIFICANT = 2.0 * CONFUSABLE
+"""Deviations of noise from which something is left: half way to it, nothing and something are still CONFUSABLE deviations away."""
 MORE = 1.5
 """Variance, in that of noise, from which the effects do not explain what is there."""
 
@@ -167,7 +167,10 @@ class Replay:
     def _strong(
         self, moved: Mapping[Address, list[dict[str, FloatArray]]], seen: Mapping[Address, list[FloatArray]]
     ) -> set[tuple[str, str]]:
-        """Pairs of components with connections that are not measured, over which effects of the first show in outputs of the second."""
+        """Pairs of components with connections that are not measured, over which effects of the first show in outputs of the second.
+
+        They do from CONFUSABLE deviations on, and from a part KNOWN of the squares that they have in outputs of the first.
+        """
         found = set()
         first = self.replayed[0]
         for source, target in dict.fromkeys((o.partition(".")[0], d) for o, d in first.hidden()):
@@ -182,7 +185,7 @@ class Replay:
             for a in probes:
                 there = first.observed(first.follow(moved[a][0], arrays, target))[:, self.at]
                 chi2 = self._chi2(there)
-                if chi2 > max(SEEN, PASSED_ON * self._chi2(seen[a][0])):
+                if chi2 > max(CONFUSABLE**2, KNOWN * self._chi2(seen[a][0])):
                     found.add((source, target))
         return found
 
@@ -320,7 +323,7 @@ class Replay:
         squares = [self.table(white, i) ** 2 * wanted for i in range(len(self.groups))]
         condition = int(np.argmax([e.sum() for e in squares]))
         replay, over = self.replayed[condition], squares[condition].sum(axis=1)
-        times = intervals(over > 0.1 * over.max(), replay.grid, replay.laboratory.decimation)
+        times = intervals(over > PRESENT * over.max(), replay.grid, replay.laboratory.decimation)
         return (condition, int(squares[condition].sum(axis=0).argmax())), times
 
     def _squares(self, k: int) -> FloatArray:

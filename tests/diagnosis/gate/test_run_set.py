@@ -123,7 +123,7 @@ class TestProgram:
         x, s = np.stack([measured, self.T], axis=1), np.stack([simulated, self.T], axis=1)
         r = replace(measure(repeats=1)[0], folder=Path("r1"))
         ports = {"path.x": r.ports["sensors.y[1]"], "drive.y": r.ports["sensors.y[1]"]}
-        return [f.text for f in other_program(replace(r, ports=ports), x, s, list(ports), {"path"}, 0.01)]
+        return [f.text for f in other_program(replace(r, ports=ports), x, s, list(ports), {"path"}, 0.01, latest=0.3)]
 
     def test_the_same_late_and_rounded_is_the_same(self) -> None:
         s = np.sin(self.T)
