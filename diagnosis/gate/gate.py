@@ -9,13 +9,13 @@ import numpy as np
 
 from robomill.diagnosis.catalogue import LOGGING, Candidate
 from robomill.diagnosis.experiment.measured import Condition
+from robomill.diagnosis.experiment.segments import playing
 from robomill.diagnosis.experiment.simulation import Laboratory, Setting, Simulator
 from robomill.diagnosis.gate import checks, log_faults, repeats, run_set
 from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.inference.sensitivities import NOMINAL
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
-from robomill.orchestration.system.definition import System
 
 SIMULATIONS = "the log"
 """What the simulations of the gate are called where progress is shown."""
@@ -74,7 +74,7 @@ class Gate:
     def _other_programs(self) -> list[Finding]:
         """Recorded programs, held-out ones too, that are not what the nominal system plays."""
         changing = {c.component for c in self.candidates}
-        plays = [_playing(c.system or self.laboratory.system) - changing for c in self.laboratory.conditions]
+        plays = [playing(c.system or self.laboratory.system) - changing for c in self.laboratory.conditions]
         if not any(name.partition(".")[0] in played for played in plays for name in self.laboratory.channels):
             return []
         latest = max((c.maximum for c in self.candidates if c.component == LOGGING and c.parameters[0].startswith("lag ")), default=0.0)
@@ -116,8 +116,3 @@ def once(findings: Sequence[Finding]) -> list[Finding]:
 def _step(condition: Condition, rows: FloatArray) -> float:
     """Time [s] between the rows of a simulation of a condition."""
     return condition.step * (len(condition.grid) // len(rows))
-
-
-def _playing(system: System) -> set[str]:
-    """Components that nothing goes into."""
-    return {c.name for c in system.components} - {c.target.partition(".")[0] for c in system.connections}

@@ -13,9 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from robomill.diagnosis.experiment.measured import Condition, DataError, common_grid
+from robomill.diagnosis.experiment.segments import by_array
 from robomill.diagnosis.gate.checks import BREAK, PART, SINGLE, Finding
 from robomill.orchestration.runs.run import Run
-from robomill.orchestration.slaves.protocol import FloatArray, base_name
+from robomill.orchestration.slaves.protocol import FloatArray
 
 OTHER = 0.01
 """Squares of what a recorded program differs from the one that is played, over those of its motion: a tenth in amplitude, where the same
@@ -94,12 +95,10 @@ def other_program(
 
     A program that is recorded late by up to `latest` [s] (and a sample) is the same; `step` [s] is between the samples.
     """
-    arrays: dict[str, list[int]] = {}
-    for i, name in enumerate(channels):
-        if name.partition(".")[0] in played:
-            arrays.setdefault(base_name(name), []).append(i)
     found = []
-    for name, members in arrays.items():
+    for name, members in by_array(channels).items():
+        if name.partition(".")[0] not in played:
+            continue
         a, b = x[:, members], s[:, members]
         motion, size = float(((b - b.mean(axis=0)) ** 2).sum()), float((b**2).sum())
         if motion < SINGLE**2 * size:  # what does not move: its size

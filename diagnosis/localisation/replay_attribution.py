@@ -19,15 +19,14 @@ from scipy.stats import uniform
 from robomill.diagnosis.catalogue import LOGGING, Address, Catalogue, Nuisance
 from robomill.diagnosis.experiment.component_replay import KNOWN, ComponentReplay
 from robomill.diagnosis.experiment.measured import DataError
-from robomill.diagnosis.experiment.repeats import REPEAT_RESAMPLES, bootstrapped, over_pairs
-from robomill.diagnosis.experiment.segments import array_of
+from robomill.diagnosis.experiment.repeats import RESAMPLES, bootstrapped, over_pairs
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate
 from robomill.diagnosis.inference.evidence import SUDDEN, TRUST
 from robomill.diagnosis.inference.isolability import CONFUSABLE
 from robomill.diagnosis.inference.marginal import TEMPERATURE, MarginalLikelihood
 from robomill.diagnosis.inference.noise import whitening
 from robomill.diagnosis.localisation.localise import PRESENT
-from robomill.orchestration.slaves.protocol import FloatArray
+from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 REPLAY_LATENESS = float(uniform.std())
 """Steps that the outputs of a component which is driven alone may be late: measured inputs reach it anywhere within a step."""
@@ -118,12 +117,12 @@ class Replay:
         """Measured outputs that are not replayed: alone, they add up what goes in."""
         # outputs that no parameter changes say nothing
         says = np.any([np.any(x, axis=0) for parts in seen.values() for x in parts], axis=0)
-        self.at = np.flatnonzero([s and array_of(c) not in self.adding for s, c in zip(says, self.replayed[0].channels, strict=True)])
+        self.at = np.flatnonzero([s and base_name(c) not in self.adding for s, c in zip(says, self.replayed[0].channels, strict=True)])
         if not len(self.at):
             raise DataError(not_alone(self.adding))
         self.channels = [self.replayed[0].channels[i] for i in self.at]
-        self.arrays = list(dict.fromkeys(array_of(c) for c in self.channels))
-        self.of = np.array([self.arrays.index(array_of(c)) for c in self.channels])
+        self.arrays = list(dict.fromkeys(base_name(c) for c in self.channels))
+        self.of = np.array([self.arrays.index(base_name(c)) for c in self.channels])
         """Array of each channel."""
         seen = {a: [x[:, self.at] for x in parts] for a, parts in seen.items()}
         self.groups = [[self._kept(r) for r in b.residuals] for b in self.replayed]
@@ -178,7 +177,7 @@ class Replay:
             probes = set()
             for o in arrays:
                 sizes = {
-                    a: sum(float(np.sum(v**2)) for k, v in m[0].items() if array_of(k) == o) for a, m in moved.items() if a[0] == source
+                    a: sum(float(np.sum(v**2)) for k, v in m[0].items() if base_name(k) == o) for a, m in moved.items() if a[0] == source
                 }
                 if sizes and max(sizes.values()) > 0.0:
                     probes.add(max(sizes, key=lambda a: sizes[a]))
@@ -201,7 +200,7 @@ class Replay:
         found = []
         for target in [d for s, d in self.strong if s == source and d not in passed]:
             arrays = [o for o, d in replay.hidden() if d == target and o.partition(".")[0] == source]
-            if any(np.any(v) for k, v in moved.items() if array_of(k) in arrays):
+            if any(np.any(v) for k, v in moved.items() if base_name(k) in arrays):
                 there = replay.follow(moved, arrays, target)
                 found += [there, *self._followed(replay, there, target, (*passed, source))]
         return found
@@ -329,10 +328,10 @@ class Replay:
     def _squares(self, k: int) -> FloatArray:
         """Mean square residual of an output: of the repeats as they are, then of resampled ones."""
         rng = np.random.default_rng(0)
-        total, samples = np.zeros(1 + REPEAT_RESAMPLES), 0
+        total, samples = np.zeros(1 + RESAMPLES), 0
         for g in self.groups:
             flat = np.stack([r[:, self.of == k].ravel() for r in g])
-            weights = np.concatenate([np.ones((1, len(g))), rng.multinomial(len(g), np.full(len(g), 1.0 / len(g)), REPEAT_RESAMPLES)])
+            weights = np.concatenate([np.ones((1, len(g))), rng.multinomial(len(g), np.full(len(g), 1.0 / len(g)), RESAMPLES)])
             total += over_pairs(flat @ flat.T, weights)
             samples += len(g[0])
         return total / samples

@@ -11,7 +11,7 @@ import numpy as np
 from robomill.diagnosis.catalogue import Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.experiment.repeats import as_share
-from robomill.diagnosis.experiment.segments import Structure, array_of, structure
+from robomill.diagnosis.experiment.segments import Structure, structure
 from robomill.diagnosis.experiment.simulation import Laboratory
 from robomill.diagnosis.inference.marginal import TEMPERATURE
 from robomill.diagnosis.inference.search import GROWTH_GAIN
@@ -21,7 +21,7 @@ from robomill.diagnosis.localisation.replay_attribution import Reading, Replay, 
 from robomill.diagnosis.localisation.swap import PLAYERS, Share, shares
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.runs.recorder import frame_of
-from robomill.orchestration.slaves.protocol import FloatArray
+from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 MINOR, INSIDE = 2e-3, 0.1
 """Part of what is explained already that one more component must add; the same where those before could have done all that it does."""
@@ -270,17 +270,17 @@ class Inside:
         replayed = replay.replayed[condition]
         channels = np.flatnonzero(np.isin(replay.of, [replay.arrays.index(o) for o in outputs]))
         residual = replay.table(self.left, condition)[:, channels]
-        inputs = replayed.inputs(self.component)
+        inputs = replayed.inputs[self.component]
         found = localise.dependences(
             residual,
-            localise.variables(inputs, replayed.units(inputs), replayed.times()),
+            localise.variables(inputs, {c: replayed.unit(c) for c in inputs}, replayed.grid),
             lambda s: replay.filtered(s, channels),
             TEMPERATURE,
         )
         return found + [
             Dependence(f"frequency {a:g} .. {b:g} Hz", s, None)
             for (a, b), s in localise.bands(
-                np.mean(replayed.residuals, axis=0)[:, replay.at[channels]] / replay.noise[channels], replayed.step()
+                np.mean(replayed.residuals, axis=0)[:, replay.at[channels]] / replay.noise[channels], replayed.step
             )
         ]
 
@@ -295,7 +295,7 @@ def located(
 ) -> Located:
     """`locate` on those of the first `n` conditions that the system itself made. Nothing is said where it cannot be replayed."""
     own = [i for i in range(n) if laboratory.conditions[i].system is None]
-    cuts = structure(laboratory.system, list(dict.fromkeys(map(array_of, laboratory.channels))))
+    cuts = structure(laboratory.system, list(dict.fromkeys(map(base_name, laboratory.channels))))
     if not own:
         return Located(structure=cuts)
     every, laboratory = laboratory.channels, laboratory.shown_in(own)
