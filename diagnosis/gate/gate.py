@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import LOGGING, Candidate
+from robomill.diagnosis.catalogue import Candidate
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.segments import playing
 from robomill.diagnosis.experiment.simulation import Laboratory, Setting, Simulator
@@ -77,7 +77,7 @@ class Gate:
         plays = [playing(c.system or self.laboratory.system) - changing for c in self.laboratory.conditions]
         if not any(name.partition(".")[0] in played for played in plays for name in self.laboratory.channels):
             return []
-        latest = max((c.maximum for c in self.candidates if c.component == LOGGING and c.parameters[0].startswith("lag ")), default=0.0)
+        latest = run_set.latest_clock(self.candidates)
         found: list[Finding] = []
         simulated = self.simulator.repeated(range(len(self.groups)), (), NOMINAL, SIMULATIONS)
         for condition, group, models, played in zip(self.laboratory.conditions, self.groups, simulated, plays, strict=True):

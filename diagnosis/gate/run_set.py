@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from robomill.diagnosis.catalogue import LOGGING, Candidate
 from robomill.diagnosis.experiment.measured import Condition, DataError, common_grid
 from robomill.diagnosis.experiment.segments import by_array
 from robomill.diagnosis.gate.checks import BREAK, PART, SINGLE, Finding
@@ -114,6 +115,11 @@ def other_program(
             )
             found.append(Finding(name, "program", largest, unit, text))
     return found
+
+
+def latest_clock(candidates: Sequence[Candidate]) -> float:
+    """How late [s] a clock of the log may be, by the catalogue; 0 where it has none."""
+    return max((c.maximum for c in candidates if c.component == LOGGING and c.parameters[0].startswith("lag ")), default=0.0)
 
 
 def _apart(a: FloatArray, b: FloatArray, shift: int) -> float:
