@@ -32,7 +32,7 @@ class Gate:
     n: int
     """The first `n` conditions are diagnosed; of the others only the program is looked at."""
     candidates: Sequence[Candidate]
-    """Effects of the catalogue: what a component plays that one of them can change is no program, and no clock is later than one of them."""
+    """Effects of the catalogue: what one of them can change is no program, and no clock is later than theirs."""
 
     def findings(self, changes: Setting = ()) -> list[Finding]:
         """What is wrong with the log where the system has these changes; nothing where that cannot run."""
