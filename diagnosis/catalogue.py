@@ -246,10 +246,10 @@ class Catalogue:
     file: Path
     candidates: tuple[Candidate, ...]
     tolerances: tuple[Tolerance, ...] = ()
-    quiet: Mapping[str, Mapping[str, Any]] | None = None
+    quiet: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     seeds: tuple[Address, ...] = ()
     """Parameters that make a simulation another repeat of itself."""
-    descriptions: Mapping[str, tuple[str, str]] | None = None
+    descriptions: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     """effect -> (description, source)."""
     refinement: Refinement | None = None
     titles: Mapping[str, str] = field(default_factory=dict)
@@ -294,8 +294,8 @@ class Catalogue:
             for c in candidates
         )
         tolerances = tuple(t for t in self.tolerances if there("tolerances of", t.address[1], *t.address))
-        quiet = {c: {k: v for k, v in values.items() if there("quiet", k, c, k)} for c, values in (self.quiet or {}).items()}
-        kept = {c: Written(values, getattr((self.quiet or {})[c], "places", {})) for c, values in quiet.items() if values}
+        quiet = {c: {k: v for k, v in values.items() if there("quiet", k, c, k)} for c, values in self.quiet.items()}
+        kept = {c: Written(values, getattr(self.quiet[c], "places", {})) for c, values in quiet.items() if values}
         seeds = tuple(a for a in self.seeds if there("seeds", a[1], *a))
         refinement = self.refinement
         if refinement is not None:
@@ -312,8 +312,8 @@ class Catalogue:
         double = sorted(set(self.effects) & set(other.effects))
         if double:
             raise CatalogueError(f"{other.file}: effect {double[0]!r} is in {self.file}, too; give one of them another name")
-        quiet = dict(self.quiet or {})
-        for component, values in (other.quiet or {}).items():
+        quiet = dict(self.quiet)
+        for component, values in other.quiet.items():
             quiet[component] = merged(quiet.get(component, {}), values)
         refinement = self.refinement or other.refinement
         if self.refinement and other.refinement:
@@ -324,7 +324,7 @@ class Catalogue:
             tolerances=(*self.tolerances, *other.tolerances),
             quiet=quiet,
             seeds=tuple(dict.fromkeys((*self.seeds, *other.seeds))),
-            descriptions={**(self.descriptions or {}), **(other.descriptions or {})},
+            descriptions={**self.descriptions, **other.descriptions},
             refinement=refinement,
             titles={**self.titles, **other.titles},
         )
@@ -338,9 +338,9 @@ class Catalogue:
         refinement = self.refinement and replace(self.refinement, sampled=tuple(map(named, self.refinement.sampled)))
         return replace(
             self,
-            candidates=tuple(_of_component(c, named(c.component)) for c in self.candidates),
+            candidates=tuple(_with_variants(replace(c, component=named(c.component), variants=()), c.shapes) for c in self.candidates),
             tolerances=tuple(replace(t, address=(named(t.address[0]), t.address[1])) for t in self.tolerances),
-            quiet={named(c): values for c, values in (self.quiet or {}).items()},
+            quiet={named(c): values for c, values in self.quiet.items()},
             seeds=tuple((named(c), name) for c, name in self.seeds),
             refinement=refinement,
         )
@@ -362,10 +362,6 @@ class Catalogue:
                 raise CatalogueError(
                     f"{place}: {what}: its unit is {unit!r}, that of {component}.{name} is {wanted!r}: give the sizes in that unit"
                 )
-
-
-def _of_component(candidate: Candidate, component: str) -> Candidate:
-    return _with_variants(replace(candidate, component=component, variants=()), candidate.shapes)
 
 
 def _with_variants(candidate: Candidate, shapes: tuple[Shape, ...]) -> Candidate:

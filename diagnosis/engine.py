@@ -107,12 +107,11 @@ def diagnose_campaign(
     start = prepared(campaign, catalogue, resolver, convert)
     laboratory, n, catalogue, nuisances, skipped = start.laboratory, start.n, start.catalogue, start.nuisances, start.skipped
     ports, channels = laboratory.ports, laboratory.channels
-    ranges = {c: (p.minimum, p.maximum) for c, p in ports.items()}
     told = [*start.findings, *phases.aligned(laboratory, catalogue.candidates, n)]
     conditions, groups = laboratory.conditions, laboratory.measured()
     with Simulator(laboratory, workers, report, store, scheduler) as simulator:
         simulator.expected = likely_count(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
-        gate = Gate(laboratory, simulator, groups, n, ranges, {c.component for c in catalogue.candidates}, NOMINAL)
+        gate = Gate(laboratory, simulator, groups, n, catalogue.candidates)
         findings = told + gate.findings()
         fatal = [f for f in findings if f.fatal]
         if all(f.kind in EXPLAINABLE for f in fatal):

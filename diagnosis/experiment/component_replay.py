@@ -21,30 +21,26 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from robomill.diagnosis.experiment.segments import array_of
-from robomill.diagnosis.experiment.simulation import Laboratory, Setting, decimate, refined
+from robomill.diagnosis.experiment.segments import by_array, playing
+from robomill.diagnosis.experiment.simulation import DRAWS, Laboratory, Setting, decimate, refined
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.rig import Rig
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.playback import Playback
-from robomill.orchestration.slaves.protocol import FloatArray, Slave
-from robomill.orchestration.system.definition import Component, Connection, System
+from robomill.orchestration.slaves.protocol import FloatArray, Slave, base_name
+from robomill.orchestration.system.definition import TICK, Component, Connection, System
 
 PLAYBACK = "playback:"
 """Source of the components that play back measured signals."""
-HALF_A_TICK = 0.5e-9
-"""Times that lie closer together than this [s] are one: half a tick of the master's clock."""
 KNOWN = 1e-3
-"""Relative deviation that counts as none: up to it the signal of a component without inputs (a program) is taken as it is simulated, and
-so large is the push that shows what adds up: the answer is that of the motion that was measured."""
-NULLS = 3
-"""Repeats that the replay of right signals is made for."""
+"""Part of a whole that counts as none. Up to it the signal of a component without inputs (a program) is taken as it is simulated, and
+what moves that slowly beside its fastest stands still. So large is the push that shows what adds up: the motion stays as measured."""
 ADDS_UP = 0.5
 """Order of growth from which an output adds up what goes in: half way between one that settles (0) and an integrator (1)."""
 
@@ -71,25 +67,25 @@ class ComponentReplay:
     def __init__(self, laboratory: Laboratory, index: int, measured: Sequence[FloatArray]) -> None:
         """`index`: which condition of the laboratory; `measured`: its repeats, float64[n, channels] each."""
         self.laboratory, self.index = laboratory, index
-        self.grid = laboratory.conditions[index].grid
+        self.grid, self.step = laboratory.conditions[index].grid, laboratory.conditions[index].step
         self.measured = measured
         self.channels = list(laboratory.channels)
         self.system = laboratory.configured(index)
-        arrays = dict.fromkeys(array_of(c) for c in self.channels)
-        self.cut = {a: [i for i, c in enumerate(self.channels) if array_of(c) == a] for a in arrays}
+        self.cut = by_array(self.channels)
         seeds = range(1, len(measured) + 1)
         mean = np.mean(measured, axis=0)
-        self.closed = [self._run(self._changed((), s)) for s in range(1, NULLS + 1 if laboratory.seeds else 2)]
+        self.closed = [self._run(self._changed((), s)) for s in range(1, DRAWS + 1 if laboratory.seeds else 2)]
         self._ports = self.closed[0].ports
         right = [self._matrix(r) for r in self.closed]
-        self._nominal = right[0]
+        self.nominal = right[0]
+        """The closed loop as it is; all channels, [n, channels]."""
         self.scatter = np.var(np.stack(right), axis=0, ddof=min(1, len(right) - 1)).mean(axis=0)
         """Variance of a simulation by its own noise, per channel; 0 where it has none."""
         self.known = self._known(mean)
         bias = np.mean(
             [
                 z - self._matrix(self._open(z + x - mean, s))
-                for z, x, s in zip(itertools.cycle(right), measured[:NULLS], seeds, strict=False)
+                for z, x, s in zip(itertools.cycle(right), measured[:DRAWS], seeds, strict=False)
             ],
             axis=0,
         )
@@ -100,7 +96,8 @@ class ComponentReplay:
         self.mean = mean
         self.adding = self._adding()
         """Measured arrays that are not replayed, because they add up what goes in: array -> order of growth."""
-        self._inputs = {c: self._sources(c) for c in (k.name for k in self.system.components)}
+        self.inputs = {c: self._sources(c) for c in (k.name for k in self.system.components)}
+        """Columns that go into each component, column -> [n]: measured where they are, else as replayed."""
         self._alone: dict[str, dict[str, FloatArray]] = {}
         self._rigs: dict[str, Rig] = {}
 
@@ -118,9 +115,9 @@ class ComponentReplay:
 
     def _known(self, mean: FloatArray) -> npt.NDArray[np.bool_]:
         """Channels of components that nothing goes into, and that are measured as they are simulated: noise of them is none."""
-        driven = {c.target.partition(".")[0] for c in self.system.connections}
-        small = np.sqrt(np.mean((mean - self._nominal) ** 2, axis=0)) <= KNOWN * np.sqrt(np.mean(self._nominal**2, axis=0))
-        return np.asarray([c.partition(".")[0] not in driven for c in self.channels] & small)
+        alone = playing(self.system)
+        small = np.sqrt(np.mean((mean - self.nominal) ** 2, axis=0)) <= KNOWN * np.sqrt(np.mean(self.nominal**2, axis=0))
+        return np.asarray([c.partition(".")[0] in alone for c in self.channels] & small)
 
     def _run(self, system: System, playbacks: Sequence[Playback] = ()) -> Run:
         return self._rig(system, playbacks).run({}, float(self.grid[-1]))
@@ -161,15 +158,15 @@ class ComponentReplay:
     def _open(self, signals: FloatArray, seed: int) -> Run:
         """Every connection from a measured output carries `signals` [n, channels] instead."""
         system = self._changed((), seed)
-        signals = np.where(self.known, self._nominal, signals)
+        signals = np.where(self.known, self.nominal, signals)
         used: dict[str, list[int]] = {}
         for c in system.connections:
-            if array_of(c.source) in self.cut:
-                used.setdefault(c.source.partition(".")[0], []).extend(self.cut[array_of(c.source)])
+            if base_name(c.source) in self.cut:
+                used.setdefault(c.source.partition(".")[0], []).extend(self.cut[base_name(c.source)])
         playbacks = [
             self._playback(f"measured_{name}", {self.channels[i]: signals[:, i] for i in sorted(set(at))}) for name, at in used.items()
         ]
-        connections = [replace(c, source=f"measured_{c.source}") if array_of(c.source) in self.cut else c for c in system.connections]
+        connections = [replace(c, source=f"measured_{c.source}") if base_name(c.source) in self.cut else c for c in system.connections]
         parts = (*(Component(t.name, PLAYBACK) for t in playbacks), *system.components)
         return self._run(replace(system, components=parts, connections=tuple(connections)), playbacks)
 
@@ -179,21 +176,24 @@ class ComponentReplay:
 
     def _sources(self, component: str) -> dict[str, FloatArray]:
         """Columns that go into a component, as they are in the replay of the mean measured run."""
-        wanted = {array_of(c.source) for c in self.system.connections if c.target.partition(".")[0] == component}
+        wanted = {base_name(c.source) for c in self.system.connections if c.target.partition(".")[0] == component}
         found = {}
         for name in self.base.columns:
-            if array_of(name) in wanted and not name.startswith("measured_"):
+            if base_name(name) in wanted and not name.startswith("measured_"):
                 at = self.channels.index(name) if name in self.channels else -1
                 measured = at >= 0 and not self.known[at]
                 found[name] = self.mean[:, at] if measured else self._on_grid(self.base, name)
         return found
 
     def _on_grid(self, result: Run, column: str) -> FloatArray:
-        """A column at the times of the grid: reals on the line between samples, whole numbers and booleans as they last were."""
+        """A column at the times of the grid: reals on the line between samples, whole numbers and booleans as they last were.
+
+        Times that are less than half a tick of the master's clock apart are one.
+        """
         values = result.columns[column]
         if result.ports[column].type == "real":
             return np.interp(self.grid, result.t, values)
-        last = np.searchsorted(result.t, self.grid + HALF_A_TICK, side="right") - 1
+        last = np.searchsorted(result.t, self.grid + 0.5 / TICK, side="right") - 1
         return np.asarray(values[np.maximum(last, 0)], dtype=np.float64)
 
     def alone(self, component: str, changes: Setting = (), shifts: Mapping[str, FloatArray] | None = None) -> dict[str, FloatArray]:
@@ -214,7 +214,7 @@ class ComponentReplay:
     def _driven(self, component: str, shifts: Mapping[str, FloatArray]) -> Rig:
         """A component alone, opened, behind the inputs that it has in the replay of the mean run, with `shifts` added."""
         by_source: dict[str, dict[str, FloatArray]] = {}
-        for name, values in self._inputs[component].items():
+        for name, values in self.inputs[component].items():
             shift = shifts.get(name)
             by_source.setdefault(name.partition(".")[0], {})[name] = values if shift is None else values + shift
         playbacks = [self._playback(source, series) for source, series in by_source.items() if source != component]
@@ -228,19 +228,19 @@ class ComponentReplay:
         Without components it is the nominal simulation.
         """
         if not components:
-            return self._nominal
+            return self.nominal
         system = self._changed(())
         left = np.mean(self.residuals, axis=0)
         left[:, [i for array in self.adding for i in self.cut[array]]] = 0.0
-        taken = {array_of(c.source) for c in system.connections}
+        taken = {base_name(c.source) for c in system.connections}
         inside = [i for i, c in enumerate(self.channels) if c.partition(".")[0] in components]
         used: dict[str, list[int]] = {}
         for i in inside:
-            if array_of(self.channels[i]) in taken:
+            if base_name(self.channels[i]) in taken:
                 used.setdefault(self.channels[i].partition(".")[0], []).append(i)
         playbacks = [self._playback(f"swapped_{name}", {self.channels[i]: left[:, i] for i in at}, adds=True) for name, at in used.items()]
-        through = {array_of(self.channels[i]) for at in used.values() for i in at}
-        connections = [replace(c, source=f"swapped_{c.source}") if array_of(c.source) in through else c for c in system.connections]
+        through = {base_name(self.channels[i]) for at in used.values() for i in at}
+        connections = [replace(c, source=f"swapped_{c.source}") if base_name(c.source) in through else c for c in system.connections]
         for array in through:
             connections.append(Connection(array, f"swapped_{array}_in"))
         parts = (*system.components, *(Component(t.name, PLAYBACK) for t in playbacks))
@@ -251,26 +251,18 @@ class ComponentReplay:
     def pushed(self, component: str, column: str, values: FloatArray) -> FloatArray:
         """The closed loop with `values` [n] added to what a component gets of a column of another; all channels, [n, channels]."""
         system = self._changed(())
-        array, source = array_of(column), column.partition(".")[0]
-        members = [k for k in self.closed[0].columns if array_of(k) == array]
+        array, source = base_name(column), column.partition(".")[0]
+        members = [k for k in self.closed[0].columns if base_name(k) == array]
         playback = self._playback(f"pushed_{source}", {k: values if k == column else np.zeros(len(self.grid)) for k in members}, adds=True)
         connections = [
-            replace(c, source=f"pushed_{c.source}") if c.target.partition(".")[0] == component and array_of(c.source) == array else c
+            replace(c, source=f"pushed_{c.source}") if c.target.partition(".")[0] == component and base_name(c.source) == array else c
             for c in system.connections
         ]
         connections.append(Connection(array, f"pushed_{array}_in"))
         parts = (*system.components, Component(playback.name, PLAYBACK))
         return self._matrix(self._run(replace(system, components=parts, connections=tuple(connections)), [playback]))
 
-    def nominal(self) -> FloatArray:
-        """The closed loop as it is; all channels, [n, channels]."""
-        return self._nominal
-
     # What it knows
-
-    def inputs(self, component: str) -> dict[str, FloatArray]:
-        """Columns that go into a component, column -> [n]: measured where they are, else as replayed."""
-        return self._inputs[component]
 
     def signals(self) -> dict[str, FloatArray]:
         """The mean measured run: column -> [n]."""
@@ -280,23 +272,11 @@ class ComponentReplay:
         """Unit of a column; "" where it has none."""
         return self._ports[column].unit or ""
 
-    def units(self, columns: Iterable[str]) -> dict[str, str]:
-        """Units of columns: column -> unit."""
-        return {c: self.unit(c) for c in columns}
-
-    def times(self) -> FloatArray:
-        """Times of the samples [s], [n]."""
-        return self.grid
-
-    def step(self) -> float:
-        """Time between samples [s]."""
-        return float(self.grid[1] - self.grid[0])
-
     # Changes by parameters
 
     def hidden(self) -> list[tuple[str, str]]:
         """Connections between two components that are not measured: (output array, component that takes it)."""
-        pairs = [(array_of(c.source), c.target.partition(".")[0]) for c in self.system.connections if array_of(c.source) not in self.cut]
+        pairs = [(base_name(c.source), c.target.partition(".")[0]) for c in self.system.connections if base_name(c.source) not in self.cut]
         return [(o, d) for o, d in dict.fromkeys(pairs) if o.partition(".")[0] != d]
 
     def change(self, component: str, changes: Setting) -> dict[str, FloatArray] | None:
@@ -314,7 +294,7 @@ class ComponentReplay:
         """Change of the outputs of `target`, column -> [n], when the outputs `arrays` of another component change as they do in `moved`."""
         if target not in self._alone:
             self._alone[target] = self.alone(target)
-        shifts = {k: v for k, v in moved.items() if array_of(k) in arrays}
+        shifts = {k: v for k, v in moved.items() if base_name(k) in arrays}
         after = self.alone(target, (), shifts)
         return {k: after[k] - self._alone[target][k] for k in after}
 

@@ -80,7 +80,7 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
         (),
         resolver,
         convert,
-        catalogue.quiet or {},
+        catalogue.quiet,
         {u.address: u.nominal for u in nuisances if u.nominal},
         seeds=catalogue.seeds,
         refinement=catalogue.refinement,

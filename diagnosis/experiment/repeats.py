@@ -6,8 +6,8 @@ import numpy as np
 
 from robomill.orchestration.slaves.protocol import FloatArray
 
-REPEAT_RESAMPLES = 400
-"""How often the bootstrap draws repeats anew."""
+RESAMPLES = 1000
+"""How often a bootstrap draws repeats, or blocks of time, anew (cost)."""
 
 
 def as_share(value: float) -> float:

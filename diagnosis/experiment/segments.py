@@ -36,7 +36,7 @@ def segments(system: System, measured: Sequence[str]) -> list[Segment]:
     """
     before: dict[str, list[str]] = {}
     for c in system.connections:
-        if array_of(c.source) not in measured:
+        if base_name(c.source) not in measured:
             before.setdefault(c.target.partition(".")[0], []).append(c.source.partition(".")[0])
     found = []
     for output in measured:
@@ -62,7 +62,14 @@ def structure(system: System, measured: Sequence[str]) -> Structure:
     return Structure(tuple(found), tuple(s for s in sets if len(s) > 1))
 
 
-def array_of(port: str) -> str:
-    """Array or scalar that a port (`component.port[1]`) is an element of."""
-    component, _, name = port.partition(".")
-    return f"{component}.{base_name(name)}"
+def by_array(channels: Sequence[str]) -> dict[str, list[int]]:
+    """Array or scalar -> places of its elements among the channels, in their order."""
+    groups: dict[str, list[int]] = {}
+    for i, name in enumerate(channels):
+        groups.setdefault(base_name(name), []).append(i)
+    return groups
+
+
+def playing(system: System) -> set[str]:
+    """Components that nothing goes into: what they give is a program."""
+    return {c.name for c in system.components} - {c.target.partition(".")[0] for c in system.connections}

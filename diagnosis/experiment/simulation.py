@@ -22,6 +22,10 @@ from robomill.orchestration.slaves.protocol import FloatArray, PortData
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.parameters import Convert, same_unit_only
 
+DRAWS = 3
+"""Simulations with other noise, or machines with other calibrated numbers, that stand for all where only a correction or a part of a
+deviation comes of them (cost)."""
+
 Setting = tuple[tuple[Address, float], ...]
 """What is changed against the nominal system: address and value [unit of the parameter], sorted."""
 

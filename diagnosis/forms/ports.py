@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from robomill.diagnosis.experiment.component_replay import KNOWN, ComponentReplay
-from robomill.diagnosis.experiment.segments import array_of
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate
 from robomill.diagnosis.forms.layout import Side
 from robomill.diagnosis.forms.library import OF_ONE, Term, library, periodic
@@ -125,7 +124,7 @@ def replayed(laboratory: Laboratory, i: int) -> ComponentReplay:
 def direct(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: str) -> list[Problem]:
     """One problem for each measured output of a component that can be replayed."""
     adding = {a for r in replays for a in r.adding}
-    channels = [c for c in replays[0].channels if c.partition(".")[0] == component and array_of(c) not in adding]
+    channels = [c for c in replays[0].channels if c.partition(".")[0] == component and base_name(c) not in adding]
     if not channels:
         return []
     seen = Seen.of(laboratory, replays, component, "output")
@@ -141,7 +140,7 @@ def direct(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
             continue
         effect = [{element: np.full((len(g), 1), 1.0 / size)} for g in gap]
         terms = [(element, t) for t in seen.library(element, alone=True)]
-        found.append(Problem(seen, (array_of(column),), terms, [g / size for g in gap], effect, laboratory.decimation, replays[0].step()))
+        found.append(Problem(seen, (base_name(column),), terms, [g / size for g in gap], effect, laboratory.decimation, replays[0].step))
     return found
 
 
@@ -150,7 +149,7 @@ def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
     found = []
     for array, target in replays[0].hidden():
         adding = {a for r in replays for a in r.adding}
-        channels = [c for c in replays[0].channels if c.partition(".")[0] == target and array_of(c) not in adding]
+        channels = [c for c in replays[0].channels if c.partition(".")[0] == target and base_name(c) not in adding]
         if array.partition(".")[0] != component or not channels:
             continue
         seen = Seen.of(laboratory, replays, component, "output")
@@ -158,8 +157,8 @@ def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
         elements = [p for p in seen.host.ports if base_name(p) == base]
         at = [replays[0].channels.index(c) for c in channels]
         gap = [np.mean(r.residuals, axis=0)[:, at] for r in replays]
-        sizes = {a: _rms(gap, [array_of(c) == a for c in channels]) for a in map(array_of, channels)}
-        scale = np.array([sizes[array_of(c)] or 1.0 for c in channels])
+        sizes = {a: _rms(gap, [base_name(c) == a for c in channels]) for a in map(base_name, channels)}
+        scale = np.array([sizes[base_name(c)] or 1.0 for c in channels])
         effect: list[dict[str, FloatArray]] = []
         for r in replays:
             made = {}
@@ -172,7 +171,7 @@ def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
         if not any(np.any(x) for made in effect for x in made.values()):
             continue
         terms = [(e, t) for e in elements for t in seen.library(e, alone=len(elements) == 1)]
-        problem = Problem(seen, tuple(sizes), terms, [g / scale for g in gap], effect, laboratory.decimation, replays[0].step())
+        problem = Problem(seen, tuple(sizes), terms, [g / scale for g in gap], effect, laboratory.decimation, replays[0].step)
         found.append(problem)
     return found
 
@@ -183,8 +182,8 @@ def into(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: 
         return []
     seen = Seen.of(laboratory, replays, component, "input")
     channels = replays[0].channels
-    gap = [r.mean - r.nominal() for r in replays]
-    arrays = list(map(array_of, channels))
+    gap = [r.mean - r.nominal for r in replays]
+    arrays = list(map(base_name, channels))
     sizes = {a: _rms(gap, [x == a for x in arrays]) or 1.0 for a in arrays}
     scale = np.array([sizes[a] for a in arrays])
     terms, extra = [], {}
@@ -197,11 +196,11 @@ def into(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: 
             for r, known in zip(replays, seen.known, strict=True):
                 x = term.values(known, len(r.grid))
                 push = KNOWN * usual / (float(np.sqrt(np.mean(x**2))) or 1.0)
-                made.append((r.pushed(component, column, push * x) - r.nominal()) / (push * scale))
+                made.append((r.pushed(component, column, push * x) - r.nominal) / (push * scale))
             if any(np.any(x) for x in made):
                 terms.append((element, term))
                 extra[element, term] = made
-    step, scaled = replays[0].step(), [g / scale for g in gap]
+    step, scaled = replays[0].step, [g / scale for g in gap]
     return [Problem(seen, tuple(dict.fromkeys(arrays)), terms, scaled, [], laboratory.decimation, step, extra)] if terms else []
 
 

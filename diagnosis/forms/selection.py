@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from robomill.diagnosis.experiment.repeats import RESAMPLES
 from robomill.diagnosis.inference.intervals import MATERIAL, MEMORY
 from robomill.diagnosis.outcome.ceiling import FOLDS
-from robomill.diagnosis.outcome.closure import BLOCK_RESAMPLES, BLOCKS
+from robomill.diagnosis.outcome.closure import BLOCKS
 from robomill.orchestration.slaves.protocol import FloatArray
 
 MOST = 12
@@ -249,7 +250,7 @@ def values(rows: Rows, terms: list[int]) -> Values:
     best = products.fit(every)
     rng = np.random.default_rng(0)
     drawn = []
-    for _ in range(BLOCK_RESAMPLES):
+    for _ in range(RESAMPLES):
         some = rng.integers(0, len(products.square), len(products.square))
         drawn.append(_solve(products.gram[some].sum(axis=0), products.right[some].sum(axis=0)))
     low, high = np.quantile(np.array(drawn), [0.05, 0.95], axis=0)

@@ -115,7 +115,7 @@ def series(replay: ComponentReplay, host: Host, side: str, laboratory: Laborator
     these inputs, where it is they that are corrected; else as they were measured, a step late: what the component has when it steps.
     """
     found: dict[str, FloatArray] = {}
-    given = replay.inputs(host.name)
+    given = replay.inputs[host.name]
     for element, (column, late) in host.sources.items():
         if element in host.ports and column in given:
             stated, wanted = replay.unit(column), host.ports[element].unit or ""

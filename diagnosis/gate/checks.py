@@ -19,29 +19,26 @@ NEAR = 25.5
 LIMIT = 0.1
 """Part of a channel's range by which its simulation may be short of a limit that the channel stands at."""
 
-BREAK, LONG_BREAK, PART = 12.5, 62.5, 0.05
-"""Samples (communication steps, if these are longer) without a stamp that are noted, and those that make a log a bad one, or that part
-of a run."""
+BREAK, LONG_BREAK = 12.5, 62.5
+"""Samples (communication steps, if these are longer) without a stamp that are noted, and those that make a log a bad one."""
+PART = 0.05
+"""Part of a run that is no exception (judgement): so much of it may not be missing, and a motion that lasts so long is what is usual."""
 REST = 0.1
 """Part of a run from which a channel stands still."""
 LONGER, LONGER_BY = 3, 10
 """Times as long as the longest standstill of its simulation, and samples more, that a channel must stand still: a simulation rests, too,
 and one that passes slowly through rounded values rests for a few samples."""
-SINGLE = 2.0**-22
-"""Part of a channel's largest value by which a simulation creeps while a log in single precision stands still: two of its last places."""
+SINGLE = 2.0 * float(np.finfo(np.float32).eps)
+"""Part of a channel's largest value that single precision rounds off: two of its last places."""
 
 MISSING = 0.01
 """Part of a channel's samples that may be missing (judgement): they are interpolated."""
-ROUNDED = 1e-9
-"""Part of a bound by which a value may be beyond it: it was rounded."""
 UNMOVED = 1e-9
 """Unit of the channel: a simulation that moves up to this is round-off, and a channel that does not change says nothing."""
 MOVED = 20.0
 """Times the noise of a channel from beyond which its simulation moves so far that a channel at rest is no chance."""
 SPIKE = 30.0
 """Times the usual change from sample to sample by which a single sample is away from both of its neighbours."""
-USUAL = 95
-"""Percentile of the changes from sample to sample that is usual: that of a motion, if it lasts for a twentieth of a run."""
 AGAIN = 0.25
 """Part of a jump that another repeat must have at the same time, for it to be the machine's and not the log's."""
 FEW_SPIKES = 3
@@ -105,7 +102,7 @@ def raw(run: Run, channels: Sequence[str], ranges: Mapping[str, tuple[float | No
         values = values[good]
         low, high = ranges.get(name, (None, None))
         for bound, outside in ((low, -1.0), (high, 1.0)):
-            if bound is not None and values.size and np.any(outside * values > outside * bound + ROUNDED * abs(bound)):
+            if bound is not None and values.size and np.any(outside * values > outside * bound + SINGLE * abs(bound)):
                 extreme = float((outside * values).max() * outside)
                 found.append(
                     Finding(name, "range", extreme, unit, f"{extreme:.6g} {unit} is outside what the port can be ({bound:.6g} {unit})")
@@ -176,7 +173,7 @@ def _jumps(t: FloatArray, x: FloatArray) -> FloatArray:
     if len(x) <= 1:
         return np.zeros((2, 0))
     before, after = x[1:-1] - x[:-2], x[1:-1] - x[2:]
-    usual = max(float(np.percentile(np.abs(np.diff(x)), USUAL)), UNMOVED)
+    usual = max(float(np.quantile(np.abs(np.diff(x)), 1.0 - PART)), UNMOVED)
     away = np.where(np.sign(before) == np.sign(after), np.minimum(np.abs(before), np.abs(after)), 0.0)
     return np.stack([t[1:-1], away / usual])
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robomill.diagnosis.catalogue import Candidate
 from robomill.diagnosis.experiment.measured import Condition
+from robomill.diagnosis.experiment.segments import playing
 from robomill.diagnosis.experiment.simulation import Laboratory, Setting, Simulator
 from robomill.diagnosis.gate import checks, log_faults, repeats, run_set
 from robomill.diagnosis.gate.checks import Finding
+from robomill.diagnosis.inference.sensitivities import NOMINAL
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
-from robomill.orchestration.system.definition import System
 
 SIMULATIONS = "the log"
 """What the simulations of the gate are called where progress is shown."""
@@ -29,17 +31,13 @@ class Gate:
     """Measured repeats of each condition, [samples, channels], averaged as simulations are."""
     n: int
     """The first `n` conditions are diagnosed; of the others only the program is looked at."""
-    ranges: Mapping[str, tuple[float | None, float | None]]
-    """Channel -> what its port can be, least and largest [unit]."""
-    changing: Collection[str]
-    """Components that an effect can change: what they play is no program."""
-    count: int
-    """Simulated repeats of each condition."""
+    candidates: Sequence[Candidate]
+    """Effects of the catalogue: what one of them can change is no program, and no clock is later than theirs."""
 
     def findings(self, changes: Setting = ()) -> list[Finding]:
         """What is wrong with the log where the system has these changes; nothing where that cannot run."""
         found: list[Finding] = []
-        simulated = self.simulator.repeated(range(self.n), changes, self.count, SIMULATIONS)
+        simulated = self.simulator.repeated(range(self.n), changes, NOMINAL, SIMULATIONS)
         for condition, group, models in zip(self.laboratory.conditions, self.groups, simulated, strict=False):
             if models is not None:
                 found += self._of(condition, group, models)
@@ -48,7 +46,7 @@ class Gate:
     def without(self, faults: Sequence[Finding]) -> list[list[FloatArray]]:
         """Measured repeats of the diagnosed conditions as they were before these faults (`log_faults.undone`)."""
         groups = [list(group) for group in self.groups[: self.n]]
-        simulated = self.simulator.repeated(range(self.n), (), self.count, SIMULATIONS)
+        simulated = self.simulator.repeated(range(self.n), (), NOMINAL, SIMULATIONS)
         for condition, group, models in zip(self.laboratory.conditions, groups, simulated, strict=False):
             if models is not None:
                 at = self._shown(condition)
@@ -64,28 +62,31 @@ class Gate:
         channels = [self.laboratory.channels[i] for i in at]
         measured, simulated = [x[:, at] for x in group], [s[:, at] for s in models]
         middle, names = np.mean(simulated, axis=0), [r.folder.name for r in condition.runs]
+        ranges = {c: (p.minimum, p.maximum) for c, p in self.laboratory.ports.items()}
         noise = np.sqrt(repeats.scatter(measured if len(measured) > 1 else simulated))
         found = checks.spikes(condition, channels)
         found += repeats.copies(measured, simulated, names) or repeats.compared(measured, simulated, channels, names, step)
         for r, x in zip(condition.runs, measured, strict=True):
-            found += checks.raw(r, channels, self.ranges, condition.step)
+            found += checks.raw(r, channels, ranges, condition.step)
             found += beside(r, x, middle, channels, step, noise)
         return found
 
     def _other_programs(self) -> list[Finding]:
         """Recorded programs, held-out ones too, that are not what the nominal system plays."""
-        plays = [_playing(c.system or self.laboratory.system) - set(self.changing) for c in self.laboratory.conditions]
+        changing = {c.component for c in self.candidates}
+        plays = [playing(c.system or self.laboratory.system) - changing for c in self.laboratory.conditions]
         if not any(name.partition(".")[0] in played for played in plays for name in self.laboratory.channels):
             return []
+        latest = run_set.latest_clock(self.candidates)
         found: list[Finding] = []
-        simulated = self.simulator.repeated(range(len(self.groups)), (), self.count, SIMULATIONS)
+        simulated = self.simulator.repeated(range(len(self.groups)), (), NOMINAL, SIMULATIONS)
         for condition, group, models, played in zip(self.laboratory.conditions, self.groups, simulated, plays, strict=True):
             if models is None:
                 continue
             at = self._shown(condition)
             channels, mean, step = [self.laboratory.channels[i] for i in at], np.mean(models, axis=0)[:, at], _step(condition, models[0])
             for r, x in zip(condition.runs, group, strict=True):
-                found += run_set.other_program(r, x[:, at], mean, channels, played, step)
+                found += run_set.other_program(r, x[:, at], mean, channels, played, step, latest)
         return found
 
     def _shown(self, condition: Condition) -> list[int]:
@@ -115,8 +116,3 @@ def once(findings: Sequence[Finding]) -> list[Finding]:
 def _step(condition: Condition, rows: FloatArray) -> float:
     """Time [s] between the rows of a simulation of a condition."""
     return condition.step * (len(condition.grid) // len(rows))
-
-
-def _playing(system: System) -> set[str]:
-    """Components that nothing goes into."""
-    return {c.name for c in system.components} - {c.target.partition(".")[0] for c in system.connections}

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from robomill.diagnosis.experiment.segments import by_array
 from robomill.diagnosis.gate.checks import SINGLE, Finding
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
@@ -43,20 +44,12 @@ FACTORS = {
 """Usual mistakes in units: measured over simulated."""
 KINDS = ("sign", "unit", "axes", "rotation")
 """Kinds of findings that are faults of this sort."""
-VECTOR = 3
-"""Elements of an array that may be a vector in another frame."""
+XYZ = "xyz"
+"""An array with an element for each may be a vector in another frame."""
 TOLERANCE = 0.15
 """Part of a signal by which a machine that is logged well may be off: the largest gain error of a sensor in the catalogue."""
 DECISIVE = 150.0
 """Bayes factor, times the number of operators that are tried, from which a fault is believed: Kass & Raftery's "very strong"."""
-
-
-def arrays(channels: Sequence[str]) -> dict[str, list[int]]:
-    """Array -> places of its elements."""
-    groups: dict[str, list[int]] = {}
-    for i, name in enumerate(channels):
-        groups.setdefault(base_name(name), []).append(i)
-    return groups
 
 
 @dataclass(frozen=True)
@@ -122,7 +115,7 @@ def undone(faults: Sequence[Finding], x: FloatArray, s: FloatArray, channels: Se
 
 
 def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str]) -> Iterator[_Operator]:
-    pooled = {i: float(s[:, members].var(axis=0).mean()) for members in arrays(channels).values() for i in members}
+    pooled = {i: float(s[:, members].var(axis=0).mean()) for members in by_array(channels).values() for i in members}
     for i, name in enumerate(channels):
         own = s[:, [i]]
         if not own.any():  # zero has no sign and no unit
@@ -135,13 +128,13 @@ def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str]) -> Iterato
                 continue
             text = f"is {slope:.4g} times what it should be: {mistake}; expected 1 (give the unit that it is logged in)"
             yield _Operator((i,), np.array([[factor]]), Finding(name, "unit", slope, "1", text), pooled[i])
-    for name, members in arrays(channels).items():
+    for name, members in by_array(channels).items():
         for i, j in itertools.combinations(members, 2):
             text = f"is interchanged with {channels[j]}; give each the other's name"
             finding = Finding(channels[i], "axes", float(j - i), "1", text)
             for signs in itertools.product((1.0, -1.0), repeat=2):
                 yield _Operator((i, j), np.array([[0.0, signs[1]], [signs[0], 0.0]]), finding)
-        if len(members) == VECTOR:
+        if len(members) == len(XYZ):
             yield _rotation(name, tuple(members), x[:, members], s[:, members])
 
 

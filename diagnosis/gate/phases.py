@@ -3,7 +3,7 @@
 In the mean of such repeats a periodic effect cancels, and their scatter is no noise. So each run is looked at by itself: its part along
 the two sensitivities of the effect, in phase and a quarter of a turn ahead, is an amplitude and a phase of its own. Where the phases
 differ by more than noise lets them, the runs are brought to phase zero with the amplitude that they have in common. What else they differ
-by stays.
+by stays. That takes as much evidence as one more effect in a model (GROWTH_GAIN).
 
 With V the sensitivities of the two parts of the amplitude, the parts of run k are (V'WV)^-1 V'W (x_k - mean) plus those of the mean, W
 one over the variance of the noise per channel; the evidence that they differ is that of parts ~ N(0, 1) against none, samples
@@ -22,10 +22,9 @@ from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import Laboratory, setting
 from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.inference.evidence import TRUST, dependence
+from robomill.diagnosis.inference.search import GROWTH_GAIN
 from robomill.orchestration.slaves.protocol import FloatArray
 
-DIFFERENT_PHASES = 12.0
-"""Gain in evidence [nats] from which phases are taken to differ."""
 PHASE_ROUNDS = 3
 """Rounds in which the noise of each channel, and the amplitude that the sensitivities are simulated at, are found."""
 
@@ -57,7 +56,7 @@ def aligned(laboratory: Laboratory, candidates: Sequence[Candidate], n: int) -> 
             continue
         known = [_turned(laboratory, i, c) for i in range(n)]
         gain = sum(k.gain for k in known if k is not None)
-        if gain < DIFFERENT_PHASES:
+        if gain < GROWTH_GAIN:
             continue
         if any(k.amplitude > c.maximum / c.prior.scale for k in known if k is not None):
             continue  # more than there can be of it: the gap is of something else, interchanged axes for instance

@@ -12,15 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from robomill.diagnosis.catalogue import LOGGING, Candidate
 from robomill.diagnosis.experiment.measured import Condition, DataError, common_grid
-from robomill.diagnosis.gate.checks import BREAK, SINGLE, Finding
+from robomill.diagnosis.experiment.segments import by_array
+from robomill.diagnosis.gate.checks import BREAK, PART, SINGLE, Finding
 from robomill.orchestration.runs.run import Run
-from robomill.orchestration.slaves.protocol import FloatArray, base_name
+from robomill.orchestration.slaves.protocol import FloatArray
 
-SHORT = 0.05
-"""Part of the time that at least half of the repeats of a condition cover which may be missing in a repeat (judgement)."""
-LATEST_CLOCK = 0.3
-"""s; how late a clock may be (the largest of the catalogues): a program that is recorded late is the same program."""
 OTHER = 0.01
 """Squares of what a recorded program differs from the one that is played, over those of its motion: a tenth in amplitude, where the same
 program recorded late differs by the rounding of the log."""
@@ -79,10 +77,10 @@ def complete(conditions: Sequence[Condition]) -> tuple[list[Condition], list[Fin
         kept = []
         for r in c.runs:
             lost = max(float(r.t[0]) - begin, end - float(r.t[-1]))
-            out = lost > SHORT * (end - begin)
+            out = lost > PART * (end - begin)
             if not out:
                 kept.append(r)
-            if lost > (SHORT * (end - begin) if out else BREAK * step):
+            if lost > (PART * (end - begin) if out else BREAK * step):
                 whole = f"{begin:.3f} to {end:.3f} s, as the repeats of {c.name!r}"
                 has = f"{r.folder.name} has {r.t[0]:.3f} to {r.t[-1]:.3f} s; expected {whole}"
                 then = "it was left out; record it anew" if out else "only what all have is looked at; leave it out to use the rest"
@@ -91,32 +89,37 @@ def complete(conditions: Sequence[Condition]) -> tuple[list[Condition], list[Fin
     return made, found
 
 
-def other_program(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], played: Collection[str], step: float) -> list[Finding]:
+def other_program(
+    run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], played: Collection[str], step: float, latest: float
+) -> list[Finding]:
     """Channels of components that nothing goes into (`played`) which are not what they play; measured `x` and simulated `s`, [n, channels].
 
-    A program that is recorded late (`LATEST_CLOCK`) is the same; `step` [s] is between the samples.
+    A program that is recorded late by up to `latest` [s] (and a sample) is the same; `step` [s] is between the samples.
     """
-    arrays: dict[str, list[int]] = {}
-    for i, name in enumerate(channels):
-        if name.partition(".")[0] in played:
-            arrays.setdefault(base_name(name), []).append(i)
     found = []
-    for name, members in arrays.items():
+    for name, members in by_array(channels).items():
+        if name.partition(".")[0] not in played:
+            continue
         a, b = x[:, members], s[:, members]
         motion, size = float(((b - b.mean(axis=0)) ** 2).sum()), float((b**2).sum())
         if motion < SINGLE**2 * size:  # what does not move: its size
             motion = size
-        reach = min(int(LATEST_CLOCK / step) + 1, len(a) // 2)
+        reach = min(int(latest / step) + 1, len(a) // 2)
         off = min(_apart(a, b, k) for k in range(-reach, reach + 1))
         if off > OTHER * motion:
             unit = run.ports[channels[members[0]]].unit or ""
             largest = float(np.abs(a - b).max())
             text = (
                 f"is not what the nominal system plays: {run.folder.name} is {largest:.4g} {unit} off, "
-                f"at any delay up to {LATEST_CLOCK:g} s; another program, place or feed than [parameters] of its run.toml say?"
+                f"at any delay up to {latest:g} s; another program, place or feed than [parameters] of its run.toml say?"
             )
             found.append(Finding(name, "program", largest, unit, text))
     return found
+
+
+def latest_clock(candidates: Sequence[Candidate]) -> float:
+    """How late [s] a clock of the log may be, by the catalogue; 0 where it has none."""
+    return max((c.maximum for c in candidates if c.component == LOGGING and c.parameters[0].startswith("lag ")), default=0.0)
 
 
 def _apart(a: FloatArray, b: FloatArray, shift: int) -> float:

@@ -11,17 +11,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, false_discovery_control
 
+from robomill.diagnosis.experiment.component_replay import KNOWN
 from robomill.orchestration.slaves.protocol import FloatArray
 
 FALSE_DISCOVERIES = 0.05
+"""Part of the variables that are found which may be found by chance."""
 BANDS = ((0.0, 0.004), (0.004, 0.02), (0.02, 0.06), (0.06, np.inf))
 """Parts of the sampling frequency: 1, 5 and 15 Hz of 250 Hz."""
-MOVING = 1e-3
-"""Part of its largest rate of change below which a variable stands still."""
 PRESENT = 0.1
-"""Part of its largest size from which a load is there."""
+"""Part of its largest size from which a load, or what is left, is there."""
 
 
 @dataclass(frozen=True)
@@ -54,20 +54,6 @@ def alignment(residual: FloatArray, jacobian: FloatArray, noise: FloatArray | No
     return out
 
 
-def discoveries(p: Sequence[float], rate: float = FALSE_DISCOVERIES) -> list[bool]:
-    """Benjamini-Hochberg: which of these are found, when a part `rate` of what is found may be false.
-
-    The k smallest of the n probabilities `p`, with k the largest for which the k-th of them is at most `rate` k / n.
-    """
-    order = np.argsort(p)
-    limits = rate * np.arange(1, len(p) + 1) / max(len(p), 1)
-    below = np.flatnonzero(np.asarray(p, dtype=np.float64)[order] <= limits)
-    found = np.zeros(len(p), dtype=bool)
-    if below.size:
-        found[order[: below[-1] + 1]] = True
-    return [bool(f) for f in found]
-
-
 def variables(inputs: Mapping[str, FloatArray], units: Mapping[str, str], t: FloatArray) -> dict[str, list[FloatArray]]:
     """What a residual may depend on, name -> one or more series [n]: value of each input array, sense of its motion, load, time.
 
@@ -85,7 +71,7 @@ def variables(inputs: Mapping[str, FloatArray], units: Mapping[str, str], t: Flo
             continue
         found.setdefault(f"value of {array}", []).append(values - values.mean())
         rate = np.gradient(values)
-        found.setdefault(f"sense of {array}", []).append(np.where(np.abs(rate) > MOVING * np.abs(rate).max(), np.sign(rate), 0.0))
+        found.setdefault(f"sense of {array}", []).append(np.where(np.abs(rate) > KNOWN * np.abs(rate).max(), np.sign(rate), 0.0))
     if loads:
         found["engagement"] = [(np.max(loads, axis=0) > PRESENT).astype(np.float64)]
     return found
@@ -123,7 +109,7 @@ def dependences(
             freedom += u.shape[1]
         chances.append(float(chi2.sf(explained / temperature, freedom)))
         tested.append(Dependence(name, explained / (total + 1e-300), chances[-1]))
-    found = [d for d, yes in zip(tested, discoveries(chances), strict=True) if yes]
+    found = [d for d, p in zip(tested, false_discovery_control(chances), strict=True) if p <= FALSE_DISCOVERIES]
     return sorted(found, key=lambda d: -d.share)
 
 

@@ -14,27 +14,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import uniform
 
 from robomill.diagnosis.catalogue import LOGGING, Address, Catalogue, Nuisance
-from robomill.diagnosis.experiment.component_replay import ComponentReplay
+from robomill.diagnosis.experiment.component_replay import KNOWN, ComponentReplay
 from robomill.diagnosis.experiment.measured import DataError
-from robomill.diagnosis.experiment.repeats import REPEAT_RESAMPLES, bootstrapped, over_pairs
-from robomill.diagnosis.experiment.segments import array_of
+from robomill.diagnosis.experiment.repeats import RESAMPLES, bootstrapped, over_pairs
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate
 from robomill.diagnosis.inference.evidence import SUDDEN, TRUST
+from robomill.diagnosis.inference.isolability import CONFUSABLE
 from robomill.diagnosis.inference.marginal import TEMPERATURE, MarginalLikelihood
 from robomill.diagnosis.inference.noise import whitening
-from robomill.orchestration.slaves.protocol import FloatArray
+from robomill.diagnosis.localisation.localise import PRESENT
+from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
-REPLAY_LATENESS = 12.0**-0.5
+REPLAY_LATENESS = float(uniform.std())
 """Steps that the outputs of a component which is driven alone may be late: measured inputs reach it anywhere within a step."""
-SEEN, PASSED_ON = 9.0, 1e-3
-"""Whitened sum of squares from which a change is seen at all, and part of that at its own outputs below which one further on does not
-count."""
 REACH = 0.05
 """Part of the whitened sum of squares of an effect in an output from which a fault of the component may be looked for there."""
-SIGNIFICANT = 6.0
-"""Deviations of noise from which something is left."""
+SIGNIFICANT = 2.0 * CONFUSABLE
+"""Deviations of noise from which something is left: half way to it, nothing and something are still CONFUSABLE deviations away."""
 MORE = 1.5
 """Variance, in that of noise, from which the effects do not explain what is there."""
 
@@ -118,12 +117,12 @@ class Replay:
         """Measured outputs that are not replayed: alone, they add up what goes in."""
         # outputs that no parameter changes say nothing
         says = np.any([np.any(x, axis=0) for parts in seen.values() for x in parts], axis=0)
-        self.at = np.flatnonzero([s and array_of(c) not in self.adding for s, c in zip(says, self.replayed[0].channels, strict=True)])
+        self.at = np.flatnonzero([s and base_name(c) not in self.adding for s, c in zip(says, self.replayed[0].channels, strict=True)])
         if not len(self.at):
             raise DataError(not_alone(self.adding))
         self.channels = [self.replayed[0].channels[i] for i in self.at]
-        self.arrays = list(dict.fromkeys(array_of(c) for c in self.channels))
-        self.of = np.array([self.arrays.index(array_of(c)) for c in self.channels])
+        self.arrays = list(dict.fromkeys(base_name(c) for c in self.channels))
+        self.of = np.array([self.arrays.index(base_name(c)) for c in self.channels])
         """Array of each channel."""
         seen = {a: [x[:, self.at] for x in parts] for a, parts in seen.items()}
         self.groups = [[self._kept(r) for r in b.residuals] for b in self.replayed]
@@ -167,7 +166,10 @@ class Replay:
     def _strong(
         self, moved: Mapping[Address, list[dict[str, FloatArray]]], seen: Mapping[Address, list[FloatArray]]
     ) -> set[tuple[str, str]]:
-        """Pairs of components with connections that are not measured, over which effects of the first show in outputs of the second."""
+        """Pairs of components with connections that are not measured, over which effects of the first show in outputs of the second.
+
+        They do from CONFUSABLE deviations on, and from a part KNOWN of the squares that they have in outputs of the first.
+        """
         found = set()
         first = self.replayed[0]
         for source, target in dict.fromkeys((o.partition(".")[0], d) for o, d in first.hidden()):
@@ -175,14 +177,14 @@ class Replay:
             probes = set()
             for o in arrays:
                 sizes = {
-                    a: sum(float(np.sum(v**2)) for k, v in m[0].items() if array_of(k) == o) for a, m in moved.items() if a[0] == source
+                    a: sum(float(np.sum(v**2)) for k, v in m[0].items() if base_name(k) == o) for a, m in moved.items() if a[0] == source
                 }
                 if sizes and max(sizes.values()) > 0.0:
                     probes.add(max(sizes, key=lambda a: sizes[a]))
             for a in probes:
                 there = first.observed(first.follow(moved[a][0], arrays, target))[:, self.at]
                 chi2 = self._chi2(there)
-                if chi2 > max(SEEN, PASSED_ON * self._chi2(seen[a][0])):
+                if chi2 > max(CONFUSABLE**2, KNOWN * self._chi2(seen[a][0])):
                     found.add((source, target))
         return found
 
@@ -198,7 +200,7 @@ class Replay:
         found = []
         for target in [d for s, d in self.strong if s == source and d not in passed]:
             arrays = [o for o, d in replay.hidden() if d == target and o.partition(".")[0] == source]
-            if any(np.any(v) for k, v in moved.items() if array_of(k) in arrays):
+            if any(np.any(v) for k, v in moved.items() if base_name(k) in arrays):
                 there = replay.follow(moved, arrays, target)
                 found += [there, *self._followed(replay, there, target, (*passed, source))]
         return found
@@ -320,16 +322,16 @@ class Replay:
         squares = [self.table(white, i) ** 2 * wanted for i in range(len(self.groups))]
         condition = int(np.argmax([e.sum() for e in squares]))
         replay, over = self.replayed[condition], squares[condition].sum(axis=1)
-        times = intervals(over > 0.1 * over.max(), replay.grid, replay.laboratory.decimation)
+        times = intervals(over > PRESENT * over.max(), replay.grid, replay.laboratory.decimation)
         return (condition, int(squares[condition].sum(axis=0).argmax())), times
 
     def _squares(self, k: int) -> FloatArray:
         """Mean square residual of an output: of the repeats as they are, then of resampled ones."""
         rng = np.random.default_rng(0)
-        total, samples = np.zeros(1 + REPEAT_RESAMPLES), 0
+        total, samples = np.zeros(1 + RESAMPLES), 0
         for g in self.groups:
             flat = np.stack([r[:, self.of == k].ravel() for r in g])
-            weights = np.concatenate([np.ones((1, len(g))), rng.multinomial(len(g), np.full(len(g), 1.0 / len(g)), REPEAT_RESAMPLES)])
+            weights = np.concatenate([np.ones((1, len(g))), rng.multinomial(len(g), np.full(len(g), 1.0 / len(g)), RESAMPLES)])
             total += over_pairs(flat @ flat.T, weights)
             samples += len(g[0])
         return total / samples

@@ -18,7 +18,7 @@ from itertools import combinations
 import numpy as np
 
 from robomill.diagnosis.experiment.component_replay import ComponentReplay
-from robomill.diagnosis.experiment.repeats import REPEAT_RESAMPLES, as_share, bootstrapped, over_pairs
+from robomill.diagnosis.experiment.repeats import RESAMPLES, as_share, bootstrapped, over_pairs
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -57,7 +57,7 @@ class Share:
     """90 %, bootstrap over the repeats; None where nothing was repeated."""
 
 
-def shares(replays: Sequence[ComponentReplay], players: Sequence[str], figures: Mapping[str, FloatArray], seed: int = 0) -> list[Share]:
+def shares(replays: Sequence[ComponentReplay], players: Sequence[str], figures: Mapping[str, FloatArray]) -> list[Share]:
     """Shares of `players` in each figure, with intervals over the repeats; no share where a run with swaps fails, or no gap is there.
 
     `replays`: one for each condition; `figures`: name -> weight of each channel [1 / unit] (0: not in it). The worth of a subset is
@@ -70,14 +70,14 @@ def shares(replays: Sequence[ComponentReplay], players: Sequence[str], figures: 
                 cells[frozenset(s)] = [b.swapped(frozenset(s)) for b in replays]
     except OrchestrationError:
         return []
-    rng = np.random.default_rng(seed)
-    counts = [rng.multinomial(len(b.measured), np.full(len(b.measured), 1.0 / len(b.measured)), REPEAT_RESAMPLES) for b in replays]
+    rng = np.random.default_rng(0)
+    counts = [rng.multinomial(len(b.measured), np.full(len(b.measured), 1.0 / len(b.measured)), RESAMPLES) for b in replays]
     found = []
     for figure, weight in figures.items():
 
         def gap(s: frozenset[str], weight: FloatArray = weight) -> FloatArray:
             """G of the repeats as they are, then of the resampled ones."""
-            total = np.zeros(1 + REPEAT_RESAMPLES)
+            total = np.zeros(1 + RESAMPLES)
             for b, sim, chosen in zip(replays, cells[s], counts, strict=True):
                 left = np.stack([((x - sim) * weight)[:, weight > 0.0].ravel() for x in b.measured])
                 noise = float((b.scatter * weight**2).sum()) * len(sim)

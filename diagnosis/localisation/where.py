@@ -11,26 +11,25 @@ import numpy as np
 from robomill.diagnosis.catalogue import Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.experiment.repeats import as_share
-from robomill.diagnosis.experiment.segments import Structure, array_of, structure
+from robomill.diagnosis.experiment.segments import Structure, structure
 from robomill.diagnosis.experiment.simulation import Laboratory
 from robomill.diagnosis.inference.marginal import TEMPERATURE
+from robomill.diagnosis.inference.search import GROWTH_GAIN
 from robomill.diagnosis.localisation import localise
 from robomill.diagnosis.localisation.localise import Dependence, Projection
 from robomill.diagnosis.localisation.replay_attribution import Reading, Replay, not_alone
 from robomill.diagnosis.localisation.swap import PLAYERS, Share, shares
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.runs.recorder import frame_of
-from robomill.orchestration.slaves.protocol import FloatArray
+from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
-ONE_MORE = 12.0
-"""Log of the odds (in tempered noise) from which one more component is blamed."""
 MINOR, INSIDE = 2e-3, 0.1
 """Part of what is explained already that one more component must add; the same where those before could have done all that it does."""
 BLAMED = 3
 """Components that are blamed at most."""
-ALTERNATIVE, CLOSE = 6.0, 0.6
-"""Log of the odds up to which another component could be to blame as well; part of the evidence that makes it one where no effect of
-the catalogue explains the residual: then what else the components can do says little about which of them did it."""
+CLOSE = 0.6
+"""Part of the evidence that makes another component one that could be to blame as well, where no effect of the catalogue explains the
+residual: then what else the components can do says little about which of them did it."""
 WHOLE = "all channels, whitened"
 """The figure of the whole gap."""
 EXTRA = ("log_odds", "alternatives", "outputs", "alignment", "shares", "dependence")
@@ -105,7 +104,8 @@ class Located:
 def blame(replay: Replay) -> tuple[Blame, ...]:
     """The components to blame, highest log of the odds first: added one by one as long as the evidence grows clearly.
 
-    Log of the odds of c: evidence of all the blamed ones less that of them without c [nats, tempered].
+    Log of the odds of c: evidence of all the blamed ones less that of them without c [nats, tempered]. One more has GROWTH_GAIN of it,
+    like an effect in a model; another that is less than half as much behind could be to blame as well.
     """
     known: dict[frozenset[str], float] = {}
 
@@ -121,20 +121,20 @@ def blame(replay: Replay) -> tuple[Blame, ...]:
         best = max((c for c in replay.effects if c not in members), key=lambda c: evidence(members | {c}))
         gain, before = evidence(members | {best}) - evidence(members), evidence(members) - nothing
         reached = set().union(*(replay.reach[c] for c in members))
-        if gain < max(ONE_MORE, (INSIDE if replay.reach[best] <= reached else MINOR) * before):
+        if gain < max(GROWTH_GAIN, (INSIDE if replay.reach[best] <= reached else MINOR) * before):
             break
         members |= {best}
         order.append(best)
     while len(order) > 1:  # one that others have made needless
         weakest = min(order, key=lambda c: -evidence(members - {c}))
-        if evidence(members) - evidence(members - {weakest}) >= ONE_MORE:
+        if evidence(members) - evidence(members - {weakest}) >= GROWTH_GAIN:
             break
         members -= {weakest}
         order.remove(weakest)
     found = []
     for c in order:
         without = evidence(members - {c})
-        least = evidence(members) - ALTERNATIVE
+        least = evidence(members) - 0.5 * GROWTH_GAIN
         if replay.unexplained(sorted(members), c):
             least = min(least, without + CLOSE * (evidence(members) - without))
         others = [o for o in replay.effects if o not in members and evidence(members - {c} | {o}) > least]
@@ -270,17 +270,17 @@ class Inside:
         replayed = replay.replayed[condition]
         channels = np.flatnonzero(np.isin(replay.of, [replay.arrays.index(o) for o in outputs]))
         residual = replay.table(self.left, condition)[:, channels]
-        inputs = replayed.inputs(self.component)
+        inputs = replayed.inputs[self.component]
         found = localise.dependences(
             residual,
-            localise.variables(inputs, replayed.units(inputs), replayed.times()),
+            localise.variables(inputs, {c: replayed.unit(c) for c in inputs}, replayed.grid),
             lambda s: replay.filtered(s, channels),
             TEMPERATURE,
         )
         return found + [
             Dependence(f"frequency {a:g} .. {b:g} Hz", s, None)
             for (a, b), s in localise.bands(
-                np.mean(replayed.residuals, axis=0)[:, replay.at[channels]] / replay.noise[channels], replayed.step()
+                np.mean(replayed.residuals, axis=0)[:, replay.at[channels]] / replay.noise[channels], replayed.step
             )
         ]
 
@@ -295,7 +295,7 @@ def located(
 ) -> Located:
     """`locate` on those of the first `n` conditions that the system itself made. Nothing is said where it cannot be replayed."""
     own = [i for i in range(n) if laboratory.conditions[i].system is None]
-    cuts = structure(laboratory.system, list(dict.fromkeys(map(array_of, laboratory.channels))))
+    cuts = structure(laboratory.system, list(dict.fromkeys(map(base_name, laboratory.channels))))
     if not own:
         return Located(structure=cuts)
     every, laboratory = laboratory.channels, laboratory.shown_in(own)

@@ -15,10 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from robomill.diagnosis.experiment.repeats import RESAMPLES
 from robomill.orchestration.slaves.protocol import FloatArray
 
-BLOCKS, BLOCK_RESAMPLES = 24, 1000
-"""Blocks of time that a condition is divided into, and how often the bootstrap draws them anew."""
+BLOCKS = 24
+"""Blocks of time that a condition is divided into."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ def products(
     return Products(pairs(*before, 0.0), pairs(*after, 0.0), noise, floor, regressed, kept, lengths)
 
 
-def figures(parts: Sequence[Products], metric: str = "", channel: str = "", unit: str = "1", on: str = "", seed: int = 0) -> HowFar:
+def figures(parts: Sequence[Products], metric: str = "", channel: str = "", unit: str = "1", on: str = "") -> HowFar:
     """How far the gap shrinks over several conditions; `metric`, `channel`, `unit` and `on` say of which figure, and where.
 
     closure = 1 - sum of `after` / sum of `before`, ceiling = 1 - sum of `floor` / sum of `before`, over all blocks; the interval (90 %)
@@ -136,8 +137,8 @@ def figures(parts: Sequence[Products], metric: str = "", channel: str = "", unit
     before, after, floor, samples, noise, kept = (
         np.concatenate([getattr(p, name) for p in parts]) for name in ("before", "after", "floor", "samples", "noise", "kept")
     )
-    rng = np.random.default_rng(seed)
-    choice = rng.integers(0, len(before), (BLOCK_RESAMPLES, len(before)))
+    rng = np.random.default_rng(0)
+    choice = rng.integers(0, len(before), (RESAMPLES, len(before)))
     least = [float(np.quantile(x[choice].sum(axis=1), 0.05)) for x in (before, after)]
     measurable = bool(least[0] > 0.0 and before.sum() > 0.05 * noise.sum() / max(np.sqrt(len(before)), 1.0))
     before, after, floor = before + kept, after + kept, floor + kept

@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from robomill.diagnosis.catalogue import Address
+from robomill.diagnosis.experiment.segments import by_array
 from robomill.diagnosis.experiment.simulation import setting
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.localisation.where import WHOLE
 from robomill.diagnosis.outcome import closure
 from robomill.diagnosis.outcome.ceiling import predicted_gap
-from robomill.orchestration.slaves.protocol import FloatArray, base_name
+from robomill.orchestration.slaves.protocol import FloatArray
 
 CLOSING = 4
 """Simulations with different noise that the closure is measured with."""
@@ -28,10 +29,8 @@ Groups = Sequence[Sequence[FloatArray]]
 
 def metrics(search: Search, titles: Mapping[str, str]) -> dict[str, list[int]]:
     """Arrays of channels that count as one figure, array -> indices of its active channels: those with a title, or all."""
-    groups: dict[str, list[int]] = {}
-    for i, name in enumerate(search.simulator.laboratory.channels):
-        if search.evidence.active[i]:
-            groups.setdefault(base_name(name), []).append(i)
+    every = by_array(search.simulator.laboratory.channels)
+    groups = {g: active for g, members in every.items() if (active := [i for i in members if search.evidence.active[i]])}
     wanted = [g for g in groups if g in titles] or list(groups)
     return {g: groups[g] for g in wanted}
 

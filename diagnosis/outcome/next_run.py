@@ -23,17 +23,16 @@ import numpy as np
 from robomill.diagnosis.catalogue import physical
 from robomill.diagnosis.experiment.design import SEARCHED, Design, Kind, Offer, searched
 from robomill.diagnosis.experiment.measured import Condition
-from robomill.diagnosis.experiment.simulation import Laboratory, Setting, Simulator, setting
+from robomill.diagnosis.experiment.simulation import DRAWS, Laboratory, Setting, Simulator, setting
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.isolability import CONFUSABLE, distance
 from robomill.diagnosis.inference.search import Search
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.slaves.protocol import FloatArray
 
-ENOUGH = 6.0
-"""Distance [deviations of noise] from which more does not count: the pair is told apart, wrongly in 0.13 % of all cases."""
-DRAWS = 3
-"""Draws of the nuisances (cost)."""
+ENOUGH = 2.0 * CONFUSABLE
+"""Distance [deviations of noise] from which more does not count: both are clear of the decision, which is half way between them. The pair
+is told apart, wrongly in 0.13 % of all cases."""
 LIKELY, RIVALS = 0.05, 3
 """Probability from which a model is a rival, and how many there are at most."""
 

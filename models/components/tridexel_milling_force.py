@@ -11,42 +11,24 @@ import math
 from dataclasses import replace
 
 from robomill.models.components.milling_force import MODEL as MILLING
-from robomill.models.maths.elementary import atan2, exp, power, sincos, tan
-from robomill.models.maths.frames import cross, dot, mat_t_vec, mat_vec, quat_to_matrix
+from robomill.models.maths.elementary import sincos
+from robomill.models.maths.frames import cross, dot, mat_t_vec, mat_vec, normalise, quat_to_matrix
 from robomill.models.model.declaration import FloatArray, Model, Record, Variable, kernel
 from robomill.models.model.table_access import cell
-from robomill.models.process import dexels, tool_table, tridexels
-from robomill.models.process.cutting import LEAST_LAG, MAX_TEETH, chip_law, tooth_radii
+from robomill.models.process import tool_table, tridexels
+from robomill.models.process.cutting import MAX_TEETH, tooth_radii
+from robomill.models.process.tridexel_engagement import BINS, DISCS, TWO_PI
+from robomill.models.process.tridexel_force import cutting_force
+from robomill.models.process.tridexel_stock import box, finest, lay_out
 
-BINS = 120
-"""Angular bins of 3 degrees over the whole turn."""
-NOSE = 12
-"""Elements of a rounded corner from its lowest point to the cylinder: 7.5 degrees each."""
-DISCS = 60
-"""Elements along the cutter's profile, at most: those of the corner and of the cylinder."""
-DISC = 1e-3
-"""Height of an element of the cylinder [m], unless the engaged height needs more than there are."""
-RING = 1.75
-"""Material is looked for this many cells outside of the cutter, ahead along the feed, clear of what it has cut itself."""
-GATE = 0.75
-"""The edge itself may be this many cells outside of the material that it is about to meet."""
 MOST_SUBSTEPS = 96
 """Instants per step at which the peak is looked for, at most."""
-PROBES = 9
-"""Points across the flat of the end at which the floor under it is looked at."""
 LEAST_TURN = 1e-9
 """A spindle that turns less than this in a step [rad] stands."""
-LEAST_SPEED = 1e-12
-"""Speed [m/s] below which an element stands still."""
-LEAST_CHIP = 1e-6
-"""Chip thickness [m] below which the size effect grows no further."""
 SPACING = 2.5e-4
 """Default distance of the lines [m]: 16 MB for 200 x 150 x 30 mm."""
 CORNERS = ("number", "corner_radius")
 """T number and corner radius [m]: a row of the table `corners`."""
-
-PI = math.pi
-TWO_PI = 2.0 * math.pi
 
 
 def _scratch(name: str, description: str, unit: str = "1", shape: tuple[int, ...] = (), start: float = 0.0) -> Variable:
@@ -254,9 +236,7 @@ def step(s: Record, t: float, h: float) -> int:
         s.f_P[i] = 0.0
         s.m_P[i] = 0.0
     if near and turn > LEAST_TURN:
-        status = _force(s, turn, h)
-        if status == 0:
-            status = _sweep(s)
+        status = _sweep(s) if cutting_force(s, turn, h) else _CHIP_TOO_THICK
         if status != 0:
             return status
     else:
@@ -307,22 +287,13 @@ def _means(s: Record, h: float) -> None:
         s.v_P[i] = s.v_way[i] if s.actual_feed != 0 else 0.5 * (s.v_last[i] + s.v_now[i])
         s.axis_mid[i] = s.axis_last[i] + s.axis[i]
         s.side_mid[i] = s.side_last[i] + s.side[i]
-    _unit(s.axis_mid)
+    normalise(s.axis_mid)
     along = dot(s.axis_mid, s.side_mid)
     for i in range(3):
         s.side_mid[i] -= along * s.axis_mid[i]
         s.point[i] = (s.axis[i] - s.axis_last[i]) / h
-    _unit(s.side_mid)
+    normalise(s.side_mid)
     cross(s.axis_mid, s.point, s.swing)
-
-
-@kernel
-def _unit(a: FloatArray) -> None:
-    """Divide a vector by its length, unless that is 0."""
-    length = math.sqrt(dot(a, a))
-    if length > 0.0:
-        for i in range(3):
-            a[i] /= length
 
 
 @kernel
@@ -381,377 +352,6 @@ def _sweep(s: Record) -> int:
     return 0
 
 
-# ---------------------------------------------------------------- the force
-@kernel
-def _force(s: Record, turn: float, h: float) -> int:
-    """Mean force and moment in P, peak, torque and depth while the spindle turns by `turn` [rad] in the middle of the step."""
-    along = dot(s.v_P, s.axis_mid)
-    for i in range(3):
-        s.ahead[i] = s.v_P[i] - along * s.axis_mid[i]
-    if dot(s.ahead, s.ahead) < LEAST_SPEED * LEAST_SPEED:
-        for i in range(3):
-            s.ahead[i] = s.side_mid[i]
-    _unit(s.ahead)
-    cross(s.axis_mid, s.ahead, s.left)
-    cross(s.side_mid, s.axis_mid, s.point)  # z of T
-    towards = atan2(dot(s.left, s.point), dot(s.left, s.side_mid))
-    per_tooth = TWO_PI * h / (s.mill_teeth * turn)
-    s.chip = math.sqrt(dot(s.v_P, s.v_P)) * per_tooth
-    for b in range(BINS):
-        s.bin_depth[b] = 0.0
-    for k in range(s.substeps):
-        for i in range(3):
-            s.instant[k, i] = 0.0
-    thrust, torque, rate = _end_face(s, -along * per_tooth, -dot(s.v_way, s.axis_mid), h)
-    for i in range(3):
-        s.f_P[i] = thrust * s.axis_mid[i]
-        s.m_P[i] = torque * s.axis_mid[i]
-    lag = max(2.0 * tan(s.mill_helix) / s.mill_diameter, LEAST_LAG)
-    _profile(s)
-    any_cut = False
-    if s.discs > 0:
-        _row(s, 0, s.lower)
-    for n in range(s.discs):
-        _row(s, n + 1, s.upper)
-        if _shares(s, n):
-            any_cut = True
-            rate += _disc(s, n, per_tooth)
-            _turned(s, n, s.spindle_angle - towards - lag * s.middle[n, 0], turn, per_tooth)
-        for b in range(BINS + 1):
-            s.lower[b] = s.upper[b]
-    if any_cut and s.chip > 0.5 * s.mill_diameter:
-        return _CHIP_TOO_THICK
-    peak2 = 0.0
-    for k in range(s.substeps):
-        x = s.instant[k, 0] + thrust * s.axis_mid[0]
-        y = s.instant[k, 1] + thrust * s.axis_mid[1]
-        z = s.instant[k, 2] + thrust * s.axis_mid[2]
-        peak2 = max(peak2, x * x + y * y + z * z)
-    for b in range(BINS):
-        s.depth = max(s.depth, s.bin_depth[b])
-    s.f_peak = math.sqrt(peak2)
-    s.spindle_torque = dot(s.m_P, s.axis_mid)
-    s.spindle_power = s.spindle_torque * turn / h
-    s.removal_rate = rate
-    return 0
-
-
-@kernel
-def _profile(s: Record) -> None:
-    """Cut the cutter's profile into elements: the rounded corner by equal angles, the cylinder by equal heights up to the box."""
-    radius = 0.5 * s.mill_diameter
-    core = radius - s.mill_corner
-    top = 0.0  # how far up its axis the cutter can meet the box
-    for i in range(3):
-        edge = s.origin[i] + s.extent[i] if s.axis_mid[i] > 0.0 else s.origin[i]
-        top += (edge - s.p_mid[i]) * s.axis_mid[i]
-    side = 0.0
-    for i in range(3):
-        side += radius * abs(s.axis_mid[i]) * math.sqrt(max(1.0 - s.axis_mid[i] * s.axis_mid[i], 0.0))
-    top = min(top + side, s.mill_cutting_length)
-    n = 0
-    if s.mill_corner > 0.0:
-        for k in range(NOSE + 1):
-            sine, cosine = sincos(0.5 * PI * k / NOSE)
-            if k == NOSE:
-                sine, cosine = 1.0, 0.0
-            _level(s.level, k, s.mill_corner * (1.0 - cosine), core + s.mill_corner * sine, sine, cosine)
-        for k in range(NOSE):
-            if s.level[k, 0] >= top:
-                break
-            sine, cosine = sincos(0.5 * PI * (k + 0.5) / NOSE)
-            _level(s.middle, k, s.mill_corner * (1.0 - cosine), core + s.mill_corner * sine, sine, cosine)
-            s.edge[k] = 0.5 * PI / NOSE * s.mill_corner
-            n = k + 1
-    else:
-        _level(s.level, 0, 0.0, radius, 1.0, 0.0)
-    height = top - s.mill_corner
-    if height > 0.0:
-        count = min(math.floor(height / DISC) + 1, DISCS - n)
-        for k in range(count):
-            _level(s.level, n + k + 1, s.mill_corner + height * (k + 1) / count, radius, 1.0, 0.0)
-            _level(s.middle, n + k, s.mill_corner + height * (k + 0.5) / count, radius, 1.0, 0.0)
-            s.edge[n + k] = height / count
-        n += count
-    s.discs = n
-
-
-@kernel
-def _level(out: FloatArray, k: int, height: float, radius: float, sine: float, cosine: float) -> None:
-    out[k, 0] = height
-    out[k, 1] = radius
-    out[k, 2] = sine
-    out[k, 3] = cosine
-
-
-@kernel
-def _reach(s: Record, sine: float, cosine: float, height: float, radius: float, up: float, down: float) -> float:
-    """How far [m] material reaches before the envelope at an angle about the axis (its sine, cosine) and a place of the profile.
-
-    Positive where an edge is in it; far negative where the envelope does not advance, up to a bin's width of it.
-    """
-    far: float = -tridexels.FAR * max(s.pitch[0], s.pitch[1], s.pitch[2])
-    ax, ay, az = s.axis_mid[0], s.axis_mid[1], s.axis_mid[2]
-    ox = sine * s.ahead[0] + cosine * s.left[0]
-    oy = sine * s.ahead[1] + cosine * s.left[1]
-    oz = sine * s.ahead[2] + cosine * s.left[2]
-    rx, ry, rz = radius * ox + height * ax, radius * oy + height * ay, radius * oz + height * az
-    vx = s.v_P[0] + s.swing[1] * rz - s.swing[2] * ry
-    vy = s.v_P[1] + s.swing[2] * rx - s.swing[0] * rz
-    vz = s.v_P[2] + s.swing[0] * ry - s.swing[1] * rx
-    speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-    if speed < LEAST_SPEED:
-        return far
-    facing = (up * (vx * ox + vy * oy + vz * oz) - down * (vx * ax + vy * ay + vz * az)) / speed
-    if facing < -TWO_PI / BINS:
-        return far
-    px, py, pz = s.p_mid[0] + rx, s.p_mid[1] + ry, s.p_mid[2] + rz
-    spacing = max(s.pitch[0], s.pitch[1], s.pitch[2])
-    bend = 0.5 * s.mill_diameter
-    q = RING * spacing / bend
-    way = bend * (math.sqrt(facing * facing + 2.0 * q + q * q) - facing) / speed
-    before = tridexels.distance(s.pool, s.cells, s.origin, s.pitch, s.tick, s.segments, px + way * vx, py + way * vy, pz + way * vz)
-    if before <= 0.0:
-        return before
-    here: float = tridexels.distance(s.pool, s.cells, s.origin, s.pitch, s.tick, s.segments, px, py, pz) + GATE * spacing
-    return min(before, here)
-
-
-@kernel
-def _row(s: Record, n: int, out: FloatArray) -> None:
-    """`_reach` at level n of the profile, at all bounds of bins."""
-    for b in range(BINS):
-        out[b] = _reach(s, s.bound_sine[b], s.bound_cosine[b], s.level[n, 0], s.level[n, 1], s.level[n, 2], s.level[n, 3])
-    out[BINS] = out[0]
-
-
-@kernel
-def _shares(s: Record, n: int) -> bool:
-    """Share of element n that is in material: along the profile at the bounds of the bins, then in the bins; whether any is."""
-    found = False
-    for b in range(BINS):
-        f0, f1 = s.lower[b], s.upper[b]
-        share = 0.0
-        if f0 > 0.0 and f1 > 0.0:
-            share = 1.0
-        elif f0 > 0.0 or f1 > 0.0:
-            place = _crossing(s, n, b, f0, f1)
-            share = place if f0 > 0.0 else 1.0 - place
-        s.engaged[b] = share
-        if share > 0.0:
-            found = True
-    s.engaged[BINS] = s.engaged[0]
-    for b in range(BINS):
-        e0, e1 = s.engaged[b], s.engaged[b + 1]
-        if (e0 > 0.0) == (e1 > 0.0):
-            s.share[b] = 0.5 * (e0 + e1)
-        else:
-            # the material ends within the bin: halve it to where, then go straight, so that the force follows the pose smoothly
-            inside, outside = (0.0, 1.0) if e0 > 0.0 else (1.0, 0.0)
-            f_inside, f_outside = 0.0, 0.0
-            m = s.middle[n]
-            for _ in range(4):
-                place = 0.5 * (inside + outside)
-                sine, cosine = sincos(TWO_PI * (b + place) / BINS)
-                f = _reach(s, sine, cosine, m[0], m[1], m[2], m[3])
-                if f > 0.0:
-                    inside, f_inside = place, f
-                else:
-                    outside, f_outside = place, f
-            place = 0.5 * (inside + outside)
-            if f_inside > f_outside:
-                place = inside + (outside - inside) * f_inside / (f_inside - f_outside)
-            s.share[b] = e0 * place if e0 > 0.0 else e1 * (1.0 - place)
-    return found
-
-
-@kernel
-def _crossing(s: Record, n: int, b: int, f0: float, f1: float) -> float:
-    """Part of element n below the place at which the material ends along its profile, by false position (Illinois)."""
-    t0, t1 = 0.0, 1.0
-    t = 0.5
-    for _ in range(4):
-        t = t0 + (t1 - t0) * f0 / (f0 - f1)
-        u = 1.0 - t
-        f = _reach(
-            s,
-            s.bound_sine[b],
-            s.bound_cosine[b],
-            u * s.level[n, 0] + t * s.level[n + 1, 0],
-            u * s.level[n, 1] + t * s.level[n + 1, 1],
-            u * s.level[n, 2] + t * s.level[n + 1, 2],
-            u * s.level[n, 3] + t * s.level[n + 1, 3],
-        )
-        if (f > 0.0) == (f0 > 0.0):
-            t0, f0 = t, f
-            f1 *= 0.5
-        else:
-            t1, f1 = t, f
-            f0 *= 0.5
-    return t
-
-
-@kernel
-def _disc(s: Record, n: int, per_tooth: float) -> float:
-    """Chip of every bin of element n into s.share and s.engaged [m]: the way of the envelope per tooth; the volume per time [m3/s]."""
-    height, radius, up, down = s.middle[n, 0], s.middle[n, 1], s.middle[n, 2], s.middle[n, 3]
-    rate = 0.0
-    for b in range(BINS):
-        s.engaged[b] = 0.0
-        if s.share[b] <= 0.0:
-            continue
-        sine, cosine = s.bin_sine[b], s.bin_cosine[b]
-        ox = sine * s.ahead[0] + cosine * s.left[0]
-        oy = sine * s.ahead[1] + cosine * s.left[1]
-        oz = sine * s.ahead[2] + cosine * s.left[2]
-        ax, ay, az = s.axis_mid[0], s.axis_mid[1], s.axis_mid[2]
-        rx, ry, rz = radius * ox + height * ax, radius * oy + height * ay, radius * oz + height * az
-        vx = s.v_P[0] + s.swing[1] * rz - s.swing[2] * ry
-        vy = s.v_P[1] + s.swing[2] * rx - s.swing[0] * rz
-        vz = s.v_P[2] + s.swing[0] * ry - s.swing[1] * rx
-        advance = up * (vx * ox + vy * oy + vz * oz) - down * (vx * ax + vy * ay + vz * az)
-        if advance > 0.0:
-            s.engaged[b] = advance * per_tooth
-            s.bin_depth[b] += s.share[b] * (s.level[n + 1, 0] - s.level[n, 0])
-            # what is really removed follows the actual way
-            for i in range(3):
-                normal = up * (sine * s.ahead[i] + cosine * s.left[i]) - down * s.axis_mid[i]
-                advance += (s.v_way[i] - s.v_P[i]) * normal
-            rate += s.share[b] * max(advance, 0.0) * radius * TWO_PI / BINS * s.edge[n]
-    return rate
-
-
-@kernel
-def _turned(s: Record, n: int, start: float, turn: float, per_tooth: float) -> None:
-    """Add element n to mean force, mean moment and instants while tooth 1 turns from `start` (against the feed's left) on by `turn`."""
-    for j in range(s.mill_teeth):
-        if j == 0 or s.runout > 0.0:
-            _densities(s, n, j)
-        first = start - TWO_PI * j / s.mill_teeth
-        for i in range(6):
-            mean = (_up_to(s, first + turn, i) - _up_to(s, first, i)) / turn
-            if i < 3:
-                s.f_P[i] += mean
-            else:
-                s.m_P[i - 3] += mean
-        for k in range(s.substeps):
-            angle = first + turn * (k + 0.5) / s.substeps
-            b = math.floor((angle / TWO_PI - math.floor(angle / TWO_PI)) * BINS)
-            b = min(b, BINS - 1)
-            for i in range(3):
-                s.instant[k, i] += s.density[b, i]
-
-
-@kernel
-def _up_to(s: Record, angle: float, i: int) -> float:
-    """Integral of a density over the angle from 0 to `angle` [rad], whole turns included."""
-    turns = math.floor(angle / TWO_PI)
-    place = (angle / TWO_PI - turns) * BINS
-    b = min(math.floor(place), BINS - 1)
-    result: float = turns * s.sums[BINS, i] + s.sums[b, i] + (place - b) * (s.sums[b + 1, i] - s.sums[b, i])
-    return result
-
-
-@kernel
-def _densities(s: Record, n: int, tooth: int) -> None:
-    """Force [N] and moment about the tip [N.m] in P on the edge of a tooth in element n, bin by bin, and their sums over angle."""
-    height, radius, up, down = s.middle[n, 0], s.middle[n, 1], s.middle[n, 2], s.middle[n, 3]
-    onset = 1.0
-    if s.chip < s.edge_onset:
-        onset = s.chip / s.edge_onset
-    edge = (1.0 + s.tool_wear) * onset
-    ax, ay, az = s.axis_mid[0], s.axis_mid[1], s.axis_mid[2]
-    for b in range(BINS):
-        for i in range(6):
-            s.density[b, i] = 0.0
-        h = s.engaged[b]
-        if h > 0.0 and s.runout > 0.0 and up > 0.0:
-            a, slope = chip_law(tooth, s.mill_teeth, h / up, 1.0, s.radii)
-            h = (a + slope) * up
-        if h > 0.0:
-            gain = 1.0 + s.cutting_coefficient_error
-            if s.size_effect_exponent > 0.0:
-                gain *= power((h if h > LEAST_CHIP else LEAST_CHIP) / s.size_reference, -s.size_effect_exponent)
-            length = s.edge[n] * s.share[b]
-            ft = (s.Ktc * gain * h + s.Kte * edge) * length
-            fr = (s.Krc * gain * h + s.Kre * edge) * length
-            fa = (s.Kac * gain * h + s.Kae * edge) * length
-            sine, cosine = s.bin_sine[b], s.bin_cosine[b]
-            outward = -fr * up - fa * down
-            upward = fr * down - fa * up
-            for i in range(3):
-                out = sine * s.ahead[i] + cosine * s.left[i]
-                with_turn = cosine * s.ahead[i] - sine * s.left[i]
-                s.density[b, i] = -ft * with_turn + outward * out + upward * s.axis_mid[i]
-            rx = radius * (sine * s.ahead[0] + cosine * s.left[0]) + height * ax
-            ry = radius * (sine * s.ahead[1] + cosine * s.left[1]) + height * ay
-            rz = radius * (sine * s.ahead[2] + cosine * s.left[2]) + height * az
-            fx, fy, fz = s.density[b, 0], s.density[b, 1], s.density[b, 2]
-            s.density[b, 3] = ry * fz - rz * fy
-            s.density[b, 4] = rz * fx - rx * fz
-            s.density[b, 5] = rx * fy - ry * fx
-        for i in range(6):
-            s.sums[b + 1, i] = s.sums[b, i] + s.density[b, i] * (TWO_PI / BINS)
-
-
-@kernel
-def _end_face(s: Record, plunge: float, speed: float, h: float) -> tuple[float, float, float]:
-    """Thrust [N], torque [N.m], volume per time [m3/s] of the flat of the end, going down by `plunge` [m] per tooth.
-
-    Its contact builds up over contact_time, as in `milling_force`.
-    """
-    flat = 0.5 * s.mill_diameter - s.mill_corner
-    target = 0.0
-    if plunge > 0.0 and flat > 0.0:
-        target = _contact(s, flat)
-    share, mean = target, target
-    if s.contact_time > 0.0:
-        periods = h / s.contact_time
-        decay = exp(-periods)
-        share = target + (s.contact_share - target) * decay
-        mean = target + (s.contact_share - target) * (1.0 - decay) / periods
-    s.contact_share = 0.0 if target == 0.0 and share < 1e-3 else share
-    if not (plunge > 0.0 and mean > 0.0):
-        return 0.0, 0.0, 0.0
-    cutting = (1.0 + s.cutting_coefficient_error) * plunge
-    edge = (1.0 + s.tool_wear) * (plunge / s.edge_onset if plunge < s.edge_onset else 1.0)
-    length = s.mill_teeth * mean * s.bottom_edge * flat
-    arm = (1.0 - 0.5 * s.bottom_edge) * flat
-    return (
-        length * (s.Krc * cutting + s.Kre * edge),
-        length * arm * (s.Ktc * cutting + s.Kte * edge),
-        target * PI * flat * flat * max(speed, 0.0),
-    )
-
-
-@kernel
-def _contact(s: Record, flat: float) -> float:
-    """Share of the flat of the end that stands on material, 0..1: 1 where the floor reaches it, 0 where it is contact_zone lower."""
-    hits = 0.0
-    points = 0
-    pitch = 2.0 * flat / PROBES
-    for i in range(PROBES):
-        u = (i - PROBES // 2) * pitch
-        for j in range(PROBES):
-            v = (j - PROBES // 2) * pitch
-            if u * u + v * v > flat * flat:
-                continue
-            points += 1
-            gap = tridexels.distance(
-                s.pool,
-                s.cells,
-                s.origin,
-                s.pitch,
-                s.tick,
-                s.segments,
-                s.p_mid[0] + u * s.ahead[0] + v * s.left[0],
-                s.p_mid[1] + u * s.ahead[1] + v * s.left[1],
-                s.p_mid[2] + u * s.ahead[2] + v * s.left[2],
-            )
-            hits += min(max(1.0 + gap / s.contact_zone, 0.0), 1.0)
-    return hits / points
-
-
 # ---------------------------------------------------------------- before the first step
 @kernel
 def _prepare(s: Record) -> int:
@@ -769,15 +369,15 @@ def _prepare(s: Record) -> int:
     quat_to_matrix(s.quat_BP, s.R_BP)
     if s.stock_rows > 0 and s.engagement_error != 0.0:
         return _NO_BLOCK
-    _box(s)
+    box(s)
     longest = 0.0
     for i in range(3):
         if not s.extent[i] > 0.0:
             return _BAD_PARAMETER
         longest = max(longest, s.extent[i])
     s.tick = longest / tridexels.TICKS
-    if not _lay_out(s, s.spacing):
-        s.finest_spacing = _finest(s)
+    if not lay_out(s, s.spacing):
+        s.finest_spacing = finest(s)
         return _TOO_MANY_CELLS
     s.finest_spacing = 0.0
     for i in range(tool_table.SHOWN):
@@ -796,50 +396,6 @@ def _prepare(s: Record) -> int:
     for b in range(BINS):
         s.bin_sine[b], s.bin_cosine[b] = sincos(TWO_PI * (b + 0.5) / BINS)
     return 0
-
-
-@kernel
-def _box(s: Record) -> None:
-    """Lower corner and size of the box of the stock, in P."""
-    if s.stock_rows == 0:
-        for i in range(3):
-            s.extent[i] = s.block_size[i] + (2.0 * s.engagement_error if i < 2 else s.stock_error)
-            s.origin[i] = -0.5 * s.extent[i] if i < 2 else -s.block_size[2]
-        return
-    for i in range(3):
-        low = high = cell(s.stock_at, s.stock_rows, tridexels.COLUMNS, 0, i)
-        for row in range(s.stock_rows):
-            for corner in range(3):
-                x = cell(s.stock_at, s.stock_rows, tridexels.COLUMNS, row, 3 * corner + i)
-                low = min(low, x)
-                high = max(high, x)
-        s.origin[i] = low + (s.stock_error if i == 2 else 0.0)
-        s.extent[i] = high - low
-
-
-@kernel
-def _lay_out(s: Record, spacing: float) -> bool:
-    """Number and size of the cells for a spacing [m]; False if their lines have no room."""
-    most = 4.0 * tridexels.CAPACITY
-    for i in range(3):
-        # compare as reals first: the count itself may not fit an integer
-        if s.extent[i] / spacing * (s.extent[(i + 1) % 3] / spacing) * s.segments > most:
-            return False
-    for i in range(3):
-        s.cells[i] = dexels.cells(s.extent[i], spacing)
-        s.pitch[i] = s.extent[i] / s.cells[i]
-    fits: bool = tridexels.word_of(tridexels.lines(s.cells), s.segments) <= tridexels.CAPACITY
-    return fits
-
-
-@kernel
-def _finest(s: Record) -> float:
-    """Finest spacing [m], a whole number of micrometres, with which the lines have room."""
-    area = s.extent[0] * s.extent[1] + s.extent[1] * s.extent[2] + s.extent[2] * s.extent[0]
-    spacing = math.floor(1e6 * math.sqrt(area * s.segments / tridexels.CAPACITY)) * 1e-6
-    while spacing <= 0.0 or not _lay_out(s, spacing):
-        spacing += 1e-6
-    return spacing
 
 
 @kernel

@@ -66,6 +66,15 @@ def norm(a: FloatArray) -> float:
 
 
 @kernel
+def normalise(a: FloatArray) -> None:
+    """Divide a vector by its length, unless that is 0."""
+    length = math.sqrt(dot(a, a))
+    if length > 0.0:
+        for i in range(3):
+            a[i] /= length
+
+
+@kernel
 def quat_to_matrix(quat: FloatArray, R: FloatArray) -> None:
     """Set R from a quaternion of unit length."""
     w, x, y, z = quat[0], quat[1], quat[2], quat[3]

@@ -27,7 +27,7 @@ def section(s: Subject) -> str:
     """Candidates with their values, the sets that hold the cause, and how to simulate with the answer."""
     if not s.answer.which:
         return ""
-    described = s.catalogue.descriptions or {}
+    described = s.catalogue.descriptions
     rows = []
     for w in s.answer.which:
         others = [spoken(c) for c in w.confusable_with]

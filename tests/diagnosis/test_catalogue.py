@@ -359,7 +359,6 @@ sampled = ["sensor", "controller"]
         assert {t.address[0] for t in both.tolerances} == {"sensor"}
         assert both.refinement is not None
         assert both.refinement.sampled == ("sensor", "controller", "sensor", "controller")
-        assert both.descriptions is not None
         assert set(both.descriptions) == {"a", "late", "b", "later"}
         with pytest.raises(CatalogueError, match=r"c\.toml: effect 'a' is in .*c\.toml, too; give one of them another name"):
             first.joined(first)

@@ -108,7 +108,7 @@ class TestCompared:
 
     @pytest.mark.parametrize(("unlike", "fatal"), [(1, False), (2, False), (3, True), (5, True)])
     def test_a_repeat_unlike_in_some_of_five_channels_is_kept_and_in_most_of_them_stops_the_log(self, unlike: int, fatal: bool) -> None:
-        """MOST_CHANNELS: what a spindle does anew with each start is seen in some channels, another program in most."""
+        """What a spindle does anew with each start is seen in some channels, another program in most."""
         channels = [f"a.y[{k + 1}]" for k in range(5)]
         simulated, measured = ([np.hstack(noisy(5, 0.02, seed=10 * k + s)) for k in range(1, n)] for s, n in ((1, 9), (2, 6)))
         measured[-1][:, :unlike] += 0.4 * np.sqrt(2.0) * np.cos(18.0 * np.pi * T)[:, None]  # 20 times the noise
@@ -120,7 +120,7 @@ class TestCompared:
 
     def test_of_two_repeats_none_is_unlike_the_others(self) -> None:
         assert self.said(SINE, 2.0 * SINE) == []
-        assert self.said(SINE, SINE, 2.0 * SINE) == [("repeat", True)]  # ODD_ONE_OUT
+        assert self.said(SINE, SINE, 2.0 * SINE) == [("repeat", True)]
 
     def test_a_repeat_whose_clock_was_started_later_is_noted_and_not_stopped(self) -> None:
         late = np.interp(T - 0.8 * STEP, T, SINE[:, 0])[:, None]

@@ -9,13 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
-from robomill.diagnosis.gate.run_set import check_each, complete, other_program
+from robomill.diagnosis.gate.run_set import check_each, complete, latest_clock, other_program
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
 from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
 from tests.tolerances import ROUNDOFF
+
+ROOT = Path(__file__).parents[3]
 
 
 def refused(folder: Path, runs: list[Run], held_out: list[Run] | None = None) -> str:
@@ -119,11 +122,11 @@ class TestProgram:
 
     T = 0.01 * np.arange(800)
 
-    def found(self, measured: object, simulated: object) -> list[str]:
+    def found(self, measured: object, simulated: object, latest: float = 0.3) -> list[str]:
         x, s = np.stack([measured, self.T], axis=1), np.stack([simulated, self.T], axis=1)
         r = replace(measure(repeats=1)[0], folder=Path("r1"))
         ports = {"path.x": r.ports["sensors.y[1]"], "drive.y": r.ports["sensors.y[1]"]}
-        return [f.text for f in other_program(replace(r, ports=ports), x, s, list(ports), {"path"}, 0.01)]
+        return [f.text for f in other_program(replace(r, ports=ports), x, s, list(ports), {"path"}, 0.01, latest)]
 
     def test_the_same_late_and_rounded_is_the_same(self) -> None:
         s = np.sin(self.T)
@@ -147,6 +150,13 @@ class TestProgram:
             assert text.startswith("is not what the nominal system plays: r1 is")
             assert "another program, place or feed than [parameters] of its run.toml say?" in text
         assert len(self.found(np.full(800, 1.2), np.ones(800))) == 1
+
+    def test_it_may_be_as_late_as_a_clock_of_the_catalogue(self) -> None:
+        known = Catalogue.load(ROOT / "scenarios" / "catalogue.toml").candidates
+        assert latest_clock(known) == 0.3
+        assert latest_clock([c for c in known if c.effect != "clock_skew"]) == 0.0
+        late, s = np.sin(self.T - 0.6), np.sin(self.T)
+        assert [len(self.found(late, s, latest)) for latest in (0.0, 0.3, 0.7)] == [1, 1, 0]
 
     def test_the_diagnosis_stops_there(self, tmp_path: Path) -> None:
         """The force is recorded, but the runs say another amplitude than was played; with it as an effect it is no program."""

@@ -16,7 +16,7 @@ from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.experiment.segments import Segment, Structure, segments, sets_alike, structure
-from robomill.diagnosis.localisation.localise import alignment, bands, dependences, discoveries, variables
+from robomill.diagnosis.localisation.localise import alignment, bands, dependences, variables
 from robomill.diagnosis.localisation.replay_attribution import Replay
 from robomill.diagnosis.localisation.swap import shapley
 from robomill.diagnosis.localisation.where import Replayed, Where, blame, combined, locate
@@ -134,12 +134,6 @@ class TestInside:
         noise = rng.normal(size=(4000, 3))
         variance = np.ones(3)
         assert alignment(noise, rng.normal(size=(4000, 3, 2)), 1.2 * variance).max() == 0.0
-
-    def test_benjamini_hochberg(self) -> None:
-        # their own example (1995, section 3.2): four are found at 5 %, where Bonferroni finds three
-        p = [0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344, 0.0459, 0.3240, 0.4262, 0.5719, 0.6528, 0.7590, 1.0]
-        assert discoveries(p) == [True] * 4 + [False] * 11
-        assert discoveries([]) == []
 
     def inputs(self) -> tuple[dict[str, FloatArray], dict[str, str], FloatArray]:
         t = np.linspace(0.0, 4.99, 500)

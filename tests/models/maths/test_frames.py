@@ -40,6 +40,12 @@ def test_products_are_those_of_numpy(seed: int) -> None:
     assert np.abs(c - np.cross(a, b)).max() < 10 * ROUNDOFF
     assert abs(frames.dot(a, b) - a @ b) < 10 * ROUNDOFF
     assert abs(frames.norm(a) - np.linalg.norm(a)) < 10 * ROUNDOFF
+    unit = a / np.linalg.norm(a)
+    frames.normalise(a)
+    assert np.abs(a - unit).max() < 10 * ROUNDOFF
+    nothing = np.zeros(3)
+    frames.normalise(nothing)
+    assert not nothing.any()
 
 
 def test_vector_products_may_overwrite_their_input() -> None:
