@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from robomill.cell.plausibility import unusual_values
 from robomill.cell.points import read_points
 from robomill.cell.robot_programs import is_robot_program, read_robot_program
 from robomill.cell.scenario import ComponentParameters, Scenario, ScenarioError, Variant, Workpiece
+from robomill.collector import put_off
 from robomill.models.maths.rotation import Rotation
 from robomill.models.model.declaration import FloatArray
 from robomill.models.planning import gcode
@@ -91,6 +91,7 @@ def prepare(
     return with_pilot(job, progress)
 
 
+@put_off()
 def lay_out(
     scenario: Scenario,
     folder: str | Path,
@@ -326,6 +327,7 @@ def _end_mill(mill: EndMill) -> str:
     return f"end mill D{1e3 * mill.diameter:g} z{mill.teeth:g}"
 
 
+@put_off()
 def check_variants(job: Job, variants: Sequence[Variant]) -> list[str]:
     """Assemble every variant once, so that what cannot run is refused before a recording is replaced; returns what is unusual."""
     found: list[str] = []
@@ -435,6 +437,8 @@ def _is_recording(system: System, name: str) -> bool:
     source = system.component(name).source
     if not source.endswith(".fmu"):
         return False
+    from tempfile import TemporaryDirectory
+
     from robomill.orchestration.slaves.description import open_fmu  # with FMPy
 
     with TemporaryDirectory(ignore_cleanup_errors=True) as folder:

@@ -103,7 +103,7 @@ class Variable:
         """Storage type in the record: float64 for reals and tables, int64 for integers and booleans."""
         return np.float64 if self.kind in ("real", "table") else np.int64
 
-    @property
+    @cached_property
     def element_names(self) -> tuple[str, ...]:
         """Names of the scalar elements in C order: `x`, or `x[1]`, `x[2]`, or `x[1,1]`, `x[1,2]`."""
         if not self.shape:

@@ -9,7 +9,6 @@ them (`results`) takes the rows that are later than those on disk.
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -59,7 +58,10 @@ class Flight:
 
 def remove(folder: Path) -> None:
     """Remove the flight recorder of a run whose rows are all written."""
-    shutil.rmtree(folder / FLIGHT, ignore_errors=True)
+    if (folder / FLIGHT).is_dir():
+        import shutil
+
+        shutil.rmtree(folder / FLIGHT, ignore_errors=True)
 
 
 def _array(folder: Path, name: str) -> npt.NDArray[Any] | None:

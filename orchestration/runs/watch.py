@@ -12,7 +12,6 @@ import contextlib
 import ctypes
 import json
 import os
-import subprocess
 import sys
 import traceback
 from collections.abc import Callable, Iterator
@@ -40,6 +39,8 @@ class Watch:
     """Waits, in a process of its own, for this one to end before `done`. It needs `sys.executable`."""
 
     def __init__(self, folder: Path) -> None:
+        import subprocess  # only runs with foreign code are watched
+
         options: dict[str, Any] = {"start_new_session": True}  # what ends this process from the terminal must not end the other
         if sys.platform == "win32":
             options = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
