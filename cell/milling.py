@@ -299,7 +299,8 @@ def _exchanged(job: Job, variant: Variant) -> System:
 
 def own_tool(system: System) -> EndMill | None:
     """The cutter as the milling component has it; None where that does not say."""
-    with assemble(system, resolve, convert) as assembly:
+    alone = replace(system, components=(system.component("milling"),), connections=(), require_connected=False)
+    with assemble(alone, resolve, convert) as assembly:
         starts = {p.name: p.start for p in assembly.slaves["milling"].ports if p.causality == "parameter"}
         given = {**starts, **assembly.parameters.get("milling", {})}
     diameter, teeth, helix = given.get("diameter"), given.get("teeth"), given.get("helix")

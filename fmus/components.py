@@ -59,7 +59,7 @@ class _Components(Mapping[str, Model]):
 
     def __getitem__(self, name: str) -> Model:
         offered = [e for e in _offered() if e.name == name]
-        shipped = name in NAMES and find_spec(f"{PACKAGE}.{name}") is not None
+        shipped = _is_shipped(name)
         if not shipped and not offered:
             raise KeyError(f"unknown component {name!r}; available: {', '.join(self)}")
         if len(offered) + shipped > 1:
@@ -75,14 +75,20 @@ class _Components(Mapping[str, Model]):
         return model
 
     def __iter__(self) -> Iterator[str]:
-        yield from (name for name in NAMES if find_spec(f"{PACKAGE}.{name}") is not None)
+        yield from filter(_is_shipped, NAMES)
         yield from sorted({e.name for e in _offered()} - set(NAMES))
 
     def __contains__(self, name: object) -> bool:
-        return any(e.name == name for e in _offered()) or (name in NAMES and find_spec(f"{PACKAGE}.{name}") is not None)
+        return any(e.name == name for e in _offered()) or _is_shipped(name)
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
+
+
+@cache
+def _is_shipped(name: object) -> bool:
+    """Whether it is a component of this project: an FMU has some of them only."""
+    return name in NAMES and find_spec(f"{PACKAGE}.{name}") is not None
 
 
 @cache

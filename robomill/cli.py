@@ -237,7 +237,7 @@ def _function(name: str) -> Callable[[Any], Any]:
     if module not in sys.modules:
         with put_off():
             importlib.import_module(module)
-        gc.freeze()  # what modules hold stays: the collector need not look through it again
+            gc.freeze()  # what modules hold stays: the collector need not look through it, now or later
     found: Callable[[Any], Any] = getattr(sys.modules[module], function)
     return found
 
