@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,14 +22,26 @@ FLIGHT = "flight"
 _CALL, _ROWS, _COLUMNS, _ABOUT = "call.npy", "rows.npy", "columns.npy", "about.json"
 
 
+class Field(NamedTuple):
+    """A column of the results beside t."""
+
+    name: str
+    type: str
+    """`real`, `integer` or `boolean`."""
+    about: dict[str, str]
+    """What the column says about its port."""
+
+
 class Flight:
     """The buffers of one run in `folder`. Its rows hold t and the outputs `chosen`, at each `every`-th of steps of `step` [s]."""
 
-    def __init__(self, folder: Path, components: Sequence[str], chosen: Sequence[int], every: int, step: float) -> None:
+    def __init__(
+        self, folder: Path, components: Sequence[str], chosen: Sequence[int], fields: Sequence[Field], every: int, step: float
+    ) -> None:
         self._folder = folder / FLIGHT
         remove(folder)
         self._folder.mkdir()
-        about = {"components": list(components), "chosen": list(chosen), "every": every, "step": step}
+        about = {"components": list(components), "chosen": list(chosen), "fields": fields, "every": every, "step": step}
         (self._folder / _ABOUT).write_text(json.dumps(about), encoding="utf-8")
         self.call: npt.NDArray[np.int64] = self._mapped(_CALL, (1,), np.int64)
         """Number of the component that is being called, -1: none."""
@@ -78,6 +90,12 @@ def _about(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return found
+
+
+def fields(folder: Path) -> list[Field] | None:
+    """The columns of a run whose stream may not have begun; None if nothing is known."""
+    found = _about(folder).get("fields")
+    return None if found is None else [Field(*f) for f in found]
 
 
 def called(folder: Path) -> str | None:

@@ -20,7 +20,7 @@ from typing import Any
 
 from robomill.orchestration.runs import flight
 from robomill.orchestration.runs.lock import FolderLock
-from robomill.orchestration.runs.run import RUN, Run, finalise, read_info
+from robomill.orchestration.runs.run import RUN, Run, read_info
 from robomill.orchestration.system.toml_text import dump
 
 EXIT_STATUS = 70
@@ -59,6 +59,8 @@ class Watch:
 def conclude(place: str) -> str:
     """Complete the run in the folder `place`, whose process is gone; returns what is to be said about it, "" if it had ended before."""
     folder = Path(place)
+    from robomill.orchestration.runs.signals import finalise  # with Arrow
+
     text = flight.ended(flight.called(folder))
     with FolderLock(folder):
         info = read_info(folder)

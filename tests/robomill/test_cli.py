@@ -415,7 +415,7 @@ class TestPackages:
         ("from robomill.cli import parser; parser().format_help()", ("numpy", "numba", "rich")),
         ("import robomill.run_command", ("matplotlib", "pandas", "rich", "fmpy", "scipy.ndimage", "scipy.optimize")),
         (
-            "import numpy as np; from robomill.orchestration.runs.run import arrow; arrow(np.zeros(3)); arrow(np.array([True]))",
+            "import numpy as np; from robomill.orchestration.runs.signals import arrow; arrow(np.zeros(3)); arrow(np.array([True]))",
             ("pandas",),
         ),
     ],

@@ -15,7 +15,8 @@ from robomill.orchestration.assembly import run
 from robomill.orchestration.errors import ResultsError
 from robomill.orchestration.runs.disk import LINE, zeros_on_lines
 from robomill.orchestration.runs.recorder import Recorder, frame_of
-from robomill.orchestration.runs.run import Run, finalise
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.runs.signals import finalise
 from robomill.orchestration.slaves.protocol import PortData
 from robomill.orchestration.system.definition import Recording
 from robomill.orchestration.system.wiring import wire
