@@ -3,7 +3,8 @@
 A folder `flight` beside the signals, of arrays in mapped files: the system keeps what was stored there, however the process ends.
 `call.npy` holds the number of the component that is being called (-1: none); `rows.npy` and `columns.npy` are the buffers
 that rows wait in before they are written, those of the recorder and of the compiled loop, marked by their times. Whoever finds
-them (`results`) takes the rows that are later than those on disk.
+them (`signals`) takes the rows that are later than those on disk. `about.json` says what the columns are, as the stream on disk
+begins with the first chunk only.
 """
 
 from __future__ import annotations

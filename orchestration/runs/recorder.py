@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from robomill.orchestration.errors import ResultsError, unknown
+from robomill.orchestration.runs.files import ASIDE, CHECKPOINT, LIVE, RUN, SIGNALS
 from robomill.orchestration.runs.flight import Field, Flight
 from robomill.orchestration.runs.lock import FolderLock
-from robomill.orchestration.runs.run import ASIDE, CHECKPOINT, LIVE, RUN, SIGNALS, check_vacant, read_info
+from robomill.orchestration.runs.run import check_vacant, read_info
 from robomill.orchestration.slaves.protocol import FloatArray, Port, base_name
 from robomill.orchestration.system.toml_text import dump
 from robomill.orchestration.system.wiring import Wiring
@@ -59,7 +60,7 @@ class Recorder:
     """Lock of the folder, if the caller holds it; else it is taken for as long as the run lasts."""
 
     def begin(self, wiring: Wiring, step: float) -> None:
-        """Choose the columns, write run.toml, open the stream."""
+        """Choose the columns, write run.toml, begin the flight recorder."""
         chosen = select(self.columns, wiring.column_names())
         ports = [wiring.outputs[i] for i in chosen]
         self.folder = Path(self.folder)

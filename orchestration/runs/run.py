@@ -18,6 +18,7 @@ from robomill.orchestration import html
 from robomill.orchestration.errors import ResultsError, unknown
 from robomill.orchestration.optional import optional
 from robomill.orchestration.runs import flight
+from robomill.orchestration.runs.files import LIVE, RUN, SIGNALS
 from robomill.orchestration.runs.lock import is_locked
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
 from robomill.orchestration.system.toml_text import parse
@@ -27,11 +28,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-RUN, SIGNALS, LIVE, CSV = "run.toml", "signals.parquet", "signals.arrow", "signals.csv"
-CHECKPOINT = "checkpoint.zip"
 MOST_PANELS = 8
 """Arrays that are drawn where none is named: as many as can be read on one page."""
-ASIDE = "before-"  # the signals of a run while it is being taken up again
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ import pyarrow as pa
 
 from robomill.orchestration.errors import ResultsError
 from robomill.orchestration.runs import flight
+from robomill.orchestration.runs.files import ASIDE, CSV, LIVE, SIGNALS
 from robomill.orchestration.runs.lock import is_locked
-from robomill.orchestration.runs.run import ASIDE, CSV, LIVE, SIGNALS
 from robomill.orchestration.slaves.protocol import FloatArray
 
 _ROWS_PER_GROUP = 50_000

@@ -19,8 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from robomill.orchestration.runs import flight
+from robomill.orchestration.runs.files import RUN
 from robomill.orchestration.runs.lock import FolderLock
-from robomill.orchestration.runs.run import RUN, Run, read_info
+from robomill.orchestration.runs.run import Run, read_info
 from robomill.orchestration.system.toml_text import dump
 
 EXIT_STATUS = 70
