@@ -41,8 +41,8 @@ from robomill.blind.world import (
     system_file,
 )
 from robomill.models.model.declaration import FloatArray
+from robomill.orchestration.runs.files import RUN, SIGNALS
 from robomill.orchestration.runs.recorder import SCHEMA, frame_of
-from robomill.orchestration.runs.run import RUN, SIGNALS
 from robomill.orchestration.system.toml_text import dump
 
 HELD_REPEATS, OTHER_REPEATS = 2, 2

@@ -19,12 +19,11 @@ A component gets from each part the parameters that it has, by name, in SI units
 
 from __future__ import annotations
 
-import tempfile
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,12 +31,10 @@ from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment_keys import EquipmentKeys, RobotKeys
 from robomill.fmus.components import beside, is_component
 from robomill.models.components.sensor_chain import GRAVITY, MOUNTING, ForceSensor
-from robomill.models.components.spindle_holder import SpindleHolder
 from robomill.models.model.declaration import FloatArray
 from robomill.models.model.parameters import DATA, load
 from robomill.models.process.cutting import CuttingCoefficients
 from robomill.models.robot.dynamics import RobotDynamics, in_robot_frames
-from robomill.models.robot.elastic_modes import ElasticMachine
 from robomill.models.robot.kinematics import KR300, SPINDLE_ACROSS, Robot, Tool
 from robomill.models.robot.virtual_joints import Compliance
 from robomill.orchestration.errors import SystemFileError, unknown
@@ -46,6 +43,10 @@ from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.entries import Entry
 from robomill.orchestration.system.parameters import prepare
 from robomill.orchestration.system.written import merged, place_of
+
+if TYPE_CHECKING:  # what few systems need is imported where they do: a run begins without it
+    from robomill.models.components.spindle_holder import SpindleHolder
+    from robomill.models.robot.elastic_modes import ElasticMachine
 
 __all__ = ["load_system", "machine_of", "ports_of", "robot_of", "tool_of"]
 
@@ -117,6 +118,8 @@ def machine_of(system: System) -> ElasticMachine | None:
     compliance, dynamics = _beside(Compliance, entry, "compliance"), _beside(RobotDynamics, entry, "dynamics")
     if compliance is None or dynamics is None:
         return None
+    from robomill.models.robot.elastic_modes import ElasticMachine
+
     return ElasticMachine(robot=robot_of(system), compliance=compliance, dynamics=dynamics, tool=tool_of(system))
 
 
@@ -129,8 +132,9 @@ def _equipped(system: System) -> System:
         own = prepare(c.name, ports, _known(c.parameters, ports), convert, system.folder)
         starts = {p.name: p.start for p in ports}
         given: dict[str, Any] = {}
+        variables = arrays(ports)
         for role, part in parts.items():
-            for name, members in arrays(ports).items():
+            for name, members in variables.items():
                 if name in part.lacks:
                     raise part.entry.fail(f"component {c.name!r} needs {name}; choose another {role}: {part.lacks[name]}")
                 if name not in part.values or not _fits(members, part.values[name]):
@@ -159,6 +163,8 @@ def ports_of(system: System, component: str) -> Sequence[Port]:
     if is_component(source):
         return resolve(source, component).ports
     if source.endswith(".fmu") and (system.folder / source).is_file():
+        import tempfile
+
         from robomill.orchestration.slaves.description import open_fmu  # only systems with FMUs need FMPy
 
         with tempfile.TemporaryDirectory(prefix="robomill_") as folder:
@@ -223,13 +229,13 @@ def _file(entry: Entry, folder: str) -> Path:
     return DATA / folder / f"{entry.value}.toml" if in_data else entry.content.folder / entry.value
 
 
-def _load(cls: type[Any], entry: Entry, folder: str, also: type[Any] | None = None) -> Any:
-    """The data that an entry names; its error with the names that there are, those of the class `also` with them."""
+def _load(cls: type[Any], entry: Entry, folder: str, also: Callable[[], type[Any]] | None = None) -> Any:
+    """The data that an entry names; its error with the names that there are, those of the class that `also` returns with them."""
     try:
         with entry.blamed_for(ValueError):
             return load(cls, _file(entry, folder))
     except FileNotFoundError:
-        names = sorted(f.stem for f in (DATA / folder).glob("*.toml") if _is(cls, f) or (also is not None and _is(also, f)))
+        names = sorted(f.stem for f in (DATA / folder).glob("*.toml") if _is(cls, f) or (also is not None and _is(also(), f)))
         raise entry.fail(unknown(str(entry.key[0]), entry.value, names)) from None
 
 
@@ -326,10 +332,16 @@ def _material(system: System) -> _Piece:
 def _sensor(system: System) -> _Piece:
     entry = _named(system, "sensor")
     if _is_holder(entry):
-        return _holder(_load(SpindleHolder, entry, "sensors"), entry)
-    sensor: ForceSensor = _load(ForceSensor, entry, "sensors", also=SpindleHolder)
+        return _holder(_load(_holder_class(), entry, "sensors"), entry)
+    sensor: ForceSensor = _load(ForceSensor, entry, "sensors", also=_holder_class)
     names = ("range_f", "range_m", "resolution_f", "resolution_m", "noise_f", "noise_m", "walk_f", "walk_m")
     return _Piece(sensor.name, entry, {n: getattr(sensor, n) for n in names}, {})
+
+
+def _holder_class() -> type[SpindleHolder]:
+    from robomill.models.components.spindle_holder import SpindleHolder
+
+    return SpindleHolder
 
 
 def _is_holder(entry: Entry) -> bool:
@@ -344,7 +356,7 @@ def _is_holder(entry: Entry) -> bool:
 def _holder(holder: SpindleHolder, entry: Entry) -> _Piece:
     """Parameters of spindle_holder: what is identified is taken for true, as long as nothing else is said."""
     weight = np.array([0.0, 0.0, -holder.spindle_mass * GRAVITY])
-    values: dict[str, float | FloatArray] = {f.name: getattr(holder, f.name) for f in fields(SpindleHolder) if f.name != "name"}
+    values: dict[str, float | FloatArray] = {f.name: getattr(holder, f.name) for f in fields(holder) if f.name != "name"}
     values |= {"zero": holder.bridge_zero, "spindle_weight_B": weight, "spindle_weight_cog": holder.spindle_cog}
     return _Piece(holder.name, entry, values, {})
 

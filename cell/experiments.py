@@ -26,7 +26,8 @@ from robomill.models.model.declaration import FloatArray
 from robomill.models.planning import gcode
 from robomill.models.planning.trajectory import Placement, Plan, plan
 from robomill.orchestration.assembly import run
-from robomill.orchestration.runs.run import RUN, Run, check_vacant, read_info
+from robomill.orchestration.runs.files import RUN
+from robomill.orchestration.runs.run import Run, check_vacant, read_info
 from robomill.orchestration.system import keys
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.entries import Entry

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from robomill.cell.plausibility import unusual_values
 from robomill.cell.points import read_points
 from robomill.cell.robot_programs import is_robot_program, read_robot_program
 from robomill.cell.scenario import ComponentParameters, Scenario, ScenarioError, Variant, Workpiece
+from robomill.collector import put_off
 from robomill.models.maths.rotation import Rotation
 from robomill.models.model.declaration import FloatArray
 from robomill.models.planning import gcode
@@ -91,6 +91,7 @@ def prepare(
     return with_pilot(job, progress)
 
 
+@put_off()
 def lay_out(
     scenario: Scenario,
     folder: str | Path,
@@ -298,7 +299,8 @@ def _exchanged(job: Job, variant: Variant) -> System:
 
 def own_tool(system: System) -> EndMill | None:
     """The cutter as the milling component has it; None where that does not say."""
-    with assemble(system, resolve, convert) as assembly:
+    alone = replace(system, components=(system.component("milling"),), connections=(), require_connected=False)
+    with assemble(alone, resolve, convert) as assembly:
         starts = {p.name: p.start for p in assembly.slaves["milling"].ports if p.causality == "parameter"}
         given = {**starts, **assembly.parameters.get("milling", {})}
     diameter, teeth, helix = given.get("diameter"), given.get("teeth"), given.get("helix")
@@ -326,6 +328,7 @@ def _end_mill(mill: EndMill) -> str:
     return f"end mill D{1e3 * mill.diameter:g} z{mill.teeth:g}"
 
 
+@put_off()
 def check_variants(job: Job, variants: Sequence[Variant]) -> list[str]:
     """Assemble every variant once, so that what cannot run is refused before a recording is replaced; returns what is unusual."""
     found: list[str] = []
@@ -435,6 +438,8 @@ def _is_recording(system: System, name: str) -> bool:
     source = system.component(name).source
     if not source.endswith(".fmu"):
         return False
+    from tempfile import TemporaryDirectory
+
     from robomill.orchestration.slaves.description import open_fmu  # with FMPy
 
     with TemporaryDirectory(ignore_cleanup_errors=True) as folder:

@@ -21,6 +21,7 @@ from robomill.models.model.units import from_si
 from robomill.models.planning.gcode import Move
 from robomill.models.process.cutting import EndMill
 from robomill.orchestration.assembly import Assembly
+from robomill.orchestration.slaves.protocol import base_name
 
 _FILE = "process/usual"
 _PARAMETERS = {"diameter": "diameter", "block_size": "block_size", "Ktc": "cutting_coefficient", "stiffness": "stiffness"}
@@ -113,6 +114,11 @@ def unusual_values(assembly: Assembly) -> list[str]:
     return [*(text for text in found if text is not None), *_differing_geometry(assembly)]
 
 
+@cache
+def _is_geometry(parameter: str) -> bool:
+    return _GEOMETRY.fullmatch(parameter) is not None
+
+
 def _differing_geometry(assembly: Assembly) -> list[str]:
     """Equally named geometry with other values."""
     values: dict[str, dict[str, FloatArray]] = {}
@@ -121,9 +127,9 @@ def _differing_geometry(assembly: Assembly) -> list[str]:
         given = assembly.parameters.get(component, {})
         arrays: dict[str, list[float]] = {}
         for p in slave.ports:
-            base = p.name.partition("[")[0]
+            base = base_name(p.name)
             value = given.get(p.name, p.start)
-            if p.causality == "parameter" and _GEOMETRY.fullmatch(base) and isinstance(value, int | float):
+            if p.causality == "parameter" and _is_geometry(base) and isinstance(value, int | float):
                 arrays.setdefault(base, []).append(float(value))
                 units[base] = p.unit or "1"
         for base, listed in arrays.items():

@@ -15,7 +15,6 @@ import numpy as np
 
 from robomill.cell.binding import convert
 from robomill.cell.equipment_keys import EquippedKeys
-from robomill.models.metrology.stl import StlError, read_stl
 from robomill.models.model.declaration import FloatArray
 from robomill.models.planning.gcode import DIALECTS, Setup, Vector
 from robomill.models.planning.point_path import INTERPOLATIONS, Interpolation
@@ -303,6 +302,8 @@ def _workpiece(entry: Entry) -> Workpiece:
 
 def _stock(entry: Entry) -> FloatArray:
     """Triangles (n, 3, 3) [m] of `stock`, moved so that the middle of the top of their box is the origin of P."""
+    from robomill.models.metrology.stl import StlError, read_stl
+
     unit = WorkpieceKeys.stock_unit.of(entry)
     if not unit > 0.0:
         raise entry["stock_unit"].fail(f"{entry['stock_unit'].value!r}; expected a positive length")

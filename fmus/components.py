@@ -15,11 +15,15 @@ import sys
 from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from robomill import installed
 from robomill.models.model.declaration import Model
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "robomill.components"
 PYTHON = "python:"
@@ -54,8 +58,8 @@ class _Components(Mapping[str, Model]):
     """Component name -> its model; ValueError for one that is offered, but cannot be used."""
 
     def __getitem__(self, name: str) -> Model:
-        offered = _offered().select(name=name)
-        shipped = name in NAMES and find_spec(f"{PACKAGE}.{name}") is not None
+        offered = [e for e in _offered() if e.name == name]
+        shipped = _is_shipped(name)
         if not shipped and not offered:
             raise KeyError(f"unknown component {name!r}; available: {', '.join(self)}")
         if len(offered) + shipped > 1:
@@ -71,20 +75,30 @@ class _Components(Mapping[str, Model]):
         return model
 
     def __iter__(self) -> Iterator[str]:
-        yield from (name for name in NAMES if find_spec(f"{PACKAGE}.{name}") is not None)
-        yield from sorted(_offered().names - set(NAMES))
+        yield from filter(_is_shipped, NAMES)
+        yield from sorted({e.name for e in _offered()} - set(NAMES))
 
     def __contains__(self, name: object) -> bool:
-        return name in _offered().names or (name in NAMES and find_spec(f"{PACKAGE}.{name}") is not None)
+        return any(e.name == name for e in _offered()) or _is_shipped(name)
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
 
 @cache
-def _offered() -> EntryPoints:
+def _is_shipped(name: object) -> bool:
+    """Whether it is a component of this project: an FMU has some of them only."""
+    return name in NAMES and find_spec(f"{PACKAGE}.{name}") is not None
+
+
+@cache
+def _offered() -> tuple[EntryPoint, ...]:
     """What installed packages offer; looked up once, as it takes milliseconds."""
-    return entry_points(group=GROUP)
+    if not installed.may_offer(GROUP):
+        return ()
+    from importlib.metadata import entry_points
+
+    return tuple(entry_points(group=GROUP))
 
 
 COMPONENTS: Mapping[str, Model] = _Components()

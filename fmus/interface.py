@@ -101,13 +101,17 @@ def _ports(model: Model, v: Variable) -> list[Port]:
     fields: Any = model.dtype.fields
     if v.kind == "table":
         text = f"{v.description} [path of a .npy file with rows of {v.shape[0]} columns; empty = the built-in rows]"
-        return [_port(model, v, v.name, fields[f"{v.name}_rows"][1] // WORD, "", text)]
+        return [_port(v, v.name, fields[f"{v.name}_rows"][1] // WORD, "", text, None)]
     first = fields[v.name][1] // WORD
     starts = v.start_values.ravel().tolist()
-    return [_port(model, v, name, first + i, starts[i], v.description) for i, name in enumerate(v.element_names)]
+    dependencies = None
+    if v.causality == "output":
+        followed = [i for i in model.variables if i.causality == "input" and (v.depends_on is None or i.name in v.depends_on)]
+        dependencies = tuple(element for i in followed for element in i.element_names)
+    return [_port(v, name, first + i, starts[i], v.description, dependencies) for i, name in enumerate(v.element_names)]
 
 
-def _port(model: Model, v: Variable, name: str, word: int, start: float | str, description: str) -> Port:
+def _port(v: Variable, name: str, word: int, start: float | str, description: str, dependencies: tuple[str, ...] | None) -> Port:
     real = v.kind == "real"
     value: PortValue = start
     if v.kind == "integer":
@@ -115,10 +119,6 @@ def _port(model: Model, v: Variable, name: str, word: int, start: float | str, d
     elif v.kind == "boolean":
         value = bool(start)
     parameter = v.causality == "parameter"
-    dependencies = None
-    if v.causality == "output":
-        followed = [i for i in model.variables if i.causality == "input" and (v.depends_on is None or i.name in v.depends_on)]
-        dependencies = tuple(element for i in followed for element in i.element_names)
     return Port(
         name=name,
         variable=v.name,

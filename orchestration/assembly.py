@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import math
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -11,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from robomill.collector import put_off
 from robomill.orchestration.errors import OrchestrationError, PlacedError, SlaveError, SystemFileError, describe
 from robomill.orchestration.loop.master import Manipulator, Master, Observer, Progress, Saver
 from robomill.orchestration.runs import checkpoint
@@ -20,7 +20,6 @@ from robomill.orchestration.runs.recorder import Recorder
 from robomill.orchestration.runs.run import Run, check_vacant
 from robomill.orchestration.runs.watch import Watch
 from robomill.orchestration.slaves.corrected import Corrected
-from robomill.orchestration.slaves.isolation import IsolatedSlave
 from robomill.orchestration.slaves.multirate import MultiRate
 from robomill.orchestration.slaves.playback import Playback
 from robomill.orchestration.slaves.protocol import Port, PortData, Scalar, Slave, arrays, outputs, plain
@@ -75,6 +74,7 @@ class Assembly:
         }
 
 
+@put_off()  # ports live on: to look through tens of thousands of them again and again takes a third of the time
 def assemble(system: System, resolver: Resolver | None = None, convert: Convert = same_unit_only) -> Assembly:
     """Open all components, check and set their parameters, check the wiring.
 
@@ -88,8 +88,6 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
         )
     slaves: dict[str, Slave] = {}
     warnings: list[str] = list(system.warnings)
-    collects = gc.isenabled()
-    gc.disable()  # ports live on: to look through tens of thousands of them again and again takes a third of the time
     try:
         for c in system.components:
             with attributed(system, c):
@@ -119,9 +117,6 @@ def assemble(system: System, resolver: Resolver | None = None, convert: Convert 
     except BaseException:
         _close(slaves.values())
         raise
-    finally:
-        if collects:
-            gc.enable()
 
 
 def run(
@@ -248,6 +243,8 @@ def _open(system: System, c: Component, resolver: Resolver | None) -> Slave:
         # iterated coupling goes back to the beginning of a step of the system, at most
         goes_back = system.algorithm == "iterated" and c.rate > 1
         if c.isolate:
+            from robomill.orchestration.slaves.isolation import IsolatedSlave
+
             return IsolatedSlave(system.folder / c.source, c.name, c.time_limit, goes_back)
         from robomill.orchestration.slaves.fmu import FmuSlave  # only systems with FMUs need FMPy
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import signal
 import traceback
 from collections.abc import Iterable, Sequence
@@ -99,6 +98,8 @@ def available(names: Iterable[str], limit: int = 40) -> str:
 
 def unknown(what: str, name: str, names: Iterable[str]) -> str:
     """Sentence for a name that does not exist: closest matches first, then what is available."""
+    import difflib  # a millisecond that only an error needs
+
     listed = list(names)
     name = shortened(name, MAX_WRONG_NAME)
     close = difflib.get_close_matches(name, listed, n=3, cutoff=0.6)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from html import escape
 
 MOST_ROWS = 40
 """Rows that a notebook shows of one table; what is beyond is counted."""
@@ -23,6 +22,13 @@ def table(caption: str, headings: Sequence[str], rows: Iterable[Sequence[object]
 def paragraphs(texts: Iterable[str]) -> str:
     """HTML of sentences, one below the other."""
     return "".join(f"<p>{escape(text)}</p>" for text in texts)
+
+
+def escape(text: str) -> str:
+    """The text with entities for what has a meaning in HTML."""
+    import html  # the names of all entities come with it, and only a notebook needs them
+
+    return html.escape(text)
 
 
 def _row(cells: Sequence[object]) -> str:

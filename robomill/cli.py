@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import gc
 import importlib
 import json
 import signal
@@ -14,6 +15,7 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple, NoReturn
 
 from robomill import __version__
+from robomill.collector import put_off
 from robomill.orchestration.errors import Interrupted, OrchestrationError, unknown
 
 STATUS = (
@@ -231,7 +233,12 @@ def parser() -> argparse.ArgumentParser:
 def _function(name: str) -> Callable[[Any], Any]:
     """The `module.function` of a command; imported now, because some modules take seconds."""
     module, _, function = name.partition(".")
-    found: Callable[[Any], Any] = getattr(importlib.import_module(f"robomill.{module}"), function)
+    module = f"robomill.{module}"
+    if module not in sys.modules:
+        with put_off():
+            importlib.import_module(module)
+            gc.freeze()  # what modules hold stays: the collector need not look through it, now or later
+    found: Callable[[Any], Any] = getattr(sys.modules[module], function)
     return found
 
 

@@ -202,7 +202,8 @@ def _show_stiffness(measured: MeasuredSet, result: dict[str, Any], coupled: bool
 
 def _payload(options: Namespace) -> int:
     from robomill.diagnosis.outcome import adopt
-    from robomill.models.calibration.identification import FEATURES, identify_payload, three_poses
+    from robomill.models.calibration.features import FEATURES
+    from robomill.models.calibration.identification import identify_payload, three_poses
     from robomill.models.calibration.sensor_poses import hose_wrench, load_hose, payload_with_hose, sensor_orientations
     from robomill.models.components.sensor_chain import HOSE, MOUNTING
 

@@ -8,7 +8,8 @@ from robomill.cell.equipment import load_system
 from robomill.cell.scenario import Scenario, load_scenario
 from robomill.files import FILES
 from robomill.orchestration.errors import available, unknown
-from robomill.orchestration.runs.run import RUN, Run
+from robomill.orchestration.runs.files import RUN
+from robomill.orchestration.runs.run import Run
 from robomill.orchestration.system.definition import System
 from robomill.orchestration.system.toml_text import parse
 

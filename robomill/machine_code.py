@@ -15,16 +15,17 @@ import uuid
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from robomill.installed import version
+
 FORBIDDEN = ("Py", "_Py", "NRT_", "numba_")
 """Beginnings of names of functions that only exist inside Python."""
 _OF_C = r"|llvm\.(?:sin|cos)\.f64$" if sys.platform != "win32" else ""
-ANYWHERE = re.compile(
+ANYWHERE = (
     r"(?:memset|memcpy|memmove|sqrt)$"
     r"|llvm\.(?!(?:a?(?:sin|cos|tan)h?|atan2|sincos(?:pi)?|modf|exp\d*|log\d*|powi?|ldexp|frexp|fma)\.)" + _OF_C
 )
@@ -194,10 +195,9 @@ def object_code(
     module.triple, module.data_layout = machine.triple, str(machine.target_data)
     content: bytes = machine.emit_object(module)
     declared = [v.name for v in (*module.functions, *module.global_variables) if v.is_declaration]
-    return content, lasting and all(map(ANYWHERE.match, declared))
+    return content, lasting and all(re.match(ANYWHERE, name) for name in declared)
 
 
-@cache
 def numba_version() -> str:
     """Version of Numba, which is not imported for that. PackageNotFoundError without Numba."""
     return version("numba")
@@ -254,6 +254,7 @@ def _machine() -> Any:
     )
 
 
+@cache
 def _features() -> str:
     try:
         features: str = _llvm().get_host_cpu_features().flatten()

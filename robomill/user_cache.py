@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 import time
 from contextlib import suppress
@@ -42,6 +41,8 @@ def prune(folder: Path, current: str, kept: int = KEPT) -> None:
     """Remove the subfolders of `folder` that were used longest ago, all but `kept`, `current` and those used within `IN_USE`."""
     with suppress(OSError):
         used = {f: f.stat().st_mtime for f in folder.iterdir() if f.is_dir() and f.name != current}
+        import shutil  # rarely needed here, and two milliseconds to load
+
         for old in sorted(used, key=used.__getitem__, reverse=True)[kept:]:
             if time.time() - used[old] > IN_USE:
                 shutil.rmtree(old, ignore_errors=True)

@@ -13,11 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robomill.models.calibration.features import FEATURES
 from robomill.models.maths.frames import quat_from_abc
 from robomill.models.model.declaration import FloatArray
-
-FEATURES = 15
-"""Number of coefficients of Eq. (17) per force component."""
 
 _SQRT2 = math.sqrt(2.0)
 

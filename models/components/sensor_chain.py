@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from robomill.models.calibration.identification import FEATURES
+from robomill.models.calibration.features import FEATURES
 from robomill.models.maths.elementary import exp
 from robomill.models.maths.filters import average, average_rest, biquad, biquad_rest, butterworth, delay, delay_rest, first_order
 from robomill.models.maths.frames import (

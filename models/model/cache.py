@@ -15,7 +15,7 @@ import os
 import sys
 import sysconfig
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -166,15 +166,15 @@ def _key(functions: tuple[Callable[..., Any], ...], numba_version: str) -> str:
     kept = user_folder() / "sources" / asked / "stamps.json"
     with suppress(OSError, ValueError, KeyError, TypeError):
         known = json.loads(kept.read_text(encoding="utf-8"))
-        if known["stamps"] == _stamps({*known["stamps"], *_data_files()}):
+        if known["stamps"] == {**_data_stamps(), **_stamps(known["stamps"].keys() - _data_stamps().keys())}:
             os.utime(kept.parent)
             return str(known["key"])
-    files = {*_data_files(), *(f for _, f in origins)}
+    files = {*_data_stamps(), *(f for _, f in origins)}
     for function in functions:
         with suppress(ModuleNotFoundError):  # __main__, an interactive session
             files |= {str(f) for f in source_files(function.__module__).values()}
     files = {f for f in files if Path(f).is_file()}
-    stamps = _stamps(files)  # before they are read: who edits one meanwhile is noticed the next time
+    stamps = {**_stamps(files), **_data_stamps()}  # before they are read: who edits one meanwhile is noticed the next time
     digest = hashlib.sha256(compiler.encode())
     for file in sorted(files):
         digest.update(f"{file}\0".encode())
@@ -189,11 +189,11 @@ def _key(functions: tuple[Callable[..., Any], ...], numba_version: str) -> str:
     return key
 
 
-def _stamps(files: set[str]) -> dict[str, list[int]]:
+def _stamps(files: Iterable[str]) -> dict[str, list[int]]:
     return {file: list(_stamp(file)) for file in files}
 
 
 @cache
-def _data_files() -> list[str]:
-    """The parameter files. One that comes later is not what a model of this process was made from."""
-    return [f"{folder}{os.sep}{n}" for folder, _, names in os.walk(PACKAGE) for n in names if n.endswith(".toml")]
+def _data_stamps() -> dict[str, list[int]]:
+    """The parameter files. What comes later, or changes, is not what a model of this process was made from."""
+    return _stamps(f"{folder}{os.sep}{n}" for folder, _, names in os.walk(PACKAGE) for n in names if n.endswith(".toml"))

@@ -21,7 +21,6 @@ import numpy as np
 from robomill.orchestration.errors import Interrupted, IterationError, OrchestrationError, RunError, WiringError, describe, unknown
 from robomill.orchestration.loop.acceleration import DEFAULT, Iteration
 from robomill.orchestration.loop.guard import Guard
-from robomill.orchestration.loop.iteration import Iterated
 from robomill.orchestration.runs.checkpoint import Snapshot, alike
 from robomill.orchestration.runs.disk import zeros_on_lines
 from robomill.orchestration.runs.flight import Flight, contained
@@ -37,6 +36,7 @@ Progress = Callable[[int, int], object]
 
 if TYPE_CHECKING:
     from robomill.orchestration.loop.compiled_master import CompiledLoop
+    from robomill.orchestration.loop.iteration import Iterated
 
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that end a run in order."""
@@ -122,6 +122,8 @@ class Master:
         self._flight: Flight | None = None
         self._iterated: Iterated | None = None
         if algorithm == "iterated":
+            from robomill.orchestration.loop.iteration import Iterated
+
             self._iterated = Iterated(wiring, iteration, self._plan, self._bus, self._announce)
             self._advance = self._iterated.advance
 

@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 
 from robomill.orchestration.errors import OrchestrationError, ResultsError, SlaveError, describe
-from robomill.orchestration.runs.run import CHECKPOINT, RUN, Run, read_info
+from robomill.orchestration.runs.files import CHECKPOINT, RUN
+from robomill.orchestration.runs.run import Run, read_info
 from robomill.orchestration.slaves.protocol import FloatArray
 from robomill.orchestration.system.definition import TICK, System
 from robomill.orchestration.system.toml_text import dump

@@ -3,16 +3,16 @@
 A folder `flight` beside the signals, of arrays in mapped files: the system keeps what was stored there, however the process ends.
 `call.npy` holds the number of the component that is being called (-1: none); `rows.npy` and `columns.npy` are the buffers
 that rows wait in before they are written, those of the recorder and of the compiled loop, marked by their times. Whoever finds
-them (`results`) takes the rows that are later than those on disk.
+them (`signals`) takes the rows that are later than those on disk. `about.json` says what the columns are, as the stream on disk
+begins with the first chunk only.
 """
 
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,14 +23,26 @@ FLIGHT = "flight"
 _CALL, _ROWS, _COLUMNS, _ABOUT = "call.npy", "rows.npy", "columns.npy", "about.json"
 
 
+class Field(NamedTuple):
+    """A column of the results beside t."""
+
+    name: str
+    type: str
+    """`real`, `integer` or `boolean`."""
+    about: dict[str, str]
+    """What the column says about its port."""
+
+
 class Flight:
     """The buffers of one run in `folder`. Its rows hold t and the outputs `chosen`, at each `every`-th of steps of `step` [s]."""
 
-    def __init__(self, folder: Path, components: Sequence[str], chosen: Sequence[int], every: int, step: float) -> None:
+    def __init__(
+        self, folder: Path, components: Sequence[str], chosen: Sequence[int], fields: Sequence[Field], every: int, step: float
+    ) -> None:
         self._folder = folder / FLIGHT
         remove(folder)
         self._folder.mkdir()
-        about = {"components": list(components), "chosen": list(chosen), "every": every, "step": step}
+        about = {"components": list(components), "chosen": list(chosen), "fields": fields, "every": every, "step": step}
         (self._folder / _ABOUT).write_text(json.dumps(about), encoding="utf-8")
         self.call: npt.NDArray[np.int64] = self._mapped(_CALL, (1,), np.int64)
         """Number of the component that is being called, -1: none."""
@@ -59,7 +71,10 @@ class Flight:
 
 def remove(folder: Path) -> None:
     """Remove the flight recorder of a run whose rows are all written."""
-    shutil.rmtree(folder / FLIGHT, ignore_errors=True)
+    if (folder / FLIGHT).is_dir():
+        import shutil
+
+        shutil.rmtree(folder / FLIGHT, ignore_errors=True)
 
 
 def _array(folder: Path, name: str) -> npt.NDArray[Any] | None:
@@ -76,6 +91,12 @@ def _about(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return found
+
+
+def fields(folder: Path) -> list[Field] | None:
+    """The columns of a run whose stream may not have begun; None if nothing is known."""
+    found = _about(folder).get("fields")
+    return None if found is None else [Field(*f) for f in found]
 
 
 def called(folder: Path) -> str | None:

@@ -12,8 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from robomill.orchestration.errors import ResultsError
+from robomill.orchestration.runs.files import CSV, LIVE, RUN, SIGNALS
 from robomill.orchestration.runs.recorder import SCHEMA, frame_of
-from robomill.orchestration.runs.run import CSV, LIVE, RUN, SIGNALS
 from robomill.orchestration.slaves.protocol import FloatArray, PortData
 from robomill.orchestration.system.toml_text import dump
 

@@ -13,42 +13,27 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
 
 from robomill.orchestration.errors import ResultsError, unknown
-from robomill.orchestration.runs.disk import LINE, reserve
-from robomill.orchestration.runs.flight import Flight
+from robomill.orchestration.runs.files import ASIDE, CHECKPOINT, LIVE, RUN, SIGNALS
+from robomill.orchestration.runs.flight import Field, Flight
 from robomill.orchestration.runs.lock import FolderLock
-from robomill.orchestration.runs.run import (
-    ASIDE,
-    CHECKPOINT,
-    LIVE,
-    RUN,
-    SIGNALS,
-    arrow,
-    cast,
-    check_vacant,
-    finalise,
-    read_info,
-    rows_of,
-    set_aside,
-    write_csv,
-)
+from robomill.orchestration.runs.run import check_vacant, read_info
 from robomill.orchestration.slaves.protocol import FloatArray, Port, base_name
 from robomill.orchestration.system.toml_text import dump
 from robomill.orchestration.system.wiring import Wiring
 
+if TYPE_CHECKING:
+    from robomill.orchestration.runs.stream import Stream
+
 SCHEMA = "robomill-run/1"
-_TYPES = {"real": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
 _FRAME = re.compile(r"_([A-Z])(?![a-z0-9A-Z])|_([A-Z])([A-Z])(?![a-z0-9A-Z])")
 _PROMOTED = ("program", "robot", "tool", "workpiece")
 _MAX_AGE = 2.0  # s of wall clock that rows may wait in memory
-_PIECE = 2**21  # bytes written at once
 _MUCH = 2**20  # bytes that are not copied to be kept for later
-_AHEAD = 2**26  # bytes that disk space is reserved ahead, at most
 
 
 @dataclass
@@ -75,13 +60,12 @@ class Recorder:
     """Lock of the folder, if the caller holds it; else it is taken for as long as the run lasts."""
 
     def begin(self, wiring: Wiring, step: float) -> None:
-        """Choose the columns, write run.toml, open the stream."""
+        """Choose the columns, write run.toml, begin the flight recorder."""
         chosen = select(self.columns, wiring.column_names())
         ports = [wiring.outputs[i] for i in chosen]
         self.folder = Path(self.folder)
         info = self.info(wiring, step)
-        fields = [pa.field("t", pa.float64(), metadata={"unit": "s", "description": "time"})]
-        fields += [pa.field(f"{c}.{p.name}", _TYPES[p.type], metadata=_metadata(c, p)) for c, p in ports]
+        fields = [Field(f"{c}.{p.name}", p.type, _metadata(c, p)) for c, p in ports]
         self.folder.mkdir(parents=True, exist_ok=True)
         self._own_lock = FolderLock(self.folder) if self.lock is None else None
         try:
@@ -94,7 +78,7 @@ class Recorder:
         if self._own_lock is not None:
             self._own_lock.release()
 
-    def _open(self, wiring: Wiring, step: float, chosen: list[int], info: dict[str, Any], fields: list[Any]) -> None:
+    def _open(self, wiring: Wiring, step: float, chosen: list[int], info: dict[str, Any], fields: list[Field]) -> None:
         self._seen = 0
         aside = None
         if self.resume_after is None:
@@ -103,32 +87,20 @@ class Recorder:
             old = read_info(self.folder)
             info |= {"created": old.get("created", ""), "resumed": [*old.get("resumed", []), self.resume_after * step]}
             self._seen = self.resume_after + 1
+            from robomill.orchestration.runs.signals import set_aside
+
             aside = set_aside(self.folder, -(-self._seen // self.every))
-        self.flight = Flight(self.folder, wiring.order, chosen, self.every, step)
+        self.flight = Flight(self.folder, wiring.order, chosen, fields, self.every, step)
         self._about = dump(info)  # once: of tens of thousands of columns it takes a second
         self._write_info("running", "")
-        self._schema = pa.schema(fields, metadata={"robomill": self._about})
-        self._kinds = list(self._schema.types)
-        self._other = [i for i, kind in enumerate(self._kinds) if kind != pa.float64()]  # asked for each chunk, that took 0.1 ms
-        # Arrow's own file is written without Python; in large pieces, because the pages cost more than what is copied into them
-        self._file = pa.OSFile(str(self.folder / LIVE), "wb")
-        self._reserved = 0
-        self._stream = pa.BufferedOutputStream(self._file, _PIECE)
-        self._writer = pa.ipc.new_stream(self._stream, self._schema)
-        # without a batch there is no schema in the file
-        self._writer.write_batch(pa.record_batch([pa.nulls(0, f.type) for f in fields], schema=self._schema))
-        try:
-            if aside is not None:
-                self._keep(aside)
-            self._stream.flush()
-        except BaseException:
-            self._stream.close()
-            raise
-        self._chosen = None if chosen == list(range(wiring.n_outputs)) else np.array(chosen, dtype=np.intp)
+        self._fields = fields
+        self._all_real = all(f.type == "real" for f in fields)
         self._taken = np.array([0, *(1 + i for i in chosen)], dtype=np.intp)  # columns of t and all outputs
-        self._wrapped: tuple[FloatArray, pa.RecordBatch] | None = None
+        self._stream: Stream | None = None
+        if aside is not None:
+            self._keep(aside)
+        self._chosen = None if chosen == list(range(wiring.n_outputs)) else np.array(chosen, dtype=np.intp)
         self._buffer = self.flight.rows(self.chunk, 1 + len(chosen))
-        self._heads: dict[int, bytes] = {}  # of the messages that are written without Arrow, by their number of rows
         self._rows = [row[1:] for row in self._buffer]
         self._count = 0
         self._flushed = time.monotonic()
@@ -140,15 +112,22 @@ class Recorder:
         for file in (*(self.folder / n for n in (RUN, SIGNALS, LIVE, CHECKPOINT)), *self.folder.glob(f"{ASIDE}*")):
             file.unlink(missing_ok=True)
 
+    @property
+    def stream(self) -> Stream:
+        """The stream on disk, begun when there is something to write: until then rows are in the flight recorder."""
+        if self._stream is None:
+            from robomill.orchestration.runs.stream import Stream  # with Arrow, without which a run begins sooner
+
+            self._stream = Stream(self.folder / LIVE, self._fields, self._about, self._taken)
+        return self._stream
+
     def _keep(self, aside: Path) -> None:
         """Copy the rows of the steps that are kept, and remove the file that they come from."""
-        missing = -(-self._seen // self.every)
-        for batch in rows_of(aside):
-            kept = batch.slice(0, min(missing, len(batch)))
-            missing -= len(kept)
-            if len(kept):
-                self._writer.write_batch(pa.record_batch(kept.columns, schema=self._schema))
-        self._stream.flush()
+        try:
+            self.stream.put_first(aside, -(-self._seen // self.every))
+        except BaseException:
+            self.stream.close()
+            raise
         aside.unlink()
 
     def observe(self, t: float, outputs: FloatArray) -> None:
@@ -174,7 +153,7 @@ class Recorder:
         kept = range(-self._seen % self.every, count, self.every)
         self._seen += count
         # of many columns there are few rows, and to copy them and write the copy takes a hundred times as long
-        much = 8 * len(kept) * len(self._kinds) >= _MUCH
+        much = 8 * len(kept) * len(self._taken) >= _MUCH
         at_once = len(kept) > self.chunk or much or self._is_whole(columns, kept)
         if at_once or self._count + len(kept) > self.chunk:
             self.flush()
@@ -190,72 +169,31 @@ class Recorder:
     def flush(self) -> None:
         """Write the rows kept so far to disk."""
         if self._count:
-            self._put(np.ascontiguousarray(self._buffer[: self._count].T))
+            self.stream.put(np.ascontiguousarray(self._buffer[: self._count].T))
         self._count = 0
         self._flushed = time.monotonic()
 
-    def _put(self, columns: FloatArray) -> None:
-        whole, n = arrow(columns.reshape(-1)), columns.shape[1]  # parts of it are made in a third of the time
-        arrays = [whole.slice(i * n, n) if kind == pa.float64() else arrow(cast(columns[i], kind)) for i, kind in enumerate(self._kinds)]
-        self._put_batch(pa.RecordBatch.from_arrays(arrays, schema=self._schema))
-
     def _put_columns(self, columns: FloatArray, kept: range) -> None:
         if kept.step > 1:
-            self._put(columns[self._taken, kept.start : kept.stop : kept.step])
-            return
-        if self._is_whole(columns, kept):
-            self._put_whole(columns)
-            return
-        batch = self._wrap(columns).slice(kept.start, len(kept))
-        for i in self._other:
-            values = arrow(cast(columns[self._taken[i], kept.start : kept.stop], self._kinds[i]))
-            batch = batch.set_column(i, self._schema.field(i), values)
-        self._put_batch(batch)
+            self.stream.put(columns[self._taken, kept.start : kept.stop : kept.step])
+        elif self._is_whole(columns, kept):
+            self.stream.put_whole(columns)
+        else:
+            self.stream.put_part(columns, kept.start, kept.stop)
 
     def _is_whole(self, columns: FloatArray, kept: range) -> bool:
         """Whether these rows are the array as it stands, and all of it real numbers."""
-        return len(kept) * len(self._kinds) == columns.size and not self._other
-
-    def _put_whole(self, columns: FloatArray) -> None:
-        """All of the array as a batch: its bytes are the body of the message as they stand, and are copied once less."""
-        rows = columns.shape[1]
-        if rows not in self._heads:
-            self._heads[rows] = self._wrap(columns).serialize().to_pybytes()[: -columns.nbytes]
-        self._reserve(rows)
-        self._file.write(_padded(self._heads[rows], self._file.tell()))
-        self._file.write(columns)
-
-    def _put_batch(self, batch: pa.RecordBatch) -> None:
-        self._reserve(len(batch))
-        self._writer.write_batch(batch)
-        self._stream.flush()
-
-    def _reserve(self, rows: int) -> None:
-        """Disk space for what comes next, and for as much again as there is, so that a short run does not take much."""
-        end = self._file.tell() + 8 * rows * len(self._kinds)
-        if end > self._reserved:
-            start, self._reserved = self._reserved, end + min(end, _AHEAD)
-            reserve(self._file.fileno(), start, self._reserved - start)
-
-    def _wrap(self, columns: FloatArray) -> pa.RecordBatch:
-        """The array as Arrow sees it, nothing copied. Wrapping takes as long as writing, and the same array comes again and again."""
-        if self._wrapped is None or self._wrapped[0] is not columns:
-            whole, n = arrow(columns.reshape(-1)), columns.shape[1]
-            arrays = [
-                whole.slice(i * n, n) if kind == pa.float64() else pa.nulls(n, kind)
-                for i, kind in zip(self._taken, self._kinds, strict=True)
-            ]
-            self._wrapped = columns, pa.RecordBatch.from_arrays(arrays, schema=self._schema)
-        return self._wrapped[1]
+        return len(kept) * len(self._taken) == columns.size and self._all_real
 
     def end(self, outcome: str, message: str) -> None:
         """Write what is left, turn the stream into signals.parquet, complete run.toml."""
+        from robomill.orchestration.runs.signals import finalise, write_csv
+
         try:
             try:
                 self.flush()
             finally:
-                self._writer.close()
-                self._stream.close()
+                self.stream.close()
                 finalise(self.folder)
             self._write_info(outcome, message)
             if self.csv:
@@ -283,16 +221,6 @@ class Recorder:
         part = self.folder / (RUN + ".part")
         part.write_text(dump({"schema": SCHEMA, "outcome": outcome, "message": message}) + self._about, encoding="utf-8")
         part.replace(self.folder / RUN)
-
-
-def _padded(head: bytes, position: int) -> bytes:
-    """The head of a message that begins at that place of the file, so long that its body begins at a multiple of 64 bytes.
-
-    Numbers that stand otherwise in the file than in memory take the kernel up to three times as long to copy.
-    The second four bytes are the length of what follows, padding included.
-    """
-    length = len(head) + -(position + len(head)) % LINE
-    return head[:4] + (length - 8).to_bytes(4, "little") + head[8:].ljust(length - 8, b"\0")
 
 
 def _metadata(component: str, p: Port) -> dict[str, str]:

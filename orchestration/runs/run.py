@@ -1,27 +1,24 @@
 """Runs on disk, simulated or measured: a folder with `run.toml` and `signals.parquet` (or .csv).
 
-The one place that reads them. A run that is still being written is read from its stream as far as that goes; one whose
-process was killed, to the last row that it had (`flight`).
+The one place that reads them (`signals` does so for the numbers). A run that is still being written is read from its stream as far
+as that goes; one whose process was killed, to the last row that it had (`flight`).
 """
 
 from __future__ import annotations
 
-import importlib
-import math
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
-import pyarrow as pa
 
 from robomill.orchestration import html
 from robomill.orchestration.errors import ResultsError, unknown
 from robomill.orchestration.optional import optional
 from robomill.orchestration.runs import flight
+from robomill.orchestration.runs.files import LIVE, RUN, SIGNALS
 from robomill.orchestration.runs.lock import is_locked
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
 from robomill.orchestration.system.toml_text import parse
@@ -31,12 +28,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-_ROWS_PER_GROUP = 50_000
-RUN, SIGNALS, LIVE, CSV = "run.toml", "signals.parquet", "signals.arrow", "signals.csv"
-CHECKPOINT = "checkpoint.zip"
 MOST_PANELS = 8
 """Arrays that are drawn where none is named: as many as can be read on one page."""
-ASIDE = "before-"  # the signals of a run while it is being taken up again
 
 
 @dataclass(frozen=True)
@@ -138,9 +131,10 @@ class Run:
         columns = {n: self.columns[n] for name in self.arrays(*names) for n in self._members(name)}
         if place.exists() and not overwrite:
             raise ResultsError(f"{place} is there already; choose another name, or allow overwriting (overwrite = True)")
-        from pyarrow import csv
+        import pyarrow
+        import pyarrow.csv
 
-        csv.write_csv(pa.table({"t": self.t, **columns}), place)
+        pyarrow.csv.write_csv(pyarrow.table({"t": self.t, **columns}), place)
         return place
 
     def plot(self, *names: str) -> Figure:
@@ -191,7 +185,9 @@ def load(folder: Path) -> Run:
     info = read_info(folder)
     if info.get("outcome") == "running" and not is_locked(folder):
         info["message"] = flight.ended(flight.called(folder))
-    table = _read_table(folder)
+    from robomill.orchestration.runs import signals  # with Arrow
+
+    table = signals.read_table(folder)
     if table.num_columns == 0 or "t" not in table.column_names:
         raise ResultsError(
             f"{folder}: the signals have no column 't' (time in s); they have {', '.join(table.column_names[:20])}; "
@@ -205,9 +201,9 @@ def load(folder: Path) -> Run:
             continue
         said = {**{k.decode(): v.decode() for k, v in (f.metadata or {}).items()}, **described.get(f.name, {})}
         name = described.get(f.name, {}).get("port", f.name)
-        columns[name] = _values(table, f.name, folder)
+        columns[name] = signals.values_of(table, f.name, folder)
         ports[name] = _port(name, said)
-    t = _values(table, "t", folder)
+    t = signals.values_of(table, "t", folder)
     if not np.isfinite(t).all():
         row = int(np.argmin(np.isfinite(t)))
         raise ResultsError(
@@ -238,10 +234,9 @@ def check_vacant(folders: Iterable[Path]) -> None:
 def _came_to_nothing(folder: Path) -> bool:
     if not ((folder / RUN).is_file() and (folder / SIGNALS).is_file() and read_info(folder).get("outcome") == "failed"):
         return False
-    try:
-        return bool(_parquet().read_metadata(folder / SIGNALS).num_rows <= 1)  # the first row is that of the start
-    except (pa.ArrowInvalid, OSError):
-        return False
+    from robomill.orchestration.runs import signals
+
+    return signals.count(folder / SIGNALS) <= 1  # the first row is that of the start
 
 
 def read_info(folder: Path) -> dict[str, Any]:
@@ -259,79 +254,6 @@ def read_info(folder: Path) -> dict[str, Any]:
         raise ResultsError(f"{file}: not valid TOML: {error}; correct that line, or run or import it anew") from None
 
 
-def _read_table(folder: Path) -> pa.Table:
-    try:
-        if (folder / SIGNALS).is_file():
-            return _parquet().read_table(folder / SIGNALS)
-        if (folder / LIVE).is_file():
-            return pa.Table.from_batches(list(_all_rows(folder, late=not is_locked(folder))), _schema(folder / LIVE))
-        if (folder / CSV).is_file():
-            from pyarrow import csv
-
-            return csv.read_csv(folder / CSV)
-    except (pa.ArrowInvalid, OSError) as error:
-        raise ResultsError(f"{folder}: the signals cannot be read: {error}; run or import it anew") from None
-    raise ResultsError(f"{folder}: there is no {SIGNALS}, {LIVE} or {CSV} in it; run or import it anew")
-
-
-def _parquet() -> Any:
-    """Imported when a run ends or is read: one begins without what else that loads."""
-    return importlib.import_module("pyarrow.parquet")
-
-
-def _schema(file: Path) -> pa.Schema:
-    with pa.OSFile(str(file)) as source:
-        return pa.ipc.open_stream(source).schema
-
-
-def _batches(source: Any) -> Iterator[pa.RecordBatch]:
-    """The complete chunks of a stream; what comes after them was not finished."""
-    reader = pa.ipc.open_stream(source)
-    while True:
-        try:
-            yield reader.read_next_batch()
-        except (StopIteration, pa.ArrowInvalid, OSError):
-            return
-
-
-def _all_rows(folder: Path, late: bool) -> Iterator[pa.RecordBatch]:
-    """The rows of a stream; the `late` ones, too, which were in memory when the writing of it ended."""
-    schema, first, last = _schema(folder / LIVE), math.nan, math.nan
-    with pa.OSFile(str(folder / LIVE)) as source:
-        for batch in _batches(source):
-            if len(batch):
-                first = batch.column("t")[0].as_py() if math.isnan(first) else first
-                last = batch.column("t")[-1].as_py()
-            yield batch
-    rows = flight.late_rows(folder, first, last) if late else None
-    if rows is not None and rows.shape[1] == len(schema):
-        yield pa.record_batch([arrow(cast(c, f.type)) for c, f in zip(rows.T, schema, strict=True)], schema=schema)
-
-
-def cast(column: FloatArray, kind: pa.DataType) -> Any:
-    """Values as they stand in memory in the type of a column."""
-    if kind == pa.float64():
-        return np.ascontiguousarray(column)
-    return column != 0.0 if kind == pa.bool_() else np.rint(column).astype(np.int64)
-
-
-def arrow(values: npt.NDArray[Any]) -> pa.Array:
-    """Numbers as Arrow sees them, nothing copied (booleans are packed). `pa.array` loads pandas first where that is installed: 0.3 s."""
-    kind = pa.from_numpy_dtype(values.dtype)
-    held = np.packbits(values, bitorder="little") if values.dtype == np.bool_ else np.ascontiguousarray(values)
-    return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(held)])
-
-
-def _values(table: pa.Table, name: str, folder: Path) -> FloatArray:
-    column = table.column(name)
-    if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type) or pa.types.is_boolean(column.type)):
-        raise ResultsError(
-            f"{folder}: column {name!r} holds no numbers but {column.type}; leave the column out, or import it anew as numbers"
-        )
-    values = column.to_numpy(zero_copy_only=False)
-    return np.ascontiguousarray(values, dtype=np.float64)
-
-
 def _port(name: str, said: Mapping[str, Any]) -> PortData:
     dependencies = str(said.get("dependencies", ""))  # "*" = unknown; a measured signal has none
     return PortData(
@@ -344,66 +266,3 @@ def _port(name: str, said: Mapping[str, Any]) -> PortData:
         description=str(said.get("description", "")),
         dependencies=None if dependencies == "*" else tuple(dependencies.split()),
     )
-
-
-def finalise(folder: Path) -> None:
-    """Turn the stream of a run that is over (or was killed) into `signals.parquet`. The stream goes only when that is complete."""
-    live, part = folder / LIVE, folder / (SIGNALS + ".part")
-    if not live.is_file():
-        return
-    schema = _schema(live)
-    # Dictionaries of real numbers, which hardly ever repeat, took eight times as long and made the file half as large again.
-    reals = [f.name for f in schema if pa.types.is_floating(f.type)]
-    others = [f.name for f in schema if not pa.types.is_floating(f.type)]
-    options: dict[str, Any] = {"compression": "zstd", "use_dictionary": others or False, "use_byte_stream_split": reals or False}
-    with _parquet().ParquetWriter(part, schema, **options) as writer:
-        rows: list[pa.RecordBatch] = []
-        for batch in _all_rows(folder, late=True):
-            rows.append(batch)
-            if sum(len(r) for r in rows) >= _ROWS_PER_GROUP:
-                writer.write_table(pa.Table.from_batches(rows, schema))
-                rows.clear()
-        writer.write_table(pa.Table.from_batches(rows, schema))
-    part.replace(folder / SIGNALS)
-    live.unlink()
-    flight.remove(folder)
-
-
-def set_aside(folder: Path, rows: int) -> Path:
-    """Rename the signals of a run that is to go on after `rows` rows; returns the file, which `rows_of` reads.
-
-    If that was done before and came to nothing, the renamed file is still the one. ResultsError if it has fewer rows.
-    """
-    aside = next((folder / (ASIDE + n) for n in (SIGNALS, LIVE) if (folder / (ASIDE + n)).is_file()), None)
-    file = aside or next((folder / n for n in (SIGNALS, LIVE) if (folder / n).is_file()), None)
-    if file is None:
-        raise ResultsError(f"{folder}: there is no {SIGNALS} or {LIVE} in it; run it anew without resuming")
-    held = sum(len(b) for b in rows_of(file))
-    if held < rows:
-        raise ResultsError(f"{folder}: {file.name} holds {held} rows, the checkpoint was made after {rows}: run it anew without resuming")
-    if aside is None:
-        aside = file.replace(folder / (ASIDE + file.name))
-    for name in (SIGNALS, LIVE):
-        (folder / name).unlink(missing_ok=True)
-    return aside
-
-
-def rows_of(file: Path) -> Iterator[pa.RecordBatch]:
-    """The complete chunks of a file of signals."""
-    try:
-        if file.suffix == Path(SIGNALS).suffix:
-            with _parquet().ParquetFile(file) as table:
-                yield from table.iter_batches()
-        else:
-            with pa.OSFile(str(file)) as source:
-                yield from _batches(source)
-    except (pa.ArrowInvalid, OSError) as error:
-        raise ResultsError(f"{file}: the signals cannot be read: {error}; run or import it anew") from None
-
-
-def write_csv(folder: Path) -> Path:
-    """Write `signals.csv` (all digits) beside the signals of a run, and return its path."""
-    from pyarrow import csv
-
-    csv.write_csv(_read_table(folder), folder / CSV)
-    return folder / CSV

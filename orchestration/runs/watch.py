@@ -12,7 +12,6 @@ import contextlib
 import ctypes
 import json
 import os
-import subprocess
 import sys
 import traceback
 from collections.abc import Callable, Iterator
@@ -20,8 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from robomill.orchestration.runs import flight
+from robomill.orchestration.runs.files import RUN
 from robomill.orchestration.runs.lock import FolderLock
-from robomill.orchestration.runs.run import RUN, Run, finalise, read_info
+from robomill.orchestration.runs.run import Run, read_info
 from robomill.orchestration.system.toml_text import dump
 
 EXIT_STATUS = 70
@@ -40,6 +40,8 @@ class Watch:
     """Waits, in a process of its own, for this one to end before `done`. It needs `sys.executable`."""
 
     def __init__(self, folder: Path) -> None:
+        import subprocess  # only runs with foreign code are watched
+
         options: dict[str, Any] = {"start_new_session": True}  # what ends this process from the terminal must not end the other
         if sys.platform == "win32":
             options = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
@@ -58,6 +60,8 @@ class Watch:
 def conclude(place: str) -> str:
     """Complete the run in the folder `place`, whose process is gone; returns what is to be said about it, "" if it had ended before."""
     folder = Path(place)
+    from robomill.orchestration.runs.signals import finalise  # with Arrow
+
     text = flight.ended(flight.called(folder))
     with FolderLock(folder):
         info = read_info(folder)

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -195,6 +196,7 @@ def whole_range(p: Port) -> tuple[int, int]:
     return (low, high) if p.causality == "parameter" else (max(low, -EXACT), min(high, EXACT))
 
 
+@cache
 def base_name(name: str) -> str:
     """Name of the array that an element belongs to: `q[1]` -> `q`; a scalar's own name stays."""
     return name[: name.rindex("[")] if name.endswith("]") and "[" in name else name

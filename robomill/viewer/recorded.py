@@ -16,7 +16,8 @@ from robomill.joints import ROBOTS, geometry
 from robomill.models.model.declaration import FloatArray, Record
 from robomill.models.robot.kinematics import inverse, tool_pose
 from robomill.orchestration.errors import ResultsError, unknown
-from robomill.orchestration.runs.run import RUN, Run
+from robomill.orchestration.runs.files import RUN
+from robomill.orchestration.runs.run import Run
 from robomill.orchestration.system.definition import Component
 
 SIDE_BY_SIDE = 4

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator
-from importlib.metadata import EntryPoint, EntryPoints
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
@@ -37,7 +37,7 @@ def smoother(tmp_path: Path) -> Iterator[Path]:
 
 
 def offered(monkeypatch: pytest.MonkeyPatch, *entries: tuple[str, str]) -> None:
-    found = EntryPoints(EntryPoint(name, value, components.GROUP) for name, value in entries)
+    found = tuple(EntryPoint(name, value, components.GROUP) for name, value in entries)
     monkeypatch.setattr(components, "_offered", lambda: found)
 
 

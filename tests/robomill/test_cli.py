@@ -413,9 +413,12 @@ class TestPackages:
     ("code", "absent"),
     [
         ("from robomill.cli import parser; parser().format_help()", ("numpy", "numba", "rich")),
-        ("import robomill.run_command", ("matplotlib", "pandas", "rich", "fmpy", "scipy.ndimage", "scipy.optimize")),
         (
-            "import numpy as np; from robomill.orchestration.runs.run import arrow; arrow(np.zeros(3)); arrow(np.array([True]))",
+            "import robomill.run_command",
+            ("matplotlib", "pandas", "rich", "fmpy", "scipy.ndimage", "scipy.optimize", "pyarrow", "importlib.metadata"),
+        ),
+        (
+            "import numpy as np; from robomill.orchestration.runs.signals import arrow; arrow(np.zeros(3)); arrow(np.array([True]))",
             ("pandas",),
         ),
     ],
@@ -424,6 +427,13 @@ def test_a_command_loads_what_it_begins_with_and_no_more(code: str, absent: tupl
     check = f"import sys; {code}; print([name for name in {absent!r} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_collector_does_not_look_at_what_modules_hold() -> None:
+    load = "from robomill.cli import _function; _function('command_options.run')"
+    code = f"import gc; {load}; print(gc.get_freeze_count() > 0, gc.isenabled())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "True True"
 
 
 def test_options_that_are_added_when_they_are_used_are_in_the_help(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from robomill.models.calibration.features import FEATURES
 from robomill.models.calibration.identification import (
-    FEATURES,
     THREE_POSES,
     Load,
     PayloadFit,

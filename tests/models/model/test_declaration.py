@@ -129,6 +129,19 @@ class TestRecord:
         assert data["curve_rows"][0] == 2
         assert curve(data) == [[0.0, 1.0], [2.0, 5.0]]
 
+    def test_starts_are_set_wherever_they_stand_in_a_large_record(self) -> None:
+        """Pages of zeros are not copied."""
+        large = (
+            Variable("first", "parameter", "Before", start=1.0),
+            Variable("x", "state", "Many", shape=(5000,), start=np.where(np.arange(5000) == 4321, -0.0, 0.0)),
+            Variable("y", "state", "After", shape=(700,), start=np.where(np.arange(700) == 650, 2.0, 0.0)),
+        )
+        s = record(Model("large", "", large, lambda s: 0, lambda s, t, h: 0).new())
+        assert s.first == 1.0
+        assert np.flatnonzero(np.signbit(s.x)).tolist() == [4321]
+        assert np.flatnonzero(s.y).tolist() == [650]
+        assert s.y[650] == 2.0
+
     def test_the_record_is_a_view(self) -> None:
         data = TANK.new()
         s = record(data)

@@ -11,6 +11,7 @@ import pytest
 from robomill.models.model.declaration import FloatArray
 from robomill.models.model.parameters import DATA, load, quantity
 from robomill.models.model.units import unit_of
+from robomill.models.robot.kinematics import Robot
 from tests.tolerances import ROUNDOFF
 
 
@@ -119,3 +120,11 @@ class TestParameterFiles:
             assert set(entry) == {"value", "unit", "source", "validity"}, name
             assert entry["source"], name
             assert unit_of(entry["unit"]), name
+
+
+def test_a_file_that_comes_with_robomill_is_read_once_and_one_of_a_user_each_time(tmp_path: Path) -> None:
+    shipped = DATA / "robots" / "kr210_2.toml"
+    own = tmp_path / "own.toml"
+    own.write_text(shipped.read_text(encoding="utf-8"), encoding="utf-8")
+    assert load(Robot, shipped) is load(Robot, "robots/kr210_2")
+    assert load(Robot, own) is not load(Robot, own)

@@ -154,7 +154,7 @@ class TestSameNumbers:
         with pytest.raises(RunError):
             run(oscillator(), folder, resolver=resolver(0.8))
         with monkeypatch.context() as patch:
-            patch.setattr("robomill.orchestration.runs.recorder.rows_of", lambda file: (_ for _ in ()).throw(KeyboardInterrupt))
+            patch.setattr("robomill.orchestration.runs.stream.rows_of", lambda file: (_ for _ in ()).throw(KeyboardInterrupt))
             with pytest.raises(Interrupted):
                 run(oscillator(), folder, resolver=resolver(), resume=True)
         assert (folder / "before-signals.parquet").is_file()

@@ -15,7 +15,8 @@ from robomill.orchestration.assembly import run
 from robomill.orchestration.errors import ResultsError
 from robomill.orchestration.runs.disk import LINE, zeros_on_lines
 from robomill.orchestration.runs.recorder import Recorder, frame_of
-from robomill.orchestration.runs.run import Run, finalise
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.runs.signals import finalise
 from robomill.orchestration.slaves.protocol import PortData
 from robomill.orchestration.system.definition import Recording
 from robomill.orchestration.system.wiring import wire
@@ -265,7 +266,7 @@ def progress(done, total):
         os.kill(os.getpid(), signal.SIGKILL)
 
 slaves = [source("s", lambda t: 3 * t)]
-run(system(slaves, recording=Recording(chunk=10)), Path(sys.argv[1]), stop=1.0, resolver=resolver(slaves), progress=progress)
+run(system(slaves, recording=Recording(chunk=int(sys.argv[2]))), Path(sys.argv[1]), stop=1.0, resolver=resolver(slaves), progress=progress)
 """
 
 
@@ -274,11 +275,13 @@ class TestCrash:
 
     @pytest.fixture
     def killed(self, tmp_path):
-        result = subprocess.run(
-            [sys.executable, "-c", KILLED, tmp_path / "r"], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False
-        )
+        return self.left(tmp_path / "r", 10)
+
+    def left(self, folder, chunk):
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        result = subprocess.run([sys.executable, "-c", KILLED, folder, str(chunk)], cwd=ROOT, env=environment, check=False)
         assert result.returncode != 0
-        return tmp_path / "r"
+        return folder
 
     def test_a_killed_process_leaves_all_rows(self, killed):
         r = Run.load(killed)
@@ -290,6 +293,18 @@ class TestCrash:
         live = killed / "signals.arrow"
         live.write_bytes(live.read_bytes()[:-100])
         assert len(Run.load(killed)) == 40
+
+    def test_rows_and_columns_are_kept_before_the_first_chunk_is_written(self, tmp_path):
+        killed = self.left(tmp_path / "r", 250)
+        assert not (killed / "signals.arrow").exists()
+        there, whole = Run.load(killed), Run.load(self.left(tmp_path / "whole", 10))
+        assert (there.outcome, len(there)) == ("running", 58)
+        assert np.array_equal(there["s.y"], 3 * there.t)
+        assert there.ports == whole.ports
+        finalise(killed)
+        assert len(Run.load(killed)) == 58
+        assert Run.load(killed).ports == whole.ports
+        assert not (killed / "flight").exists()
 
     def test_it_can_be_finalised_later(self, killed):
         finalise(killed)
