@@ -111,11 +111,11 @@ class Runs(Mapping[str, Run]):
         assert self.scenario.workpiece is not None  # load_scenario checks it for this kind
         return pictures.surfaces(self.results, self.scenario.workpiece)
 
-    def pictures(self) -> list[Path]:
+    def pictures(self, progress: milling.Progress | None = None) -> list[Path]:
         """Draw every picture of the scenario into `folder`; returns the files."""
         from robomill.cell import pictures
 
-        files = pictures.draw_all(self.scenario, self.results, self.folder)
+        files = pictures.draw_all(self.scenario, self.results, self.folder, progress)
         from robomill.cell import scan
 
         return files + (scan.draw(self.scenario, self.results, self.folder) if self.scenario.scan else [])

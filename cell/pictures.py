@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from robomill.cell import part_picture
 from robomill.cell.evaluation import Cut, Result, cutting
+from robomill.cell.milling import Progress
 from robomill.cell.palette import BLUE, CYCLE, GREEN, GREY, ORANGE, RED, SHADE, SKY, STYLES
 from robomill.cell.part import is_tridexel
 from robomill.cell.scenario import Scenario, Workpiece
@@ -44,14 +45,19 @@ NOTE: dict[str, Any] = {"boxstyle": "round", "fc": "white", "alpha": 0.8}
 COLOURS = {"uncompensated": GREY, "cartesian": BLUE, "axis": ORANGE, "cartesian_pilot": GREEN}
 
 
-def draw_all(scenario: Scenario, results: Sequence[Result], folder: Path) -> list[Path]:
-    """Draw every picture of a milling scenario into `folder`; returns the files. Those of all variants need all variants."""
+def draw_all(scenario: Scenario, results: Sequence[Result], folder: Path, progress: Progress | None = None) -> list[Path]:
+    """Draw every picture of a milling scenario into `folder`; returns the files. Those of all variants need all variants.
+
+    `progress` is told how many variants have theirs.
+    """
     assert scenario.workpiece is not None
     files = []
     if len(results) == len(scenario.variants):
         files.append(_save(surfaces(results, scenario.workpiece), folder / "surfaces.png"))
         files.append(_save(deviations(results, scenario.workpiece), folder / "deviation.png"))
-    for result in results:
+    for done, result in enumerate(results):
+        if progress is not None:
+            progress("pictures", done, len(results))
         files.append(_save(surfaces([result], scenario.workpiece), folder / result.name / "surface.png"))
         files.append(_save(forces(result), folder / result.name / "force.png"))
         files.append(_save(projection(result), folder / result.name / "projection.png"))

@@ -187,7 +187,10 @@ def _run_milling(scenario: Scenario, folder: Path, options: Namespace) -> int:
             _show_milled(complete[-1])
             say("These variants are complete; go on with --resume.")
         raise
-    files = [] if options.no_pictures else runs.pictures()
+    files = []
+    if not options.no_pictures:
+        with progress_bar(options.json) as report:
+            files = runs.pictures(report)
     if options.json:
         print((folder / milled.SUMMARY).read_text(encoding="utf-8"), end="")
         return 0

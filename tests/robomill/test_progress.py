@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 import pytest
 from rich.progress import Progress
 
 from robomill import progress
+from robomill.cli import main
+from robomill.files import FILES
 from robomill.progress import INTERVAL, PREPARING, progress_bar
 
 
@@ -62,3 +65,9 @@ def test_a_bar_takes_the_number_that_is_expected_now(monkeypatch: pytest.MonkeyP
             waiting, task = shown[0].tasks
             assert not waiting.visible
             assert (task.completed, task.total) == (done, total or None)
+
+
+def test_pictures_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "INTERVAL", 0.0)
+    assert main(["run", str(FILES / "scenarios" / "groove.toml"), "--variant", "cartesian", "--out", str(tmp_path / "out")]) == 0
+    assert "pictures: 0 %, 0 of 1" in capsys.readouterr().err
