@@ -17,6 +17,7 @@ from robomill.diagnosis.inference.intervals import by_least_squares
 from robomill.diagnosis.inference.search import Search, searched
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.formula import Calculated, candidate
+from tests.tolerances import chance
 
 ROWS, NOISE = 40, 0.02
 """Loads, and the noise of a displacement."""
@@ -57,8 +58,8 @@ def test_a_coupling_that_moves_nothing_alone_is_found_beside_the_joint_that_give
     assert all(c.name != "coupled @ place" for f in before for c in f.model)
     found = best(fits)
     assert {c.effect for c in found.model} == {"gives", "coupled"}
-    assert found.values["a", "coupled"] == pytest.approx(0.8, abs=0.05)
-    assert found.values["a", "gives"] == pytest.approx(1.0, abs=0.05)
+    assert found.values["a", "coupled"] == pytest.approx(0.8, abs=chance(found.deviations["a", "coupled"]))
+    assert found.values["a", "gives"] == pytest.approx(1.0, abs=chance(found.deviations["a", "gives"]))
     assert found.chi2 < 2.0 * search.evidence.expected.sum()
     assert [c.effect for c in search.candidates].count("coupled") == 1
     without = [f for f in fits[1:] if ("a", "coupled") not in f.values]
