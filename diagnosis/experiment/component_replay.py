@@ -39,8 +39,8 @@ from robomill.orchestration.system.definition import TICK, Component, Connection
 PLAYBACK = "playback:"
 """Source of the components that play back measured signals."""
 KNOWN = 1e-3
-"""Part of a whole that counts as none. Up to it the signal of a component without inputs (a program) is taken as it is simulated, and
-what moves that slowly beside its fastest stands still. So large is the push that shows what adds up: the motion stays as measured."""
+"""Relative deviation that counts as none: up to it the signal of a component without inputs (a program) is taken as it is simulated, and
+so large is the push that shows what adds up: the answer is that of the motion that was measured."""
 ADDS_UP = 0.5
 """Order of growth from which an output adds up what goes in: half way between one that settles (0) and an integrator (1)."""
 

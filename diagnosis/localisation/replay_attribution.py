@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.stats import uniform
 
 from robomill.diagnosis.catalogue import LOGGING, Address, Catalogue, Nuisance
-from robomill.diagnosis.experiment.component_replay import KNOWN, ComponentReplay
+from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.experiment.repeats import RESAMPLES, bootstrapped, over_pairs
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate
@@ -32,6 +32,8 @@ REPLAY_LATENESS = float(uniform.std())
 """Steps that the outputs of a component which is driven alone may be late: measured inputs reach it anywhere within a step."""
 REACH = 0.05
 """Part of the whitened sum of squares of an effect in an output from which a fault of the component may be looked for there."""
+PASSED_ON = 1e-3
+"""Part of the squares of an output that a change of it must have behind the next component, to count there."""
 SIGNIFICANT = 2.0 * CONFUSABLE
 """Deviations of noise from which something is left: half way to it, nothing and something are still CONFUSABLE deviations away."""
 MORE = 1.5
@@ -168,7 +170,7 @@ class Replay:
     ) -> set[tuple[str, str]]:
         """Pairs of components with connections that are not measured, over which effects of the first show in outputs of the second.
 
-        They do from CONFUSABLE deviations on, and from a part KNOWN of the squares that they have in outputs of the first.
+        They do from CONFUSABLE deviations on, and from a part PASSED_ON of the squares that they have in outputs of the first.
         """
         found = set()
         first = self.replayed[0]
@@ -184,7 +186,7 @@ class Replay:
             for a in probes:
                 there = first.observed(first.follow(moved[a][0], arrays, target))[:, self.at]
                 chi2 = self._chi2(there)
-                if chi2 > max(CONFUSABLE**2, KNOWN * self._chi2(seen[a][0])):
+                if chi2 > max(CONFUSABLE**2, PASSED_ON * self._chi2(seen[a][0])):
                     found.add((source, target))
         return found
 
