@@ -257,23 +257,31 @@ class TestDiscrepancy:
         return made.ravel()
 
     @pytest.mark.parametrize("repeats", [1, 2])
-    @pytest.mark.parametrize(("sizes", "worst"), [((3.0, 1.0, 2.0), "a.x"), ((1.0, 1.0, 2.0), "b.z"), ((0.0, 3.0, 1.0), "a.x")])
-    def test_the_level_is_that_of_the_worst_array(self, sizes: tuple[float, float, float], worst: str, repeats: int) -> None:
+    @pytest.mark.parametrize(("sizes", "worst"), [((3.0, 1.0, 2.0), "a.x[1]"), ((1.0, 1.0, 2.0), "b.z"), ((0.0, 3.0, 1.0), "a.x[2]")])
+    def test_the_level_is_that_of_the_worst_channel_in_the_worst_condition(
+        self, sizes: tuple[float, float, float], worst: str, repeats: int
+    ) -> None:
         """Over that of noise and discrepancy; where nothing was repeated over GUESSED times that."""
         found = self.evidence(repeats=repeats)
         square = (ROWS - BEGINNING - 1) * np.array(sizes) ** 2
-        allowed = ROWS * self.part(repeats, self.OFF) / DEPENDENCE
-        levels = {"a.x": square[:2].sum() / allowed[:2].sum(), "b.z": square[2] / allowed[2]}
+        levels = dict(zip(self.NAMES, square / (ROWS * self.part(repeats, self.OFF) / DEPENDENCE), strict=True))
         assert max(levels, key=lambda name: levels[name]) == worst
-        assert found.level(self.left(found, sizes)) == pytest.approx(levels[worst] / (GUESSED if repeats == 1 else 1.0), rel=RIDGE)
+        expected = levels[worst] / (GUESSED if repeats == 1 else 1.0)
+        left = self.left(found, sizes)
+        assert found.level(left) == pytest.approx(expected, rel=RIDGE)
+        first, second = found.space.blocks.values()
+        left[first] *= 0.5
+        assert found.level(left) == pytest.approx(expected, rel=RIDGE)  # the other condition is as bad as before
+        left[second] *= 0.5
+        assert found.level(left) == pytest.approx(0.25 * expected, rel=RIDGE)
 
     def test_what_nuisances_explain_counts_what_it_costs(self) -> None:
         """A deviation of a tolerance, whose own column takes s / (1 + s) of it, s its square: <b, b> = s / (1 + s), below one."""
         found = self.evidence(second=False)
         column = found.space.nuisances.toarray()[:, found.space.names.index(self.FIRST)]
-        square = float(column @ column)
-        allowed = 2 * ROWS * self.part(2, self.OFF)[:2].sum() / DEPENDENCE
-        assert found.level(column) == pytest.approx(square / (1.0 + square) / allowed, rel=1e2 * RIDGE)
+        square, first = float(column @ column), float(column.reshape(2, ROWS, 3)[0, :, 0] @ column.reshape(2, ROWS, 3)[0, :, 0])
+        allowed = ROWS * self.part(2, self.OFF)[0] / DEPENDENCE
+        assert found.level(column) == pytest.approx(first / (1.0 + square) / allowed, rel=1e2 * RIDGE)
 
 
 class TestLateness:
