@@ -99,14 +99,14 @@ class Evidence:
         """chi2 of a residual [n] over what noise and discrepancy leave: that of the worst channel in the worst condition.
 
         With b = (I + B'B)^-1 B' u, <u, u> = u'(u - B b) = |u - B b|^2 + |b|^2: the part of a channel in it has what nuisances leave there,
-        and what it costs to move them so far.
+        and what it costs to move them so far. Both have one sample more, as expected: without noise less than that says nothing.
         """
         rest = left * (left - self.space.explained(left))
         worst = 0.0
         for block in self.space.blocks.values():
             chi2, allowed = (x[block].reshape(-1, len(self.arrays)).sum(axis=0)[self.judged] for x in (rest, self.allowed))
-            worst = max(worst, float(np.max(chi2[allowed > 0.0] / allowed[allowed > 0.0], initial=0.0)))
-        return worst / self.guess
+            worst = max(worst, float(np.max((chi2 / self.guess + 1.0) / (allowed + 1.0), initial=0.0)))
+        return worst
 
     def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
         """Whitened change [n] of simulations of all conditions, [samples, all channels] each, against the nominal ones.

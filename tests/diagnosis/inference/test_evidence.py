@@ -246,7 +246,7 @@ class TestDiscrepancy:
         found = self.evidence(second=False)
         assert found.judged.tolist() == [True, True, False]
         assert not found.sudden[0][:, 2].any()
-        assert found.level(self.left(found, (0.0, 0.0, 7.0))) == 0.0
+        assert found.level(self.left(found, (0.0, 0.0, 7.0))) == found.level(np.zeros(found.space.y.size)) < 1.0
 
     def left(self, found: Evidence, sizes: tuple[float, float, float]) -> FloatArray:
         """So large in a channel, of one sign and the other in turn, where samples count; what is steady takes none of it."""
@@ -264,16 +264,17 @@ class TestDiscrepancy:
         """Over that of noise and discrepancy; where nothing was repeated over GUESSED times that."""
         found = self.evidence(repeats=repeats)
         square = (ROWS - BEGINNING - 1) * np.array(sizes) ** 2
-        levels = dict(zip(self.NAMES, square / (ROWS * self.part(repeats, self.OFF) / DEPENDENCE), strict=True))
+        guess = GUESSED if repeats == 1 else 1.0
+        allowed = ROWS * self.part(repeats, self.OFF) / DEPENDENCE
+        levels = dict(zip(self.NAMES, (square / guess + 1.0) / (allowed + 1.0), strict=True))
         assert max(levels, key=lambda name: levels[name]) == worst
-        expected = levels[worst] / (GUESSED if repeats == 1 else 1.0)
         left = self.left(found, sizes)
-        assert found.level(left) == pytest.approx(expected, rel=RIDGE)
+        assert found.level(left) == pytest.approx(levels[worst], rel=RIDGE)
         first, second = found.space.blocks.values()
         left[first] *= 0.5
-        assert found.level(left) == pytest.approx(expected, rel=RIDGE)  # the other condition is as bad as before
-        left[second] *= 0.5
-        assert found.level(left) == pytest.approx(0.25 * expected, rel=RIDGE)
+        assert found.level(left) == pytest.approx(levels[worst], rel=RIDGE)  # the other condition is as bad as before
+        left[second] *= 0.0
+        assert found.level(left) == pytest.approx(((0.25 * square / guess + 1.0) / (allowed + 1.0)).max(), rel=RIDGE)
 
     def test_what_nuisances_explain_counts_what_it_costs(self) -> None:
         """A deviation of a tolerance, whose own column takes s / (1 + s) of it, s its square: <b, b> = s / (1 + s), below one."""
@@ -281,7 +282,7 @@ class TestDiscrepancy:
         column = found.space.nuisances.toarray()[:, found.space.names.index(self.FIRST)]
         square, first = float(column @ column), float(column.reshape(2, ROWS, 3)[0, :, 0] @ column.reshape(2, ROWS, 3)[0, :, 0])
         allowed = ROWS * self.part(2, self.OFF)[0] / DEPENDENCE
-        assert found.level(column) == pytest.approx(first / (1.0 + square) / allowed, rel=1e2 * RIDGE)
+        assert found.level(column) == pytest.approx((first / (1.0 + square) + 1.0) / (allowed + 1.0), rel=1e2 * RIDGE)
 
 
 class TestLateness:
