@@ -108,8 +108,10 @@ def judged(
     `faulty`: a fault of the log is part of the best model.
     """
     refuted = tests.p_fit < 1.0 - tests.p_fit or (other is not None and changes(search, best, other)) or at_bound(best)
-    if not best.model or not believed(tests) or refuted:  # then nothing is there, if machines without effects leave as much
-        return "unknown" if over_noise(search, nominal) > UNKNOWN else "none"
+    gap = over_noise(search, nominal) > UNKNOWN
+    guess = search.evidence.guess > 1.0  # of noise: nobody knows how slow it is, and an effect within it may be that
+    if not best.model or not believed(tests) or refuted or (guess and not gap):
+        return "unknown" if gap else "none"  # nothing is there, if machines without effects leave as much
     if faulty:
         return "bad_log"
     return "identified" if all(probabilities[c] >= IDENTIFIED for c in best.model) else "ambiguous"

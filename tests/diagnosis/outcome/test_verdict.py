@@ -26,10 +26,13 @@ EXPECTED = 1000.0
 SURE = verdict.Tests(0.02, 0.001, 0.98, 0.001)
 
 
-def search(candidates: tuple[Candidate, ...] = (), explainable: float = 0.0) -> Any:
+def search(candidates: tuple[Candidate, ...] = (), explainable: float = 0.0, guess: float = 1.0) -> Any:
     """A residual of one number, which is its level; all candidates together can explain so much of any."""
     evidence = SimpleNamespace(
-        noise=EXPECTED, space=Space(np.zeros(1), {"all": slice(0, 1)}, np.zeros((1, 0))), level=lambda left: float(left[0])
+        noise=EXPECTED,
+        space=Space(np.zeros(1), {"all": slice(0, 1)}, np.zeros((1, 0))),
+        level=lambda left: float(left[0]),
+        guess=guess,
     )
     return cast(Any, SimpleNamespace(candidates=candidates, evidence=evidence, explainable=lambda left: explainable))
 
@@ -115,6 +118,15 @@ class TestJudged:
             assert self.judged(tests, 1.01 * UNKNOWN, folder=tmp_path) == "unknown"
         assert judged(search(), SURE, fit(1.0), fit(1.0), None, {}, False) == "none"
         assert judged(search(), SURE, fit(1.1 * UNKNOWN), fit(1.1 * UNKNOWN), None, {}, False) == "unknown"
+
+    def test_where_noise_is_a_guess_an_effect_within_it_is_none(self, tmp_path: Path) -> None:
+        model = catalogue(tmp_path).candidates[:2]
+        for guess, says in ((1.0, "identified"), (3.0, "none")):
+            found = judged(search(guess=guess), SURE, fit(0.99 * UNKNOWN), fit(1.1, model), None, dict.fromkeys(model, 0.95), False)
+            assert found == says
+        assert (
+            judged(search(guess=3.0), SURE, fit(1.01 * UNKNOWN), fit(1.1, model), None, dict.fromkeys(model, 0.95), False) == "identified"
+        )
 
     def test_a_model_that_is_rather_a_stand_in_is_unknown_be_it_as_likely_as_it_may(self, tmp_path: Path) -> None:
         assert self.judged(replace(SURE, p_fit=0.49), folder=tmp_path) == "unknown"
