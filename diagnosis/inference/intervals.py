@@ -85,6 +85,12 @@ class Noise:
         backward = lfilter([1.0], [1.0, -self.keeps], columns[::-1], axis=0)[::-1]
         return np.asarray(self.white * columns + self.coloured * (forward + backward - columns))
 
+    def drawn(self, random: np.random.Generator, rows: int, columns: int) -> FloatArray:
+        """Independent sequences of it, [rows, columns]."""
+        pushes = np.sqrt(self.coloured) * random.normal(size=(rows, columns))
+        pushes[1:] *= np.sqrt(1.0 - self.keeps**2)
+        return np.asarray(lfilter([1.0], [1.0, -self.keeps], pushes, axis=0) + np.sqrt(self.white) * random.normal(size=(rows, columns)))
+
     @property
     def worth(self) -> float:
         """Part of the samples that are left if each were independent of the others, for the variance of a mean."""

@@ -83,7 +83,8 @@ class Sets:
 def weighed(search: Search, fits: Sequence[Fit]) -> tuple[list[Fit], FloatArray]:
     """Models and the probability of each, float64[models]: those of the search, and where its noise is a guess, those of `Sets`, too.
 
-    A fault of the log that the best model of the search does not have is not looked at: there is more to it than evidence.
+    Sets are those about the best model: where another one is better, that is fitted, and sets are weighed anew, until it stays. A fault
+    of the log that the best model of the search does not have is not looked at: there is more to it than evidence.
     """
     weights = probabilities(fits, search.candidates)
     best = fits[int(weights.argmax())]
@@ -98,20 +99,23 @@ def weighed(search: Search, fits: Sequence[Fit]) -> tuple[list[Fit], FloatArray]
             if set(c.addresses) <= set(problem.order) and (c.component != LOGGING or c in best.model):
                 free.setdefault(c.name, c)
         sets = Sets.of(problem, search.candidates)
-        found = sets.best(tuple(c for c in best.model if c in free.values()), list(free.values()))
+        started = [f.model for f in (best, *fits) if set(f.model) <= set(free.values())]
+        found = sets.best(max(started, key=sets.score), list(free.values()))
         if set(found.model) == set(best.model):
             break
-        fit = search.fitted(found.model, found.values, found.deviations)
+        fit = search.fitted(found.model, found.values, found.deviations) if found.model else fits[0]
         if fit is None:
-            break
+            return list(fits), weights
         best = fit
+        if not best.model:
+            break
     if best.model and len(search.evidence.space.blocks) > 1:
         best.predictive = {name: part.predicted for name, part in leave_one_out(best, search.evidence.space).items()}
     sets.score(best.model)
     scores = {names: log for names, (log, _) in sets.known.items()}
     likely = logsumexp(list(scores.values())) - np.log(len(scores))  # more than the mean
     kept = {frozenset(c.name for c in f.model): f for f in fits if f.model and set(f.values) <= set(sets.order)}
-    kept |= {n: _beside(search, best, sets.known[n][1]) for n, log in scores.items() if log > likely and n not in kept}
+    kept |= {n: _beside(search, best, sets.known[n][1]) for n, log in scores.items() if n and log > likely and n not in kept}
     kept |= {frozenset(): fits[0], frozenset(c.name for c in best.model): best}
     ordered = [fits[0], *(f for n, f in kept.items() if n)]
     logs = np.array([sets.score(f.model) for f in ordered])
