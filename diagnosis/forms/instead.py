@@ -6,7 +6,7 @@ of forms is put in its place, at each measured output in which the effect does s
 counts is how well blocks of time are predicted that were left out (`selection`).
 
 Machines simulated with the best model are the yardstick: where the law of an effect is that of the machine, hardly any of many terms
-predicts better, and by little. The noise of these machines is as large as what the model leaves, and remembers as long.
+predicts better, and by little. The noise of these machines is like what the model leaves: white, and with a part that remembers.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 
 from robomill.diagnosis.catalogue import LOGGING, Candidate
 from robomill.diagnosis.experiment.component_replay import ComponentReplay
@@ -24,7 +23,7 @@ from robomill.diagnosis.experiment.simulation import Laboratory, decimate, setti
 from robomill.diagnosis.forms.ports import Problem, alike, direct, replayed
 from robomill.diagnosis.forms.selection import Labels, Products, Rows
 from robomill.diagnosis.inference.estimation import Fit
-from robomill.diagnosis.inference.intervals import MATERIAL
+from robomill.diagnosis.inference.intervals import MATERIAL, Noise
 from robomill.diagnosis.inference.machines import MACHINES
 from robomill.diagnosis.outcome.ceiling import FOLDS
 from robomill.orchestration.errors import OrchestrationError
@@ -176,7 +175,7 @@ def better(port: Port, tries: int, apart: bool) -> list[Instead]:
         if gain <= LITTLE:
             continue
         if machines is None:
-            machines = _machines(wide, columns.sum(axis=1), parts, 0.0 if apart else rows.memory(rows.y))
+            machines = _machines(wide, columns.sum(axis=1), parts, apart)
         simulated = products.left_beside(others, None, *machines)
         above = int(((simulated[j] - simulated[spread].min(axis=0)) / gap >= gain).sum())
         p = min(1.0, tries * (1 + above) / (1 + MACHINES))
@@ -184,17 +183,17 @@ def better(port: Port, tries: int, apart: bool) -> list[Instead]:
     return found
 
 
-def _machines(rows: Rows, model: FloatArray, parts: Labels, rho: float) -> tuple[FloatArray, FloatArray]:
+def _machines(rows: Rows, model: FloatArray, parts: Labels, apart: bool) -> tuple[FloatArray, FloatArray]:
     """Products of the terms with the gaps of MACHINES simulated machines, as `Products.left_beside` takes them.
 
-    A gap is what the model does [n], and noise as large as what it leaves of these `rows`, with correlation `rho` from sample to sample.
+    A gap is what the model does [n], and noise like what it leaves of these `rows`: white noise and a part that remembers, unless samples
+    are `apart` from each other.
     """
+    series = [np.flatnonzero(rows.series == s) for s in np.unique(rows.series)]
+    noise = Noise.of([(rows.y - model)[at] for at in series], np.inf if apart else rows.step)
     random = np.random.default_rng(0)
-    y = random.normal(size=(len(rows.y), MACHINES))
-    for s in np.unique(rows.series):
-        at = np.flatnonzero(rows.series == s)
-        y[at[1:]] *= np.sqrt(1.0 - rho * rho)
-        y[at] = lfilter([1.0], [1.0, -rho], y[at], axis=0)
-    y = model[:, None] + np.sqrt(np.mean((rows.y - model) ** 2)) * y
+    y = np.zeros((len(rows.y), MACHINES))
+    for at in series:
+        y[at] = model[at, None] + noise.drawn(random, len(at), MACHINES)
     folds = [parts == f for f in np.unique(parts)]
     return np.stack([rows.X[f].T @ y[f] for f in folds]), np.stack([(y[f] ** 2).sum(axis=0) for f in folds])

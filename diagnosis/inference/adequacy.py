@@ -68,11 +68,12 @@ def unexplained(before: float, after: float) -> float:
     return max(after - LEVEL, 0.0) / max(before - LEVEL, 1e-9)
 
 
-def left_by(before: float, after: float, misfit: float = MISFIT) -> float:
+def left_by(before: float, after: float, misfit: float = MISFIT, kinds: int = 1) -> float:
     """Log Bayes factor for a right model against a stand-in, from what it leaves of a gap; both over noise.
 
-    after ~ N(LEVEL + u (before - LEVEL), SPREAD^2). The share u that is left is Beta(1, 1 / misfit - 1) for a right model, and could be
-    anything between 0 and 1 for a stand-in.
+    after ~ N(LEVEL + u (before - LEVEL), SPREAD^2). The share u that is left is Beta(1, 1 / misfit - 1) for a right model. For a stand-in
+    it could be anything between 0 and 1; of several `kinds` of effects that were fitted together the least of as many such shares:
+    Beta(1, kinds).
     """
     gap = max(before - LEVEL, 0.0)
     centre, width = (after - LEVEL) / (gap + 1e-12), SPREAD / (gap + 1e-12)
@@ -84,4 +85,5 @@ def left_by(before: float, after: float, misfit: float = MISFIT) -> float:
     step = np.log(np.convolve(np.diff(u), [0.5, 0.5]))  # of the trapezoidal rule
     b = 1.0 / misfit - 1.0
     right = math.log(b) + (b - 1.0) * np.log(np.maximum(1.0 - u, 1e-300))
-    return float(logsumexp(log_likelihood + right + step) - logsumexp(log_likelihood + step))
+    other = math.log(kinds) + (kinds - 1.0) * np.log(np.maximum(1.0 - u, 1e-300))
+    return float(logsumexp(log_likelihood + right + step) - logsumexp(log_likelihood + other + step))

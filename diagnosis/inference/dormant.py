@@ -14,7 +14,7 @@ import numpy as np
 
 from robomill.diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
-from robomill.diagnosis.inference.estimation import Fit, Model, leave_one_out, quadratic_fit
+from robomill.diagnosis.inference.estimation import Fit, leave_one_out, quadratic_fit
 from robomill.diagnosis.inference.search import GUESSES, POLISHED, Search, searched
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -55,14 +55,14 @@ def searched_beside(
         again.simulator, again.candidates = simulator, [*again.candidates, c]
         ranked = sorted((f for f in others if f.model), key=_evidence, reverse=True)[:POLISHED]
         starts = [((*f.model, c), {**f.values, **_of(before.values, c)}, {**f.deviations, **_of(before.deviations, c)}) for f in ranked]
-        models = [fit for start in starts if (fit := _fitted(again, *start)) is not None and fit.large_enough()]
+        models = [fit for start in starts if (fit := again.fitted(*start)) is not None and fit.large_enough()]
         if not models:
             return search, fits
         best = max(models, key=_evidence)
         if set(best.model) == set(before.model) and abs(best.values[c.addresses[0]] - value) < best.deviations[c.addresses[0]]:
             break
         value = best.values[c.addresses[0]]
-    without = _fitted(again, alone.model, alone.values, alone.deviations)
+    without = again.fitted(alone.model, alone.values, alone.deviations)
     fits = [again.nominal(), *models, *([without] if without is not None else [])]
     assert best.sensitivities is not None
     again.evidence.sensitivities[c.addresses[0]] = best.sensitivities[:, -1]
@@ -88,18 +88,6 @@ def _woken(search: Search, alone: Fit, c: Candidate) -> Fit | None:
         start = np.array([*(alone.values[b] / m.prior.scale for m in alone.model for b in m.addresses), 0.0])
         found.append(quadratic_fit((*alone.model, c), alone.signature, slopes, start, search.evidence.space, alone.form))
     return max(found, key=_evidence, default=None)
-
-
-def _fitted(search: Search, model: Model, values: Mapping[Address, float], deviations: Mapping[Address, float]) -> Fit | None:
-    """The best fit of a model near these values, by slopes of its own place, about a simulation; None where the system cannot run."""
-    start = Fit(model, dict(values), dict(deviations), -np.inf, np.inf)
-    here, slopes = search.mean_signature(setting(values)), search.slopes(start)
-    if here is None or slopes is None:
-        return None
-    best = search.sharpen(search.about(start, here, slopes))
-    there = search.mean_signature(setting(best.values))
-    assert best.sensitivities is not None
-    return None if there is None else search.about(best, there, best.sensitivities)
 
 
 def _of(numbers: Mapping[Address, float], c: Candidate) -> dict[Address, float]:

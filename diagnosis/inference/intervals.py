@@ -20,6 +20,7 @@ from scipy.signal import lfilter
 from robomill.diagnosis.catalogue import Address
 from robomill.diagnosis.experiment.simulation import setting
 from robomill.diagnosis.inference.estimation import Fit, Model
+from robomill.diagnosis.inference.evidence import FORM
 from robomill.diagnosis.inference.search import POLISH, SHARPER, Search
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -83,6 +84,12 @@ class Noise:
         forward = lfilter([1.0], [1.0, -self.keeps], columns, axis=0)
         backward = lfilter([1.0], [1.0, -self.keeps], columns[::-1], axis=0)[::-1]
         return np.asarray(self.white * columns + self.coloured * (forward + backward - columns))
+
+    def drawn(self, random: np.random.Generator, rows: int, columns: int) -> FloatArray:
+        """Independent sequences of it, [rows, columns]."""
+        pushes = np.sqrt(self.coloured) * random.normal(size=(rows, columns))
+        pushes[1:] *= np.sqrt(1.0 - self.keeps**2)
+        return np.asarray(lfilter([1.0], [1.0, -self.keeps], pushes, axis=0) + np.sqrt(self.white) * random.normal(size=(rows, columns)))
 
     @property
     def worth(self) -> float:
@@ -159,13 +166,41 @@ class Problem:
             x = _bounded(gram, np.asarray(product), self.low / self.scales, self.high / self.scales)
             rest = [y - J @ x for y, J in zip(gaps, self.slopes, strict=True)]
         inverse = np.linalg.inv(gram + 1e-12 * np.diag(np.diag(gram) + 1e-300))
-        middle = np.diag(prior)
-        for c, v in enumerate(self._noise(rest)):
+        middle = np.diag(prior) + sum(self._scatter(self._noise(rest), weights, inverse))
+        return Solution(x, np.sqrt(np.diag(inverse @ middle @ inverse)), gaps, rest)
+
+    def _scatter(self, noise: Sequence[Noise], weights: FloatArray, inverse: FloatArray) -> list[FloatArray]:
+        """Covariance of the products of the slopes and the noise of each channel, both weighed, [numbers, numbers].
+
+        The noise was found in what all numbers leave; `inverse` [numbers, numbers], that of the gram matrix, says how many samples these
+        have used up, of those that are there if each were independent.
+        """
+        found = []
+        for c, v in enumerate(noise):
             parts = [J[:, c] * weights[c] for J in self.slopes]
             used = sum(float(np.einsum("ti,ij,tj->", J, inverse, J, optimize=True)) for J in parts)
             there = v.worth * sum(len(J) for J in parts)
-            middle = middle + sum(J.T @ v.times(J) for J in parts) * weights[c] ** 2 * there / max(there - used, 1.0)
-        return Solution(x, np.sqrt(np.diag(inverse @ middle @ inverse)), gaps, rest)
+            found.append(sum((J.T @ v.times(J) for J in parts), np.zeros_like(inverse)) * weights[c] ** 2 * there / max(there - used, 1.0))
+        return found
+
+    def seen(self, solution: Solution) -> tuple[FloatArray, FloatArray]:
+        """What least squares see of all numbers: their precision P [numbers, numbers] and P times their values [numbers], without priors.
+
+        Least squares look at the products g = J'Wy of slopes and gaps alone, with W the weights of the channels. Of values x they are
+        N(G x, M), with G = J'WJ and M what noise does to them, and what an effect may do in each channel otherwise than its law says
+        (FORM of it). Then P = G M^-1 G, and P x = G M^-1 g.
+        """
+        noise = self._noise(solution.rest)
+        weights = np.array([v.weight for v in noise])
+        grams = [weights[c] ** 2 * sum(J[:, c].T @ J[:, c] for J in self.slopes) for c in range(len(noise))]
+        G = np.sum(grams, axis=0)
+        g = sum(np.einsum("tci,tc,c->i", J, y, weights**2, optimize=True) for J, y in zip(self.slopes, solution.gaps, strict=True))
+        form = np.concatenate([FORM * of * solution.x for of in grams], axis=1)
+        inverse = np.linalg.inv(G + np.diag(np.where(self.named, 0.0, 1.0)) + 1e-12 * np.diag(np.diag(G) + 1e-300))
+        M = sum(self._scatter(noise, weights, inverse)) + form @ form.T
+        size = np.sqrt(np.diag(M)) + 1e-300
+        across = np.linalg.solve(M / np.outer(size, size) + 1e-6 * np.eye(len(G)), np.column_stack([G, g]) / size[:, None])
+        return G.T @ (across[:, :-1] / size[:, None]), G.T @ (across[:, -1] / size)
 
     def known(self, solution: Solution, model: Model) -> dict[str, Known]:
         """What is known of each effect of a model, by name."""

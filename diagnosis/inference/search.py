@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import LOGGING, Candidate, Catalogue, Nuisance
+from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
 from robomill.diagnosis.inference.adequacy import COHERENT
-from robomill.diagnosis.inference.estimation import Fit, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
+from robomill.diagnosis.inference.estimation import Fit, Model, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
 from robomill.diagnosis.inference.evidence import dependence
 from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Sensitivities, per_scale
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -201,6 +201,20 @@ class Search:
             assert trial.sensitivities is not None
             fit, here = self.about(trial, there, trial.sensitivities), there
         return fit
+
+    def fitted(self, model: Model, values: Mapping[Address, float], deviations: Mapping[Address, float]) -> Fit | None:
+        """The best fit of a model near these values [unit], by slopes of its own place; None where the system cannot run.
+
+        `deviations` [unit]: steps of the slopes.
+        """
+        start = Fit(model, dict(values), dict(deviations), -np.inf, np.inf)
+        here, slopes = self.mean_signature(setting(values)), self.slopes(start)
+        if here is None or slopes is None:
+            return None
+        best = self.sharpen(self.about(start, here, slopes))
+        there = self.mean_signature(setting(best.values))
+        assert best.sensitivities is not None
+        return None if there is None else self.about(best, there, best.sensitivities)
 
     def slopes(self, fit: Fit) -> FloatArray | None:
         """ds/dx of a model at its values, per prior scale [n, parameters], by one difference each; None where the system cannot run."""

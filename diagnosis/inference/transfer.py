@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -93,6 +93,8 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     e = gather(
         simulator.laboratory, [names[i] for i in every], measured, plain, changes, sizes, {}, scales, like=search.evidence, doubts=doubts
     )
+    if not e.judged.any():  # without tolerances nothing is known of discrepancies: there is the noise to compare with
+        e = replace(e, judged=np.ones_like(e.judged))
     signature = e.mean_signature(there)
     assert signature is not None
     space = e.space

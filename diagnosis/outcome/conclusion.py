@@ -19,6 +19,7 @@ from robomill.diagnosis.inference.intervals import Known, by_least_squares
 from robomill.diagnosis.inference.machines import p_none
 from robomill.diagnosis.inference.priors import probabilities
 from robomill.diagnosis.inference.search import Search
+from robomill.diagnosis.inference.sets import weighed
 from robomill.diagnosis.inference.time_varying import Changing, changing
 from robomill.diagnosis.inference.transfer import Transfer, transfer
 from robomill.diagnosis.inference.visibility import Seen
@@ -29,7 +30,7 @@ from robomill.diagnosis.outcome import next_run
 from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Menu, Unknown, Visible, Which, curves_of, titles_of
 from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, Closing, metrics
-from robomill.diagnosis.outcome.steps import steps
+from robomill.diagnosis.outcome.steps import signatures, steps
 from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, share_left, tested
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -51,7 +52,7 @@ LISTED = 0.01
 class Conclusion:
     """The verdict on fitted models, and all that belongs to it; `answer` says it.
 
-    `weights`: probability of each fit; `best`: the likeliest one.
+    `weights`: probability of each fit; `best`: the likeliest one; `nothing`: probability of the nominal model beside those of the search.
     """
 
     def __init__(
@@ -67,11 +68,12 @@ class Conclusion:
         repair: bool,
         false_alarm: float,
     ) -> None:
-        self.laboratory, self.simulator, self.search, self.fits, self.groups, self.n = laboratory, simulator, search, fits, groups, n
+        self.laboratory, self.simulator, self.search, self.groups, self.n = laboratory, simulator, search, groups, n
         self.findings, self.menu, self.repair, self.false_alarm = findings, menu, repair, false_alarm
         self.titles = titles_of(search.catalogue.titles, laboratory.ports)
-        self.weights = probabilities(fits, search.candidates)
-        self.best = fits[int(self.weights.argmax())]
+        self.nothing = float(probabilities(fits, search.candidates)[0])
+        self.fits, self.weights = weighed(search, fits)
+        self.best = self.fits[int(self.weights.argmax())]
         self.known: Mapping[str, Known] = {}
 
     def marginal(self) -> dict[Candidate, float]:
@@ -95,8 +97,8 @@ class Conclusion:
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] >= IDENTIFIED]
         moved = self.transfer() if self.best.model and not clocks else None
         other = changing(search)
-        odds = float(np.log(max(1.0 - self.weights[0], 1e-300)) - np.log(max(self.weights[0], 1e-300)))
-        tests = tested(search, nominal, self.best, float(self.weights[0]), p_none(search, odds), moved, self.false_alarm)
+        odds = float(np.log(max(1.0 - self.nothing, 1e-300)) - np.log(max(self.nothing, 1e-300)))
+        tests = tested(search, nominal, self.best, self.nothing, p_none(search, odds), moved, self.false_alarm)
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
         faulty = any(believed[c] >= IDENTIFIED for c in clocks) and not self.repair
         verdict = judged(search, tests, nominal, self.best, other, believed, faulty)
@@ -158,10 +160,19 @@ class Conclusion:
         return answer, adopted
 
     def transfer(self) -> Transfer | None:
-        """What the best model is worth in held-out conditions; its doubt is sqrt((WIDER deviation / size)^2 + BIAS^2), at most 1."""
-        fit = self.best
-        sizes = {a: size for c in fit.model for a, size in c.sizes(fit.values).items()}
-        doubt = max(math.hypot(BIAS, WIDER * fit.deviations[a] / (size + 1e-300)) for a, size in sizes.items())
+        """What the best model is worth in held-out conditions.
+
+        Its doubt is BIAS and WIDER times the relative deviations of its sizes, each by the share of its effect in the signature s, <s, s_c>
+        / <s, s>: what an effect does that is hardly known and does little hardly matters. At most 1.
+        """
+        fit, doubt = self.best, BIAS
+        parts = signatures(fit)
+        total: FloatArray = np.sum(list(parts.values()), axis=0)
+        space = self.search.evidence.space
+        for c, part in parts.items():
+            share = float(space.dot(total, part)) / (float(space.dot(total, total)) + 1e-300) if len(parts) > 1 else 1.0
+            sizes = c.sizes(fit.values)
+            doubt = math.hypot(doubt, share * WIDER * max(fit.deviations[a] / (sizes[a] + 1e-300) for a in c.addresses))
         return transfer(self.search, self.groups, fit, min(doubt, 1.0))
 
     def families(self, p_fit: float, instead: Laws) -> tuple[Family, ...]:

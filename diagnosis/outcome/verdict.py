@@ -18,7 +18,7 @@ from scipy.special import expit
 from robomill.diagnosis.catalogue import Candidate
 from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, SPREAD, agreement, kept, left_by, misfit, unexplained
 from robomill.diagnosis.inference.estimation import Fit
-from robomill.diagnosis.inference.priors import ANOTHER, log_priors
+from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
@@ -74,10 +74,10 @@ def share_left(search: Search, nominal: Fit, best: Fit) -> float:
 def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: float, moved: Transfer | None, alpha: float) -> Tests:
     """The tests of an answer; `nothing`: probability of the nominal model by the diagnosed runs, `moved`: new conditions."""
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
-    kinds = max(len({c.effect for c in best.model}), 1)  # several that are listed, against one that is not
-    fits = math.log(1.0 - UNLISTED) - math.log(UNLISTED) + (kinds - 1) * math.log(ANOTHER)
+    kinds = max(len({c.effect for c in best.model}), 1)
+    fits = math.log(1.0 - UNLISTED) - math.log(UNLISTED)
     seen = sorted(zip(looks(search, nominal), looks(search, best), strict=True))
-    other, larger = (left_by(before, after, misfit(best.model)) for before, after in seen)
+    other, larger = (left_by(before, after, misfit(best.model), kinds) for before, after in seen)
     fits += larger + min(other, 0.0)  # where the gap is larger it is seen whether it closes; the other look may refute that
     holds = held_together(search, best)
     if moved is not None:

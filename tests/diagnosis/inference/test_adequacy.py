@@ -21,8 +21,8 @@ QUADRATURE = 0.05
 GAPS = (LEVEL + SPREAD, 2.0, 5.0, 50.0, 5000.0)
 
 
-def integrated(before: float, after: float, share: float) -> float:
-    """Log of the ratio of the integrals over the share that is left, of Beta(1, 1 / share - 1) and of any between 0 and 1."""
+def integrated(before: float, after: float, share: float, kinds: int = 1) -> float:
+    """Log of the ratio of the integrals over the share that is left, of Beta(1, 1 / share - 1) and of Beta(1, kinds)."""
     gap = before - LEVEL
     centre, width = (after - LEVEL) / gap, SPREAD / gap
     finely = np.concatenate(
@@ -32,7 +32,7 @@ def integrated(before: float, after: float, share: float) -> float:
     likelihood = norm.logpdf(u, centre, width)
     likelihood = np.exp(likelihood - likelihood.max())
     right = beta.pdf(np.minimum(u, 1.0 - 1e-15), 1.0, 1.0 / share - 1.0)
-    return math.log(trapezoid(likelihood * right, u)) - math.log(trapezoid(likelihood, u))
+    return math.log(trapezoid(likelihood * right, u)) - math.log(trapezoid(likelihood * beta.pdf(u, 1.0, kinds), u))
 
 
 @pytest.mark.parametrize("share", [MISFIT, EXACT])
@@ -41,6 +41,15 @@ def integrated(before: float, after: float, share: float) -> float:
 def test_it_is_the_ratio_of_the_integrals_over_what_may_be_left(share: float, before: float, part: float) -> None:
     after = LEVEL + part * (before - LEVEL)
     assert left_by(before, after, share) == pytest.approx(integrated(before, after, share), abs=QUADRATURE)
+
+
+@pytest.mark.parametrize("kinds", [2, 9])
+@pytest.mark.parametrize("before", GAPS)
+@pytest.mark.parametrize("part", [0.0, 0.05, 0.2, 0.9])
+def test_several_stand_ins_together_leave_the_least_of_as_many_shares(kinds: int, before: float, part: float) -> None:
+    after = LEVEL + part * (before - LEVEL)
+    assert left_by(before, after, MISFIT, kinds) == pytest.approx(integrated(before, after, MISFIT, kinds), abs=QUADRATURE)
+    assert left_by(1e5, LEVEL, MISFIT, kinds) == pytest.approx(math.log((1.0 / MISFIT - 1.0) / kinds), abs=QUADRATURE)
 
 
 @pytest.mark.parametrize("share", [MISFIT, EXACT])

@@ -98,13 +98,16 @@ def test_a_model_is_looked_at_by_its_worst_array_and_by_what_the_catalogue_could
     assert verdict.over_noise(search(explainable=explainable), fit(level)) == says
 
 
-@pytest.mark.parametrize(("count", "odds"), [(1, 0.6 / 0.4), (2, 0.5 * 0.6 / 0.4), (3, 0.25 * 0.6 / 0.4)])
-def test_several_kinds_of_effects_must_fit_better_than_one(tmp_path: Path, count: int, odds: float) -> None:
-    """They are listed with 1 - UNLISTED, and each further one has the prior ANOTHER; against one thing that is not listed."""
+@pytest.mark.parametrize("count", [1, 2, 3, 9])
+def test_of_several_kinds_of_effects_that_were_fitted_together_less_must_be_left(tmp_path: Path, count: int) -> None:
     first = catalogue(tmp_path).candidates[0]
     model = tuple(replace(first, effect=f"kind {k}") for k in range(count))
-    found = verdict.tested(search(), fit(1.0), fit(1.0, model), 0.001, 0.001, None, 0.02)
-    assert found.p_fit == pytest.approx(expit(math.log(odds) + left_by(1.0, 1.0)), rel=1e2 * ROUNDOFF)
+    for left in (1.0, 2.0):
+        found = verdict.tested(search(), fit(9.0), fit(left, model), 0.001, 0.001, None, 0.02)
+        odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(9.0, left, MISFIT, count)
+        assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
+    alone = verdict.tested(search(), fit(1.0), fit(1.0, model), 0.001, 0.001, None, 0.02)
+    assert alone.p_fit == pytest.approx(1.0 - UNLISTED, rel=0.01)  # where there is no gap, nothing is left of one
 
 
 class TestJudged:
