@@ -216,7 +216,7 @@ EFFECT, CLOCK = candidate("p"), replace(candidate("lag a.*"), component=LOGGING)
 NOTHING_SEEN = Space(np.zeros(1), {"all": slice(0, 1)}, np.zeros((1, 0)))
 AROUND_NOISE: Any = SimpleNamespace(
     candidates=(EFFECT,),
-    evidence=SimpleNamespace(noise=1000.0, space=NOTHING_SEEN, level=lambda left: float(left[0])),
+    evidence=SimpleNamespace(noise=1000.0, space=NOTHING_SEEN, level=lambda left: float(left[0]), guess=1.0),
     explainable=lambda left: 0.0,
 )
 

@@ -198,8 +198,8 @@ class TestGain:
         part = doubt * s * (doubt * s @ np.linalg.solve(covariance, y - s)) / (1.0 + doubt**2 * s @ np.linalg.solve(covariance, s))
         left = y - s - part  # what it costs to doubt the fitted values is in the gain alone
         expected = (
-            before / allowed,
-            left @ np.linalg.solve(covariance, left) / allowed,
+            (before + 1.0) / (allowed + 1.0),
+            (left @ np.linalg.solve(covariance, left) + 1.0) / (allowed + 1.0),
             0.5 * (before - after),
             0.5 * (s @ np.linalg.solve(covariance, s)),
             doubt,
