@@ -6,9 +6,8 @@ import ctypes
 import hashlib
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from robomill.machine_code import MachineCode, machine_code, object_code
 from robomill.models.model.cache import kept_code
@@ -17,8 +16,7 @@ from robomill.models.model.declaration import Model
 from robomill.models.model.kernels import COMPILER_OPTIONS, tell_numba
 
 
-@dataclass(frozen=True)
-class ModelCode:
+class ModelCode(NamedTuple):
     """Compiled functions of a model, in memory as long as this object."""
 
     init: Callable[[int], int]
