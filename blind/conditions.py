@@ -177,8 +177,7 @@ def planned(c: Condition) -> Plan:
 
 
 SPACING = 2e-4
-"""Distance of the dexels of a block [m]. The tool meets walls in front of it and leaves rims two dexels too early: with 0.5 mm blocks
-seemed to be 0.11 to 0.15 mm wider than they are (decision 62)."""
+"""Distance of the dexels of a block [m]."""
 
 
 def known(c: Condition, segments: str, profile: str = "profile.npy") -> dict[str, dict[str, Any]]:

@@ -3,6 +3,7 @@
 DIR/request.json                   what was asked for
 DIR/benchmark.json                 what it is, and the hash of every file of every case
 DIR/cases/0001/system.toml         the nominal system; loaded_cell.toml and campaign.toml where some runs are of another system
+DIR/cases/0001/calibration.toml    how well its numbers are calibrated: that is known of a cell
 DIR/cases/0001/withheld.toml       effects that are taken out of the catalogue for this case, if there are any
 DIR/cases/0001/runs/...            the runs
 DIR/sealed/0001.json, 0001/*.npy   the truth; DIR/sealed/manifest.json their hashes, whose own hash is in benchmark.json
@@ -35,6 +36,8 @@ ATTEMPTS = 5
 """Machines that are drawn for a case at most: one on which the program cannot be run is rare, five in a row are an error. A case of the
 set `withheld` is drawn anew, too, while its effect is not clear; the last one is kept as it is."""
 CAMPAIGN, WITHHELD = "campaign.toml", "withheld.toml"
+CALIBRATION = Path(__file__).with_name("calibration.toml")
+"""How well the machines of both generators are calibrated; every case has it."""
 
 
 class Generator(Protocol):
@@ -141,8 +144,9 @@ def _drawn(folder: Path, plan: Plan, seed: int, tier: str) -> Truth:
 
 
 def write_head(case: Path, plan: Plan) -> None:
-    """What a case has beside its runs: the nominal systems, the campaign where there are several, and the effects withheld."""
+    """What a case has beside its runs: nominal systems, calibration, the campaign where there are several, the effects withheld."""
     shutil.copyfile(SYSTEM, case / "system.toml")
+    shutil.copyfile(CALIBRATION, case / CALIBRATION.name)
     runs = {f.name: read_info(f) for f in sorted((case / "runs").iterdir())}
     loaded = {name for name, info in runs.items() if info["system"] == LOADED.stem}
     if loaded:

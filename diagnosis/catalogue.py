@@ -14,7 +14,7 @@ import cmath
 import itertools
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -206,6 +206,13 @@ class Nuisance:
     address: Address
     scale: float
     nominal: float = 0.0
+    usual: float | None = None
+    """Standard deviation of machines that are calibrated as usual [unit]; None: `scale`."""
+
+    @property
+    def doubt(self) -> float:
+        """Standard deviation that the difference of two formulations of a machine is measured by [unit]: a good calibration mends none."""
+        return self.scale if self.usual is None else self.usual
 
 
 @dataclass(frozen=True)
@@ -219,6 +226,8 @@ class Tolerance:
     """Unit of an absolute size."""
     place: str = ""
     """Where it stands: `catalogue.toml:12`."""
+    usual: Tolerance | None = None
+    """What the catalogue says of a number that a calibration says another thing of."""
 
     def nuisances(self, nominal: Mapping[str, float]) -> list[Nuisance]:
         """One for each element; `nominal` parameter element -> value [unit]. CatalogueError if there is no such parameter."""
@@ -226,8 +235,12 @@ class Tolerance:
         elements = [e for e in nominal if e == name or e.partition("[")[0] == name]
         if not elements:
             raise CatalogueError(f"nuisance {component}.{name}: there is no such parameter; available: {', '.join(sorted(nominal))}")
-        found = [Nuisance((component, e), self.size * (abs(nominal[e]) if self.relative else 1.0), nominal[e]) for e in elements]
+        usual = self.usual or self
+        found = [Nuisance((component, e), self._scale(nominal[e]), nominal[e], usual._scale(nominal[e])) for e in elements]
         return [n for n in found if 0.0 < n.scale < math.inf]
+
+    def _scale(self, nominal: float) -> float:
+        return self.size * (abs(nominal) if self.relative else 1.0)
 
 
 @dataclass(frozen=True)
@@ -267,6 +280,19 @@ class Catalogue:
         if not file.is_file():
             raise FileNotFoundError(f"no catalogue {file}")
         return _read(Entry.load(file, CatalogueError), file)
+
+    def calibrated(self, path: str | Path) -> Catalogue:
+        """The catalogue with the standard deviations of a calibration file (`CalibrationKeys`) in place of its own for the same numbers.
+
+        CatalogueError or FileNotFoundError says what is wrong with the file.
+        """
+        file = Path(path)
+        if not file.is_file():
+            raise FileNotFoundError(f"no calibration {file}; expected a file with [[nuisance]] tables, as in a catalogue")
+        given = _nuisances(CalibrationKeys.nuisance.of(CalibrationKeys.of(Entry.load(file, CatalogueError))))
+        usual = {t.address: t for t in self.tolerances}
+        others = {a: t for a, t in usual.items() if a not in {g.address for g in given}}
+        return replace(self, tolerances=(*others.values(), *(replace(g, usual=usual.get(g.address)) for g in given)))
 
     def within(self, system: Mapping[str, Collection[str]]) -> tuple[Catalogue, tuple[str, ...]]:
         """What of it a system has, and what is left out, in words; `system`: component -> its parameter elements.
@@ -428,6 +454,12 @@ class NuisanceKeys(Keys):
     unit = default("1", keys.text(), "unit of `absolute`, that of the parameter")
 
 
+class CalibrationKeys(Keys):
+    """How well the numbers of one system are calibrated, in place of what the catalogue says."""
+
+    nuisance = required(keys.each(NuisanceKeys), "calibrated numbers and their standard deviations")
+
+
 class QuietKeys(Keys):
     """Parameters that are set in every simulation of the diagnosis, such as the noise of a sensor."""
 
@@ -481,7 +513,7 @@ def _read(top: Entry, file: Path) -> Catalogue:
     return Catalogue(
         file,
         tuple(candidates),
-        tuple(t for entry in k.nuisance.of(top) for t in _tolerances(entry)),
+        _nuisances(k.nuisance.of(top)),
         quiet,
         tuple((SeedKeys.component.of(entry), SeedKeys.parameter.of(entry)) for entry in k.seed.of(top)),
         descriptions,
@@ -542,6 +574,10 @@ def _shape(entry: Entry, candidate: Candidate) -> Shape:
         parameter = parameter.removesuffix("*]") + element
     a, b = (math.log(v) if values[0] > 0.0 else v for v in (values[0], values[-1]))
     return Shape(k.name.of(entry), parameter, k.unit.of(entry), values, (b - a) / (len(values) - 1))
+
+
+def _nuisances(entries: Iterable[Entry]) -> tuple[Tolerance, ...]:
+    return tuple(t for entry in entries for t in _tolerances(entry))
 
 
 def _tolerances(entry: Entry) -> list[Tolerance]:

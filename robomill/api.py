@@ -210,6 +210,7 @@ def diagnose(
     *,
     held_out: Sequence[str | Path | Run] = (),
     catalogue: str | Path | None = None,
+    calibration: str | Path | None = None,
     next_runs: str | Path | None = None,
     repair: bool = False,
     false_alarm: float = FALSE_ALARM,
@@ -224,6 +225,7 @@ def diagnose(
     belong together. held_out: runs that are not fitted, which show whether the answer holds.
     catalogue: file of the effects to look for; next_runs: file of the kinds of runs that could be made next. Without them, those beside
     the system's file, else those of the milling cell.
+    calibration: file of how well the numbers of this machine are calibrated, in place of the tolerances in the catalogue.
     repair: correct a clock that is late, and diagnose the rest. false_alarm: probability, 0 to 1, of an effect on a machine that has none.
     form: look for the form of what is left whatever the verdict, and not only if it is `unknown`.
     jobs: processes; with more than one a script needs `if __name__ == "__main__":`. scheduler: tcp://HOST:PORT of a Dask cluster instead.
@@ -239,8 +241,8 @@ def diagnose(
     if not 0.0 < false_alarm < 1.0:
         raise ValueError(f"false_alarm = {false_alarm!r}; expected a probability between 0 and 1, such as {FALSE_ALARM}")
     campaign = Campaign.of(subject, _runs(runs), _runs(held_out))
-    named, kinds = (None if f is None else Path(f) for f in (catalogue, next_runs))
-    effects = catalogue_of(*systems_of(campaign), file=catalogue_file(named, subject.file))
+    named, known, kinds = (None if f is None else Path(f) for f in (catalogue, calibration, next_runs))
+    effects = catalogue_of(*systems_of(campaign), file=catalogue_file(named, subject.file), calibration=known)
     with progress_bar(not progress) as report:
         found = answered(
             campaign,

@@ -83,12 +83,13 @@ def add_arguments(parser: Any) -> None:
 
 
 def diagnose_case(case: Path, out: Path) -> None:
-    """Diagnose one case as anybody would: its systems, its runs, the catalogue of the cell. Writes diagnosis.json.
+    """Diagnose one case as anybody would: its systems, its runs, its calibration, the catalogue of the cell. Writes diagnosis.json.
 
     Effects in the case's withheld.toml are taken out of the catalogue. Simulations of the nominal cell and of what may be wrong with it
     are the same in all cases that were measured in the same way: they are kept in `simulations` beside the cases, which may be deleted
     at any time.
     """
+    from robomill.blind.make import CALIBRATION
     from robomill.cell.binding import convert, resolve
     from robomill.cell.equipment import load_system
     from robomill.diagnose_command import menu, sources
@@ -103,7 +104,7 @@ def diagnose_case(case: Path, out: Path) -> None:
     else:
         runs = [Run.load(f) for f in sorted((case / "runs").iterdir()) if f.is_dir()]
         campaign = Campaign.of(load_system(case / "system.toml"), runs)
-    catalogue = lacking(Catalogue.load(CATALOGUE), withheld(case))
+    catalogue = lacking(Catalogue.load(CATALOGUE).calibrated(case / CALIBRATION.name), withheld(case))
     with TemporaryDirectory() as folder:
         told = menu(campaign.system, Path(folder))
         store = Store(case.parent.parent / SIMULATIONS, sources(*{p.system.name: p.system for p in campaign.parts}.values()))

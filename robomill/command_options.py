@@ -144,6 +144,12 @@ def diagnose(parser: Any) -> None:
         help="effects to look for (default: catalogue.toml beside the system, else the milling cell's)",
     )
     parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="how well the numbers of this machine are calibrated, in place of the tolerances in the catalogue (docs/how_to/check.md)",
+    )
+    parser.add_argument(
         "--next-runs",
         type=Path,
         metavar="FILE",

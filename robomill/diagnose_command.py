@@ -119,7 +119,7 @@ def run(options: Namespace) -> int:
     campaign = campaign_of(options)
     system = campaign.system
     systems = systems_of(campaign)
-    catalogue = catalogue_of(*systems, file=file)
+    catalogue = catalogue_of(*systems, file=file, calibration=options.calibration)
     store = Store(options.out / SIMULATIONS, sources(*systems))
     if len(store) and not options.json:
         print(
@@ -204,10 +204,10 @@ def catalogue_file(named: Path | None, first: Path | None) -> Path:
     return named or (beside if beside is not None and beside.is_file() else FILES / "scenarios" / CATALOGUE)
 
 
-def catalogue_of(*systems: System, file: Path) -> Catalogue:
+def catalogue_of(*systems: System, file: Path, calibration: Path | None = None) -> Catalogue:
     """The catalogue in `file`, and the effects that components from outside bring: `catalogue.toml` beside the module of their model.
 
-    There the component goes by the name of its model.
+    There the component goes by the name of its model. `calibration`: file of tolerances in place of those of the catalogue.
     """
     own: dict[Path, Catalogue] = {}
     systems_own = {
@@ -220,7 +220,7 @@ def catalogue_of(*systems: System, file: Path) -> Catalogue:
     catalogue = Catalogue.load(file)
     for brought in own.values():
         catalogue = catalogue.joined(brought)
-    return catalogue
+    return catalogue if calibration is None else catalogue.calibrated(calibration)
 
 
 def _from_outside(*systems: System) -> list[tuple[Component, Model]]:

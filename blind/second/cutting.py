@@ -18,7 +18,7 @@ CELL = 0.0005
 """Width of a cell of the workpiece [m]."""
 RADIUS, TEETH, TWIST = 0.008, 3, 2.0 * math.tan(math.radians(30.0)) / 0.016
 """Cutter D16 z3, helix 30 deg: lag of the edge per height [rad/m]."""
-BINS, SLICES, DISCS = 60, 8, 8
+BINS, SLICES, DISCS = 180, 8, 8
 """Directions over the front half turn, instants in a fine step, discs over the height of the edge."""
 ONSET = 5e-6
 """Feed per tooth [m] below which the edge forces fade."""

@@ -14,8 +14,7 @@ from robomill.orchestration.slaves.protocol import FloatArray
 
 LEVEL, SPREAD = 1.3, 0.3
 """Level [1] that a right model leaves (`outcome.verdict.over_noise`), and its standard deviation. Fitted to eleven machines without
-effects (nine cells of both generators, development seed 77, a servo axis and a heated rod): 0.8 to 1.5 in the worst array, up to 2.0 by
-what all candidates explain."""
+effects (twelve cells of both generators, development seed 101): 0.7 to 1.7 in the worst channel of a condition."""
 COHERENT = 0.6
 """Part that counts of what all candidates together explain beyond noise (`Search.explainable`) [1]: what two formulations leave is more
 like effects than noise is. Fitted to eleven machines without effects (decision 73)."""

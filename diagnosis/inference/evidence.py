@@ -96,17 +96,16 @@ class Evidence:
         return float(self.expected.sum()) * self.guess
 
     def level(self, left: FloatArray) -> float:
-        """chi2 of a residual [n] over what noise and discrepancy leave: that of the worst array.
+        """chi2 of a residual [n] over what noise and discrepancy leave: that of the worst channel in the worst condition.
 
-        With b = (I + B'B)^-1 B' u, <u, u> = u'(u - B b) = |u - B b|^2 + |b|^2: the part of an array in it has what nuisances leave there,
+        With b = (I + B'B)^-1 B' u, <u, u> = u'(u - B b) = |u - B b|^2 + |b|^2: the part of a channel in it has what nuisances leave there,
         and what it costs to move them so far.
         """
         rest = left * (left - self.space.explained(left))
         worst = 0.0
-        for array in np.unique(self.arrays[self.judged]):
-            here = self.arrays == array
-            chi2, allowed = (float(x.reshape(-1, len(here))[:, here].sum()) for x in (rest, self.allowed))
-            worst = max(worst, chi2 / allowed if allowed > 0.0 else 0.0)
+        for block in self.space.blocks.values():
+            chi2, allowed = (x[block].reshape(-1, len(self.arrays)).sum(axis=0)[self.judged] for x in (rest, self.allowed))
+            worst = max(worst, float(np.max(chi2[allowed > 0.0] / allowed[allowed > 0.0], initial=0.0)))
         return worst / self.guess
 
     def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
@@ -168,14 +167,15 @@ def gather(
     clocks: Sequence[Candidate] = (),
     left: Sequence[Sequence[FloatArray]] = (),
     like: Evidence | None = None,
+    doubts: Mapping[Address, float] | None = None,
 ) -> Evidence:
     """Evidence from the repeats and nominal simulations of each of these conditions, [samples, channels].
 
     `changes` were simulated at `sizes` [unit of the parameter]; `scales` are the prior scales of the candidates' parameters,
     `tolerances` the standard deviations of calibrated ones; `clocks` those among the candidates that are late clocks, or times of a
     component. `left`: what a model leaves of each run, from which the noise is guessed where there are no repeats (else what the nominal
-    one leaves). `like`: channels, whitening and what is no nuisance are those of this one, so that chi2 can be compared. DataError if
-    no parameter changes anything.
+    one leaves). `like`: channels, whitening and what is no nuisance are those of this one, so that chi2 can be compared. `doubts`: the
+    standard deviations that a discrepancy goes with (None: `tolerances`). DataError if no parameter changes anything.
     """
     active = _moved(changes) if like is None else like.active
     groups = [[x[:, active] for x in g] for g in groups]
@@ -197,7 +197,7 @@ def gather(
     span = max(1, round(AROUND / laboratory.decimation))
     bends = [_bend(m, span) * (not apart) for m, apart in zip(means, independent, strict=True)]
     arrays = np.unique([base_name(c) for c, on in zip(laboratory.channels, active, strict=True) if on], return_inverse=True)[1]
-    size = _discrepancy(changes, sizes, tolerances, arrays)
+    size = _discrepancy(changes, sizes, tolerances if doubts is None else doubts, arrays)
     doubt = [np.sqrt(n) * size * np.ones_like(m) for m, n in zip(means, counts, strict=True)]
     sudden = [np.hypot(SUDDEN / laboratory.decimation * bend * np.sqrt(n), d) for bend, n, d in zip(bends, counts, doubt, strict=True)]
     residuals = [[w.apply(x - m, 1.0, s, on) for x in g] for w, g, m, s, on in zip(ws, groups, means, sudden, there, strict=True)]
@@ -273,13 +273,13 @@ def gather(
 
 
 def _discrepancy(
-    changes: Changes, sizes: Mapping[Address, float], tolerances: Mapping[Address, float], arrays: npt.NDArray[np.intp]
+    changes: Changes, sizes: Mapping[Address, float], doubts: Mapping[Address, float], arrays: npt.NDArray[np.intp]
 ) -> FloatArray:
-    """DISCREPANCY times what all tolerances do to an array, root of the mean square over time, elements and conditions, [channels]."""
+    """DISCREPANCY times what all doubts do to an array, root of the mean square over time, elements and conditions, [channels]."""
     square = np.zeros(len(arrays))
-    for a in [a for a in tolerances if a in changes]:
+    for a in [a for a in doubts if a in changes]:
         change = np.concatenate(list(changes[a]))
-        square += (change**2).mean(axis=0) * (tolerances[a] / sizes[a]) ** 2
+        square += (change**2).mean(axis=0) * (doubts[a] / sizes[a]) ** 2
     return np.asarray(DISCREPANCY * np.sqrt((np.bincount(arrays, square) / np.bincount(arrays))[arrays]))
 
 

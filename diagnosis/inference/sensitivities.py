@@ -71,7 +71,7 @@ class Sensitivities:
         self.simulator, self.conditions = simulator, range(len(groups))
         self.scales = {a: c.prior.scale for c in catalogue.candidates for a in c.addresses}
         nominals = [b for b in simulator.repeated(self.conditions, (), NOMINAL, "nominal") if b is not None]
-        unknown = {n.address: n.scale for n in nuisances}
+        unknown, doubts = {n.address: n.scale for n in nuisances}, {n.address: n.doubt for n in nuisances}
         sizes = {**{a: TOLERANCES * s for a, s in unknown.items()}, **self.scales}
         changes = changed(simulator, self.conditions, sizes, nominals)
         # a limit does nothing until it is reached
@@ -81,7 +81,9 @@ class Sensitivities:
         sizes |= {a: s for a, s in largest.items() if a in changes}
         names = [simulator.laboratory.conditions[i].name for i in self.conditions]
         clocks = [c for c in catalogue.candidates if c.unit == "s" and (c.component != LOGGING or c.parameters[0].startswith("lag "))]
-        self.evidence = gather(simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks, left)
+        self.evidence = gather(
+            simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks, left, doubts=doubts
+        )
         self.single = {a: c for a, c in single.items() if a in self.evidence.sensitivities}
         self.starts: dict[Address, Start] = {}
         self.bent: set[str] = set()

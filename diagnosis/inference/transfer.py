@@ -88,9 +88,11 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     if len(plain) < len(every) or any(t is None for t in there):
         return None
     changes = changed(simulator, every, sizes, plain, "new conditions")
-    scales = {n.address: n.scale for n in search.nuisances}
+    scales, doubts = {n.address: n.scale for n in search.nuisances}, {n.address: n.doubt for n in search.nuisances}
     measured = [groups[i] for i in every]
-    e = gather(simulator.laboratory, [names[i] for i in every], measured, plain, changes, sizes, {}, scales, like=search.evidence)
+    e = gather(
+        simulator.laboratory, [names[i] for i in every], measured, plain, changes, sizes, {}, scales, like=search.evidence, doubts=doubts
+    )
     signature = e.mean_signature(there)
     assert signature is not None
     space = e.space

@@ -51,7 +51,7 @@ class Tests:
 
 
 def looks(search: Search, fit: Fit) -> tuple[float, float]:
-    """How much a model leaves over what noise and discrepancy do: in the worst array, and of what all candidates together could explain.
+    """What a model leaves over noise and discrepancy: in the worst channel of a condition, and of what all candidates could explain.
 
     See `Evidence.level` and `Search.explainable`.
     """

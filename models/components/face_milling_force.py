@@ -76,6 +76,7 @@ def _open(s: Record) -> None:
             u = x - s.opening_pitch[0] * (math.floor(x / s.opening_pitch[0]) + 0.5)
             if u * u + v * v < radius2:
                 s.height[iy * s.nx + ix] = s.bottom
+                s.lagging[iy * s.nx + ix] = s.bottom
 
 
 @kernel
@@ -118,7 +119,24 @@ def _push(s: Record) -> int:
     low = max(0.0, s.bottom - z)
     radius = 0.5 * s.diameter
     largest = workpiece.engagement(
-        s.height, s.nx, s.ny, s.dx, s.dy, x, y, z, radius, ux, uy, low, BINS, s.bin_sine, s.bin_cosine, s.bin_depth
+        s.lagging,
+        s.nx,
+        s.ny,
+        s.dx,
+        s.dy,
+        s.trail,
+        s.places,
+        x,
+        y,
+        z,
+        radius,
+        ux,
+        uy,
+        low,
+        BINS,
+        s.bin_sine,
+        s.bin_cosine,
+        s.bin_depth,
     )
     if not largest > low:
         return 0
@@ -152,6 +170,11 @@ def init(s: Record) -> int:
     if status != 0:
         return status
     workpiece.fill(s.height, s.nx * s.ny, s.stock_error)
+    workpiece.fill(s.lagging, s.nx * s.ny, s.stock_error)
+    s.places = 0
+    for k in range(workpiece.TRAIL):
+        for i in range(3):
+            s.trail[k, i] = 0.0
     if s.opening_diameter > 0.0:
         _open(s)
     _clear(s)
@@ -193,9 +216,15 @@ def _cut(s: Record, done: bool) -> float:
     xa, ya, za = s.p_last[0], s.p_last[1], s.p_last[2]
     x, y, z = s.p_PT_P[0], s.p_PT_P[1], s.p_PT_P[2]
     radius = 0.5 * s.diameter
-    if not workpiece.touches(s.nx, s.ny, s.dx, s.dy, s.stock_error, xa, ya, za, x, y, z, radius + max(s.dx, s.dy)):
-        return 0.0
-    removed: float = workpiece.cut(s.height, s.nx, s.ny, s.dx, s.dy, s.stock_error, s.bottom, xa, ya, za, x, y, z, radius, done)
+    near = workpiece.touches(s.nx, s.ny, s.dx, s.dy, s.stock_error, xa, ya, za, x, y, z, radius + max(s.dx, s.dy))
+    if near and z < s.stock_error:
+        s.places = workpiece.follow(s.lagging, s.nx, s.ny, s.dx, s.dy, s.stock_error, s.bottom, s.trail, s.places, x, y, z, radius)
+    elif s.places > 0:
+        workpiece.settle(s.lagging, s.nx, s.ny, s.dx, s.dy, s.stock_error, s.bottom, s.trail, s.places, xa, ya, za, radius)
+        s.places = 0
+    removed = 0.0
+    if near:
+        removed = workpiece.cut(s.height, s.nx, s.ny, s.dx, s.dy, s.stock_error, s.bottom, xa, ya, za, x, y, z, radius, done)
     return removed
 
 
@@ -251,6 +280,9 @@ VARIABLES = (
     Variable("bin_width", "state", "Width of the bins across the feed", "m", (BINS,)),
     Variable("bin_depth", "state", "Height of the material that the edges meet, per bin", "m", (BINS,)),
     Variable("height", "state", "The workpiece: height of each cell in P", "m", (workpiece.CAPACITY,)),
+    Variable("lagging", "state", "The same without what the tool has cut lately", "m", (workpiece.CAPACITY,)),
+    Variable("trail", "state", "Where the tool has cut lately, in P, oldest first", "m", (workpiece.TRAIL, 3)),
+    Variable("places", "state", "Places in it", kind="integer"),
 )
 
 MODEL = Model(

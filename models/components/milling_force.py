@@ -211,6 +211,9 @@ VARIABLES = (
     _scratch("total", "integrals over the engaged edges", shape=(8,)),
     _scratch("now", "force at a sub-step", "N", (3,)),
     _scratch("height", "the workpiece: height of each cell in P", "m", (workpiece.CAPACITY,)),
+    _scratch("lagging", "the same without what the tool has cut lately", "m", (workpiece.CAPACITY,)),
+    _scratch("trail", "where the tool has cut lately, in P, oldest first", "m", (workpiece.TRAIL, 3)),
+    _count("places", "places in it"),
 )
 
 ERRORS = (
@@ -249,6 +252,7 @@ def init(s: Record) -> int:
     if status != 0:
         return status
     workpiece.fill(s.height, s.nx * s.ny, s.stock_top)
+    workpiece.fill(s.lagging, s.nx * s.ny, s.stock_top)
     _forget(s)
     _clear(s)
     if not _finite(s):
@@ -260,6 +264,7 @@ def init(s: Record) -> int:
     x, y, z = s.p_PT_P[0], s.p_PT_P[1], s.p_PT_P[2]
     if _near(s, x, y, z, x, y, z) and s.tilt_cosine >= LEAST_TILT_COSINE:
         _cut(s, x, y, z, x, y, z, False)
+        _lag(s, z < s.stock_top)
     s.imprinted = 1
     mat_t_vec(s.R_BP, s.v_BT_B, s.v_now)
     _carry(s)
@@ -297,6 +302,7 @@ def step(s: Record, t: float, h: float) -> int:
         s.removal_rate = _cut(s, xa, ya, za, x, y, z, s.imprinted == 1) / h
     else:
         s.contact_share = 0.0
+    _lag(s, near and turn > LEAST_TURN and z < s.stock_top)
     # with the spindle off nothing is cut, so the next cut cannot rely on what the tool has passed
     s.imprinted = 1 if turn > LEAST_TURN or not near else 0
     mat_vec(s.R_BP, s.f_P, s.f_T_B)
@@ -345,11 +351,13 @@ def _force(s: Record, turn: float, h: float) -> int:
     largest = 0.0
     if s.chip > 0.0:
         largest = workpiece.engagement(
-            s.height,
+            s.lagging,
             s.nx,
             s.ny,
             s.dx,
             s.dy,
+            s.trail,
+            s.places,
             s.p_mid[0],
             s.p_mid[1],
             s.p_mid[2],
@@ -514,6 +522,7 @@ def _take_tool(s: Record) -> int:
 @kernel
 def _change_tool(s: Record) -> int:
     """Another tool where the last one stood, the spindle going on at its angle; an error if there is material in its place."""
+    _lag(s, False)
     status = _take_tool(s)
     if status != 0:
         return status
@@ -530,6 +539,10 @@ def _forget(s: Record) -> None:
     s.spindle_angle = s.spindle_start_angle - TWO_PI * math.floor(s.spindle_start_angle / TWO_PI)
     s.contact_share = 0.0
     s.chip = 0.0
+    s.places = 0
+    for k in range(workpiece.TRAIL):
+        for i in range(3):
+            s.trail[k, i] = 0.0
     for i in range(3):
         s.f_P[i] = 0.0
         s.m_P[i] = 0.0
@@ -595,6 +608,19 @@ def _near(s: Record, xa: float, ya: float, za: float, xb: float, yb: float, zb: 
 def _cut(s: Record, xa: float, ya: float, za: float, xb: float, yb: float, zb: float, done: bool) -> float:
     """Cut the block; volume removed [m3]."""
     return workpiece.cut(s.height, s.nx, s.ny, s.dx, s.dy, s.stock_top, s.stock_bottom, xa, ya, za, xb, yb, zb, 0.5 * s.mill_diameter, done)
+
+
+@kernel
+def _lag(s: Record, cutting: bool) -> None:
+    """Let the workpiece that the edges read follow the tool, or catch up with it where the tool does not cut."""
+    radius = 0.5 * s.mill_diameter
+    if cutting:
+        x, y, z = s.p_PT_P[0], s.p_PT_P[1], s.p_PT_P[2]
+        s.places = workpiece.follow(s.lagging, s.nx, s.ny, s.dx, s.dy, s.stock_top, s.stock_bottom, s.trail, s.places, x, y, z, radius)
+    elif s.places > 0:
+        x, y, z = s.p_last[0], s.p_last[1], s.p_last[2]
+        workpiece.settle(s.lagging, s.nx, s.ny, s.dx, s.dy, s.stock_top, s.stock_bottom, s.trail, s.places, x, y, z, radius)
+        s.places = 0
 
 
 @kernel

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from robomill.machine_code import MachineCode, machine_code, object_code
 from robomill.models.model.cache import kept_code
-from robomill.models.model.calls import check_kernels
+from robomill.models.model.calls import check_fields, check_kernels
 from robomill.models.model.declaration import Model
 from robomill.models.model.kernels import COMPILER_OPTIONS, tell_numba
 
@@ -61,6 +61,7 @@ def _make(model: Model) -> tuple[bytes, bool]:
     import numba
 
     check_kernels(model.init, model.step)
+    check_fields(model.dtype.names or (), model.init, model.step)
     tell_numba()
     record: Any = numba.from_dtype(model.dtype)
     functions: dict[str, Any] = {"model_init": (model.init, (record,)), "model_step": (model.step, (record, numba.float64, numba.float64))}

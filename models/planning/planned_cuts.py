@@ -82,7 +82,8 @@ def planned_cuts(plan: Plan, size: Vector, radii: Mapping[int, float]) -> tuple[
     angle = 0.5 * (BOUNDS[1:] + BOUNDS[:-1])
     depth = np.zeros((len(middle), BINS))
     removed = np.zeros(len(middle))
-    loaded(_walk)(np.zeros(nx * ny), nx, ny, lx / nx, ly / ny, -lz, points, radius, np.sin(angle), np.cos(angle), depth, removed)
+    block = (np.zeros(nx * ny), np.zeros(nx * ny), np.zeros((workpiece.TRAIL, 3)), nx, ny, lx / nx, ly / ny, -lz)
+    loaded(_walk)(*block, points, radius, np.sin(angle), np.cos(angle), depth, removed)
     ways = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
     area = np.where(removed > LEAST_REMOVED * 2.0 * radius * depth.max(axis=1) * ways, depth.sum(axis=1), 0.0)
     lines, speeds = rows[:, LINE].astype(int), plan.spindle_speed(middle)
@@ -111,6 +112,8 @@ def _samples(plan: Plan) -> FloatArray:
 
 def _walk(
     height: FloatArray,
+    lagging: FloatArray,
+    trail: FloatArray,
     nx: int,
     ny: int,
     dx: float,
@@ -123,14 +126,20 @@ def _walk(
     depth: FloatArray,
     removed: FloatArray,
 ) -> None:
+    places = 0
     for k in range(1, len(p)):
         xa, ya, za = p[k - 1, 0], p[k - 1, 1], p[k - 1, 2]
         xb, yb, zb = p[k, 0], p[k, 1], p[k, 2]
         r = radius[k - 1]
+        if places > 0 and (za >= 0.0 or r != radius[k - 2]):
+            workpiece.settle(lagging, nx, ny, dx, dy, 0.0, bottom, trail, places, xa, ya, za, radius[k - 2])
+            places = 0
         length = math.sqrt((xb - xa) ** 2 + (yb - ya) ** 2)
         x, y, z = 0.5 * (xa + xb), 0.5 * (ya + yb), 0.5 * (za + zb)
         if length > 0.0 and z < 0.0 and abs(x) <= 0.5 * nx * dx + r and abs(y) <= 0.5 * ny * dy + r:
             ux, uy = (xb - xa) / length, (yb - ya) / length
             low = bottom - z if bottom > z else 0.0
-            workpiece.engagement(height, nx, ny, dx, dy, x, y, z, r, ux, uy, low, len(sines), sines, cosines, depth[k - 1])
+            workpiece.engagement(lagging, nx, ny, dx, dy, trail, places, x, y, z, r, ux, uy, low, len(sines), sines, cosines, depth[k - 1])
         removed[k - 1] = workpiece.cut(height, nx, ny, dx, dy, 0.0, bottom, xa, ya, za, xb, yb, zb, r, False)
+        if zb < 0.0:
+            places = workpiece.follow(lagging, nx, ny, dx, dy, 0.0, bottom, trail, places, xb, yb, zb, r)

@@ -4,7 +4,8 @@ The block stands in frame P: origin at the centre of the nominal top surface, z 
 cells; cell (ix, iy) has its centre at ((ix + 1/2) dx - Lx/2, (iy + 1/2) dy - Ly/2) and its height in
 `height[iy * nx + ix]`. A cell that the cutter covers in part is lowered in part (by the fraction of it that the wall
 leaves, measured from the stock's top), so heights are area means and a wall between two cells is known to a fraction
-of a cell. Engagement read by linear interpolation is then smooth in the position of the tool.
+of a cell. Engagement read by linear interpolation is then smooth in the position of the tool. The edges must not read cells
+that the tool itself is lowering, so they read a second field that lags by a few millimetres of travel (`follow`).
 
 All functions are kernels on the caller's arrays; lengths in m. Tool axis parallel to z of P.
 """
@@ -18,9 +19,15 @@ from robomill.models.model.declaration import FloatArray, kernel
 CAPACITY = 2**18
 """Cells that the height field holds (2 MB)."""
 
-RING = 2.0
-"""Engagement is read this many cells outside the cutter, clear of what it has cut: half a cell of partial cover and the
-diagonal (1.41) of the cells between which is interpolated."""
+CLEAR = 2.0
+"""Cells between the edges and the nearest cell that the cutter has touched in the map that they read: half a cell of partial cover
+and the diagonal (1.41) of the cells between which is interpolated."""
+
+TRAIL = 64
+"""Places of the tool, about a cell apart, by which that map lags at most."""
+
+OWN = 1e-3
+"""Travel [m] of the tool that its edges do not look at: a tool that springs back by less stays at the front of its cut."""
 
 LEAST_DEPTH = 1e-9
 """Material standing less than this above the tip [m] is the roundoff of a floor already cut."""
@@ -310,12 +317,92 @@ def footprint(nx: int, ny: int, dx: float, dy: float, x: float, y: float) -> flo
 
 
 @kernel
-def engagement(
-    height: FloatArray,
+def follow(
+    lagging: FloatArray,
     nx: int,
     ny: int,
     dx: float,
     dy: float,
+    top: float,
+    bottom: float,
+    trail: FloatArray,
+    places: int,
+    x: float,
+    y: float,
+    z: float,
+    radius: float,
+) -> int:
+    """Note that the tool has cut at (x, y, z) [m]; cut into `lagging` what is further behind than it lags. Returns the places in `trail`.
+
+    `lagging` is the height field without the last places of the tool, which are in `trail`, shape (TRAIL, 3), oldest first.
+    It lags by so much travel that the edges, even at the sides of the cutter, are CLEAR cells from what has been cut into it.
+    """
+    spacing = dx if dx > dy else dy
+    clear = radius + CLEAR * spacing
+    lag = math.sqrt(clear * clear - radius * radius)
+    apart = max(spacing, lag / (len(trail) - 2.0))
+    if places == 0:
+        # twice: the way of no length between the two cuts the whole disc
+        places = 1
+        for i in range(2):
+            trail[i, 0], trail[i, 1], trail[i, 2] = x, y, z
+    else:
+        wx = x - trail[places - 1, 0]
+        wy = y - trail[places - 1, 1]
+        if wx * wx + wy * wy < apart * apart:
+            trail[places - 1, 2] = min(trail[places - 1, 2], z)
+            return places
+    if places > lag / apart + 1.0:
+        _cut_way(lagging, nx, ny, dx, dy, top, bottom, trail, 0, radius)
+        for k in range(places - 1):
+            trail[k, 0], trail[k, 1], trail[k, 2] = trail[k + 1, 0], trail[k + 1, 1], trail[k + 1, 2]
+        places -= 1
+    trail[places, 0], trail[places, 1], trail[places, 2] = x, y, z
+    return places + 1
+
+
+@kernel
+def settle(
+    lagging: FloatArray,
+    nx: int,
+    ny: int,
+    dx: float,
+    dy: float,
+    top: float,
+    bottom: float,
+    trail: FloatArray,
+    places: int,
+    x: float,
+    y: float,
+    z: float,
+    radius: float,
+) -> None:
+    """Cut all places of the trail into `lagging`, up to (x, y, z) [m], where the tool has cut last: it leaves, or another one comes."""
+    for k in range(places - 1):
+        _cut_way(lagging, nx, ny, dx, dy, top, bottom, trail, k, radius)
+    last = places - 1
+    cut(lagging, nx, ny, dx, dy, top, bottom, trail[last, 0], trail[last, 1], trail[last, 2], x, y, z, radius, True)
+
+
+@kernel
+def _cut_way(
+    lagging: FloatArray, nx: int, ny: int, dx: float, dy: float, top: float, bottom: float, trail: FloatArray, k: int, radius: float
+) -> None:
+    """Cut the way from place k of the trail to the next."""
+    xa, ya, za = trail[k, 0], trail[k, 1], trail[k, 2]
+    xb, yb, zb = trail[k + 1, 0], trail[k + 1, 1], trail[k + 1, 2]
+    cut(lagging, nx, ny, dx, dy, top, bottom, xa, ya, za, xb, yb, zb, radius, xa != xb or ya != yb)
+
+
+@kernel
+def engagement(
+    lagging: FloatArray,
+    nx: int,
+    ny: int,
+    dx: float,
+    dy: float,
+    trail: FloatArray,
+    places: int,
     x: float,
     y: float,
     z: float,
@@ -333,24 +420,46 @@ def engagement(
     0 in bins where the material reaches no higher than `low` [m] above the tip (the bottom of a block that is cut through).
 
     (ux, uy) is the feed direction; `sines`, `cosines` belong to the middle of the bins, clockwise from the left of the feed.
-    The material in front of the edge at phi is looked up ahead of it along the feed, at the same distance from the path,
-    on a ring RING cells wider than the cutter. So the bounds of a slot are exact (the rear half never cuts) and those of
-    a wall beside the path are right to a fraction of a cell. The edge itself must be inside the block.
+    Material is read where the edge is, from the field and the trail of `follow`: walls are right to a fraction of a cell,
+    what the tool itself has cut lately to a scallop of micrometres. Edges outside the block meet nothing.
     """
-    spacing = dx if dx > dy else dy
-    ring = radius + RING * spacing
-    largest = 0.0
     for b in range(bins):
-        depth[b] = 0.0
         left = radius * cosines[b]
         ahead = radius * sines[b]
-        inside = footprint(nx, ny, dx, dy, x + ahead * ux - left * uy, y + ahead * uy + left * ux)
-        if inside > 0.0:
-            ahead = math.sqrt(ring * ring - left * left)
-            a = (height_at(height, nx, ny, dx, dy, x + ahead * ux - left * uy, y + ahead * uy + left * ux) - z) * inside
-            if a > low + LEAST_DEPTH:
-                depth[b] = a
-                largest = max(largest, a)
+        px = x + ahead * ux - left * uy
+        py = y + ahead * uy + left * ux
+        depth[b] = 0.0
+        if footprint(nx, ny, dx, dy, px, py) > 0.0:
+            depth[b] = height_at(lagging, nx, ny, dx, dy, px, py) - z
+    travel = 0.0
+    lx, ly = x, y
+    for i in range(places):
+        k = places - 1 - i
+        wx = trail[k, 0] - x
+        wy = trail[k, 1] - y
+        travel += math.sqrt((trail[k, 0] - lx) * (trail[k, 0] - lx) + (trail[k, 1] - ly) * (trail[k, 1] - ly))
+        lx, ly = trail[k, 0], trail[k, 1]
+        if travel < OWN:
+            continue
+        # the edge at phi is in the disc about the place where behind sin(phi) - aside cos(phi) < -(behind^2 + aside^2) / 2 R
+        behind = -(wx * ux + wy * uy)
+        aside = wy * ux - wx * uy
+        bound = -0.5 * (behind * behind + aside * aside) / radius
+        if behind >= 0.0 and abs(aside) <= -bound:
+            continue
+        floor = trail[k, 2] - z
+        for b in range(bins):
+            if behind * sines[b] - aside * cosines[b] < bound and depth[b] > floor:
+                depth[b] = floor
+    largest = 0.0
+    for b in range(bins):
+        left = radius * cosines[b]
+        ahead = radius * sines[b]
+        a = depth[b] * footprint(nx, ny, dx, dy, x + ahead * ux - left * uy, y + ahead * uy + left * ux)
+        depth[b] = 0.0
+        if a > low + LEAST_DEPTH:
+            depth[b] = a
+            largest = max(largest, a)
     return largest
 
 

@@ -362,3 +362,26 @@ sampled = ["sensor", "controller"]
         assert set(both.descriptions) == {"a", "late", "b", "later"}
         with pytest.raises(CatalogueError, match=r"c\.toml: effect 'a' is in .*c\.toml, too; give one of them another name"):
             first.joined(first)
+
+
+CALIBRATED = '[[nuisance]]\ncomponent = "a"\nparameters = ["r"]\nabsolute = 0.1\nunit = "m"\nsource = "laser tracker"\n'
+
+
+def test_a_calibration_takes_the_place_of_the_tolerances_of_the_same_numbers(tmp_path: Path) -> None:
+    file, calibration = tmp_path / "c.toml", tmp_path / "calibration.toml"
+    file.write_text(ENTRY + TOLERANCE + TOLERANCE.replace('"r"', '"other"'))
+    calibration.write_text(CALIBRATED)
+    known = Catalogue.load(file)
+    better = known.calibrated(calibration)
+    assert {t.address[1]: t.size for t in better.tolerances} == {"r": 0.1, "other": 0.4}
+    assert better.candidates == known.candidates
+
+
+def test_what_is_wrong_with_a_calibration_is_said(tmp_path: Path) -> None:
+    file, calibration = tmp_path / "c.toml", tmp_path / "calibration.toml"
+    file.write_text(ENTRY)
+    with pytest.raises(FileNotFoundError, match=r"no calibration .*calibration\.toml; expected a file with \[\[nuisance\]\] tables"):
+        Catalogue.load(file).calibrated(calibration)
+    calibration.write_text(CALIBRATED.replace("absolute", "abslute"))
+    with pytest.raises(CatalogueError, match=r"calibration\.toml:4: .*abslute"):
+        Catalogue.load(file).calibrated(calibration)

@@ -30,6 +30,16 @@ def _engagement(*arguments: Any) -> float:
     return workpiece.engagement(*arguments)
 
 
+@njit(**COMPILER_OPTIONS)
+def _settle(*arguments: Any) -> None:
+    workpiece.settle(*arguments)
+
+
+@njit(**COMPILER_OPTIONS)
+def _follow(*arguments: Any) -> int:
+    return workpiece.follow(*arguments)
+
+
 class Block:
     """A block with its cells."""
 
@@ -37,10 +47,29 @@ class Block:
         self.nx, self.ny = workpiece.cells(LX, spacing), workpiece.cells(LY, spacing)
         self.grid = (self.nx, self.ny, LX / self.nx, LY / self.ny)
         self.height = np.zeros(self.nx * self.ny)
+        self.lagging = np.zeros(self.nx * self.ny)
+        self.trail = np.zeros((workpiece.TRAIL, 3))
+        self.places = 0
+        self.last = (0.0, 0.0, 0.0)
 
     def cut(self, a: Any, b: Any, done: bool = False) -> float:
         """Cut from a to b; removed volume m3."""
+        if not done:
+            self.leave()
+            self.follow(a)
+        self.follow(b)
         return float(_cut(self.height, *self.grid, TOP, BOTTOM, *map(float, a), *map(float, b), RADIUS, done))
+
+    def follow(self, tip: Any) -> None:
+        """Note a place of the tool in the field that the edges read."""
+        self.last = tuple(map(float, tip))
+        self.places = _follow(self.lagging, *self.grid, TOP, BOTTOM, self.trail, self.places, *self.last, RADIUS)
+
+    def leave(self) -> None:
+        """The tool leaves the material: that field catches up."""
+        if self.places:
+            _settle(self.lagging, *self.grid, TOP, BOTTOM, self.trail, self.places, *self.last, RADIUS)
+        self.places = 0
 
     def along(self, points: np.ndarray) -> float:
         """Cut a polyline as the component does, step after step."""
@@ -50,7 +79,18 @@ class Block:
         """Height of material before the edges in every bin, m."""
         depth = np.zeros(BINS)
         largest = _engagement(
-            self.height, *self.grid, *map(float, position), RADIUS, *map(float, direction), 0.0, BINS, SINES, COSINES, depth
+            self.lagging,
+            *self.grid,
+            self.trail,
+            self.places,
+            *map(float, position),
+            RADIUS,
+            *map(float, direction),
+            0.0,
+            BINS,
+            SINES,
+            COSINES,
+            depth,
         )
         assert largest == depth.max()
         return depth
@@ -201,9 +241,68 @@ def test_wall_beside_the_path_bounds_the_engagement(width: float, side: float, a
     assert (depth[:20].mean() > depth[-20:].mean()) == (side > 0)  # material on the left: small phi
 
 
+def test_a_wall_across_the_path_is_met_where_the_edge_is() -> None:
+    """From a slot, its end wall is met by the edge at phi when x + R sin(phi) passes it, to a cell of partial cover and interpolation."""
+    wall = 0.01
+    block = Block()
+    block.cut((wall - RADIUS, -0.1, -0.01), (wall - RADIUS, 0.1, -0.01))
+    block.leave()
+    for x in wall - RADIUS + np.arange(1e-4, 4e-3, 3e-4):
+        block.follow((x, 0.0, -0.01))
+        depth = block.engagement((x, 0.0, -0.01), (1.0, 0.0))
+        inside = x + RADIUS * SINES - wall
+        assert depth[inside > 2e-4] == pytest.approx(0.01, rel=ROUNDOFF)
+        assert not depth[inside < -2e-4].any()
+
+
+@pytest.mark.parametrize("turn", [20.0, 60.0, 90.0, -90.0, 130.0, 180.0])
+def test_after_a_corner_edges_meet_what_is_outside_of_the_way(turn: float) -> None:
+    """Every edge farther than a cell from the sides of the way: material outside of it, none within, right behind the corner and later."""
+    block = Block()
+    corner = np.array([1e-3, -2e-3])
+    a = math.radians(turn)
+    direction = np.array([math.cos(a), math.sin(a)])
+    points = np.vstack(
+        [corner + np.outer(np.arange(-0.02, 0.0, 1e-4), [1.0, 0.0]), corner + np.outer(np.arange(0.0, 0.012, 1e-4), direction)]
+    )
+    tips = np.column_stack([points, np.full(len(points), -0.005)])
+    block.cut(tips[0], tips[0])
+    for i in range(1, len(tips)):
+        block.cut(tips[i - 1], tips[i], True)
+        if i < 200 or i % 7:
+            continue
+        depth = block.engagement(tips[i], direction)
+        edge = points[i] + RADIUS * (np.outer(SINES, direction) + np.outer(COSINES, [-direction[1], direction[0]]))
+        way = points[: i + 1 - round(workpiece.OWN / 1e-4)]
+        outside = np.min(np.hypot(*(edge[:, None, :] - way).T), axis=0) - RADIUS
+        assert depth[outside > 3e-4] == pytest.approx(0.005, rel=ROUNDOFF)
+        assert not depth[outside < -3e-4].any()
+
+
+def test_a_tool_that_springs_back_stays_at_the_front_of_its_cut() -> None:
+    """By less than OWN all edges stay engaged; by three times as much those in front are free."""
+    block = Block()
+    tip, direction = slot_into(block, 0.3)
+    back = np.array([*direction, 0.0])
+    assert block.engagement(tip - 0.8 * workpiece.OWN * back, direction) == pytest.approx(0.01, rel=ROUNDOFF)
+    assert not block.engagement(tip - 0.003 * back, direction)[30:60].any()
+
+
+def test_what_was_noted_is_cut_when_the_tool_leaves() -> None:
+    """The field that the edges read is then the workpiece, but for scallops between places and what is lowered within a place."""
+    block = Block()
+    x = np.arange(-0.045, 0.0, 1e-4)
+    block.along(np.column_stack([x, 0.004 * np.sin(x / 0.01), 0 * x - 0.006]))
+    assert np.abs(block.lagging - block.height).max() > 0.005
+    block.leave()
+    scallop = 4e-4**2 / (8 * RADIUS)  # places lie between one cell and two from each other
+    assert np.abs(block.lagging - block.height).max() < 0.006 * scallop / 2e-4 + ROUNDOFF
+
+
 def test_existing_slot_of_the_same_width_is_almost_free() -> None:
     block = Block()
     block.cut((-0.1, 0.0, -0.01), (0.1, 0.0, -0.01))
+    block.leave()
     depth = block.engagement((0.0, 0.0, -0.01), (1.0, 0.0))
     assert not depth[10:-10].any()
     # half of the edges within a cell of either side
