@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robomill.cell import milling
 from robomill.cell.scenario import Scenario, ScenarioError
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 SUMMARY = "summary.json"
 
 
-@dataclass(frozen=True)
-class Column:
+class Column(NamedTuple):
     """A figure of a variant as tables show it."""
 
     key: str
@@ -198,10 +197,10 @@ def mill_variants(
     job = replace(job, system=changed(job.system))
     runs = Runs(scenario, folder, (), job.notes, job.warnings)
     others = _figures_in(folder / SUMMARY)
-    for variant in wanted.variants:
-        recorded, factor = milling.mill(job, variant, progress, csv=csv)
+    for variant, completing, factor in milling.mill_all(job, wanted.variants, progress, csv=csv):
         from robomill.cell import evaluation, scan  # with what the surface is measured with: the run begins without it
 
+        recorded = completing.run()
         result = evaluation.evaluate(variant.name, variant.title, recorded, scenario.workpiece, factor)
         runs = replace(runs, results=(*runs.results, scan.scanned(scenario, result) if scenario.scan else result))
         if stl:

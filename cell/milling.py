@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,8 +31,9 @@ from robomill.models.planning.segment_table import TOOL
 from robomill.models.planning.trajectory import Plan, pilot_table, plan
 from robomill.models.process import tool_table
 from robomill.models.process.cutting import EndMill
-from robomill.orchestration.assembly import Assembly, assemble, run
+from robomill.orchestration.assembly import Assembly, assemble, computed, run
 from robomill.orchestration.errors import SlaveError
+from robomill.orchestration.runs.behind import Behind
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.system.definition import Connection, System
 from robomill.orchestration.system.wiring import Wiring
@@ -43,6 +44,8 @@ PARTS = ("path", "drive", "compliance", "milling", "sensor", "controller")
 PILOT_WINDOW = 5
 """Steps over which the offline force is averaged, centred: the pilot force is quasi-static, without the ripple of the teeth."""
 
+_SAME_PLACE = 1e-9
+"""Most by which place and size of the block, where it is cut, differ from those of the path [m, 1]: what is rounded."""
 _WARM = 3
 """Looks at the clock until all is compiled: after initialisation, the first step, and the first chunk of steps."""
 
@@ -241,6 +244,35 @@ def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool
     The factor is NaN for a run that was finished before. It lasts as long as the plan; longer, where the system has a later stop of its own
     (a feed that is controlled takes more time than planned).
     """
+    complete, factor = _milled(job, variant, progress, csv)
+    return complete(), factor
+
+
+def mill_all(
+    job: Job, variants: Sequence[Variant], progress: Progress | None = None, csv: bool = False
+) -> Iterator[tuple[Variant, Behind, float]]:
+    """Mill one variant after the other; each with its run and its factor (see `mill`). A run is completed on disk behind the next.
+
+    A variant is handed out when the next is computed, also if that fails.
+    """
+    before = None
+    for variant in variants:
+        try:
+            complete, factor = _milled(job, variant, progress, csv)
+        except BaseException:
+            if before is not None:
+                yield before
+            raise
+        now = variant, Behind(complete), factor
+        if before is not None:
+            yield before
+        before = now
+    if before is not None:
+        yield before
+
+
+def _milled(job: Job, variant: Variant, progress: Progress | None, csv: bool) -> tuple[Callable[[], Run], float]:
+    """See `mill`; the run is still to be completed."""
     system = replace(of_variant(job, variant), name=f"{job.scenario.name}/{variant.name}")
     system = replace(system, recording=replace(system.recording, csv=csv))
     block = " x ".join(f"{1e3 * length:g}" for length in job.workpiece.size)
@@ -251,7 +283,7 @@ def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool
         "condition": variant.name,
     }
     watch = _Stopwatch()
-    result = run(
+    complete = computed(
         system,
         job.folder / variant.name,
         stop=max(job.steps * system.step, system.stop or 0.0),
@@ -263,7 +295,7 @@ def mill(job: Job, variant: Variant, progress: Progress | None = None, csv: bool
         observers=[watch],
         resume=job.resume,
     )
-    return result, watch.factor
+    return complete, watch.factor
 
 
 _OF_JOB = {"path": ("segments", "pilot"), "milling": ("p_BP_B", "quat_BP", "block_size", "tools")}
@@ -349,7 +381,7 @@ def _check_place(job: Job, assembly: Assembly) -> None:
         ("block_size", "size", job.workpiece.size),
     ):
         cut = [given.get(f"{name}[{i + 1}]") for i in range(len(planned))]
-        if None not in cut and not np.allclose(np.array(cut, dtype=np.float64), planned, rtol=0.0, atol=1e-9):
+        if None not in cut and not np.all(np.abs(np.array(cut, dtype=np.float64) - planned) <= _SAME_PLACE):
             raise ScenarioError(
                 f"{job.scenario.file}: milling.{name} is {cut} where the block is cut, but the path is planned for {list(planned)}; "
                 f"give it as [workpiece] {key}, which both have"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ _SAME_TOOL = 0.005
 """Share of its diameter within which a tool is the one that a comment names: comments round."""
 
 
-@dataclass(frozen=True)
-class Findings:
+class Findings(NamedTuple):
     """What is wrong with a plan."""
 
     texts: tuple[str, ...] = ()

@@ -50,8 +50,8 @@ html_extra_path = ["_root"]  # index.html: from the root of the site to the star
 html_use_index = False
 
 
-LONG = 100
-"""Characters from which a cell of a table needs width on a narrow screen (narrow.css): there they would fill eleven lines or more."""
+LONG = 50
+"""Characters from which a cell of a table needs width on a narrow screen (narrow.css): there they would fill six lines or more."""
 
 
 def setup(app: Sphinx) -> None:

@@ -168,7 +168,8 @@ def _imported(what: str, module: str, attribute: str) -> Model:
 def _importable(what: str, file: Path) -> str:
     """Module name of a file; the folder of its outermost package comes last on the search path."""
     if not file.is_file():
-        raise ValueError(f"{what}: no file {file}")
+        beside = ", ".join(sorted(f.name for f in file.parent.glob("*.py"))) or "none"
+        raise ValueError(f"{what}: no file {file}; Python files in that folder: {beside}")
     root, names = file.resolve().parent, [file.stem]
     while (root / "__init__.py").is_file():
         names.insert(0, root.name)

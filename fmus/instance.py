@@ -86,6 +86,8 @@ class Instance:
                     self._functions = code.init, code.step, self.data.ctypes.data
                 except ImportError:
                     self.plain = True
+                except ValueError as error:  # functions that cannot be compiled
+                    raise ComponentError(f"{self.name}: {error}") from None
             if self.plain:
                 self._functions = (*self.model.plain(), record(self.data))
         assert self._functions is not None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -143,6 +143,33 @@ def run(
     replaces that of the system (auto, compiled, python). `labels` are added to those of the system. Raises what `assemble` raises,
     and RunError or Interrupted from the run itself; the folder is complete and readable by then.
     """
+    return computed(
+        system, folder, stop=stop, start=start, resolver=resolver, convert=convert, progress=progress, labels=labels,
+        overwrite=overwrite, observers=observers, manipulators=manipulators, resume=resume, loop=loop,
+    )()  # fmt: skip
+
+
+def computed(
+    system: System,
+    folder: str | Path | None = None,
+    *,
+    stop: float | None = None,
+    start: float = 0.0,
+    resolver: Resolver | None = None,
+    convert: Convert = same_unit_only,
+    progress: Progress | None = None,
+    labels: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
+    observers: Sequence[Observer] = (),
+    manipulators: Sequence[Manipulator] = (),
+    resume: bool = False,
+    loop: str | None = None,
+) -> Callable[[], Run]:
+    """Run `system` as `run` does, and return what completes its folder and loads the run: to be called once, in any thread (`Behind`).
+
+    Until then the folder is locked, and what a killed process leaves of it is completed as that of a run. A run that fails, or has
+    foreign code in this process, is complete when this returns or raises.
+    """
     if loop is not None:
         system = replace(system, loop=loop)
     end = system.stop if stop is None else stop
@@ -158,24 +185,34 @@ def run(
         with assemble(system, resolver, convert) as assembly:
             memory = Memory(assembly.about())
             master_of(assembly, (memory, *observers), manipulators).run(end, start, progress, system.stop_when)
-        return memory.run()
+        return memory.run
     r, place = system.recording, Path(folder)
-    with _claimed(place) as lock:
+    with ExitStack() as held:
+        lock = held.enter_context(_claimed(place))
         if not (overwrite or resume):
             check_vacant([place])
         with assemble(system, resolver, convert) as assembly:
             about = {**assembly.about(), **checkpoint.identity(system, assembly.parameters)}
             names = {**system.labels, **(labels or {})}
-            recorder = Recorder(place, r.columns, r.every, r.chunk, r.csv, about, names, overwrite or resume, lock=lock)
+            later = not _has_foreign_code(system)
+            recorder = Recorder(place, r.columns, r.every, r.chunk, r.csv, about, names, overwrite or resume, lock=lock, later=later)
             saved = checkpoint.continuation(place, recorder.info(assembly.wiring, system.step), end, system.stop_when) if resume else None
             if isinstance(saved, Run):
-                return saved
+                finished = saved
+                return lambda: finished
             recorder.resume_after = saved.done if saved is not None else None
             save = (r.checkpoint_every, _saver(assembly, recorder)) if r.checkpoint_every else None
             master = master_of(assembly, (recorder, *observers), manipulators, place)
             with _watched(system, place):
                 master.run(end, start, progress, system.stop_when, saved, save)
+        claim = held.pop_all()
+
+    def complete() -> Run:
+        with claim:
+            recorder.complete()
         return Run.load(place)
+
+    return complete
 
 
 @contextmanager
@@ -191,10 +228,15 @@ def _claimed(folder: Path) -> Iterator[FolderLock]:
             folder.rmdir()
 
 
+def _has_foreign_code(system: System) -> bool:
+    """Whether code runs in this process that may end it."""
+    return any(c.source.endswith(".fmu") and not c.isolate for c in system.components)
+
+
 @contextmanager
 def _watched(system: System, folder: Path) -> Iterator[None]:
     """With another process that completes the run if this one ends: where foreign code runs in it."""
-    if not any(c.source.endswith(".fmu") and not c.isolate for c in system.components):
+    if not _has_foreign_code(system):
         yield
         return
     watch = Watch(folder)

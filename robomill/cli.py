@@ -213,15 +213,15 @@ class Parser(argparse.ArgumentParser):
         raise SystemExit(2) from ValueError(message)
 
 
-def parser() -> argparse.ArgumentParser:
-    """All commands; their options are added when they are parsed (`Parser.complete`)."""
+def parser(name: str = "") -> argparse.ArgumentParser:
+    """The command of that name, or all if there is none; options are added when they are parsed (`Parser.complete`)."""
     main_parser = Parser(
         "robomill", description=DESCRIPTION, epilog=f"{STATUS} Start with: robomill example groove, then robomill run scenarios/groove.toml"
     )
     main_parser.add_argument("--version", action="version", version=f"robomill {__version__}")
     commands = main_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    for c in COMMANDS:
+    for c in [c for c in COMMANDS if c.name == name] or COMMANDS:
         command: Parser = commands.add_parser(
             c.name, help=c.help, description=f"{c.help[0].upper()}{c.help[1:]}.", epilog=f"Example: {c.example}"
         )
@@ -249,7 +249,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser().print_help()
         return 2
     try:
-        options = parser().parse_args(arguments)
+        options = parser(arguments[0]).parse_args(arguments)
     except SystemExit as end:
         if end.__cause__ is not None and "--json" in arguments:
             print(json.dumps({"error": str(end.__cause__)}))

@@ -14,7 +14,9 @@ Label = bool | int | float | str
 
 
 def run(options: Namespace) -> int:
-    """Import and say what was written."""
+    """Import and say what was written. LogError where mapping and log are interchanged."""
+    if options.log.suffix == ".toml" != options.mapping.suffix:
+        raise LogError(f"{options.mapping} is no mapping; give the mapping first, then the log: {options.log} {options.mapping}")
     done, left_out = import_log(options.mapping, options.log, options.out, options.overwrite, labels(options.label))
     if options.json:
         told = [{"run": str(r.folder), "rows": r.rows, "step_s": r.step, "span_s": r.span, "columns": list(r.columns)} for r in done]

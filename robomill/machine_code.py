@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import os
 import pickle
 import re
 import sys
-import uuid
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
@@ -47,7 +47,7 @@ class MachineCode:
     def __init__(self, content: bytes) -> None:
         """Load object code made for this processor. The process ends if it is torn: see `machine_code`."""
         llvm = _llvm()
-        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
+        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _loader())
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(content))
         self._engine.finalize_object()
 
@@ -101,7 +101,7 @@ def machine_code(file: Path | None, make: Callable[[], tuple[bytes, bool]]) -> M
     if kept is not None and lasting:
         with suppress(OSError):
             kept.parent.mkdir(parents=True, exist_ok=True)
-            partial = kept.with_name(f"{kept.name}.{uuid.uuid4().hex}")  # others may write it, too, also in this process
+            partial = kept.with_name(f"{kept.name}.{os.urandom(8).hex()}")  # others may write it, too, also in this process
             try:
                 partial.write_bytes(hashlib.sha256(content).digest() + content)
                 partial.replace(kept)
@@ -246,12 +246,18 @@ def _llvm() -> Any:
 
 def _machine() -> Any:
     """What Numba compiles for: this processor, code that runs where it is put."""
-    llvm = _llvm()
-    target = llvm.Target.from_default_triple()
+    return _code_in_place(cpu=_llvm().get_host_cpu_name(), features=_features(), opt=3)
+
+
+def _loader() -> Any:
+    """What loads code that is compiled already: LLVM compiles an empty module with it, which optimising would only delay."""
+    return _code_in_place(opt=0)
+
+
+def _code_in_place(**options: Any) -> Any:
+    target = _llvm().Target.from_default_triple()
     reloc = "static" if target.name.startswith("x86") else "default"
-    return target.create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=_features(), opt=3, reloc=reloc, codemodel="jitdefault", jit=True
-    )
+    return target.create_target_machine(reloc=reloc, codemodel="jitdefault", jit=True, **options)
 
 
 @cache

@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:  # rich takes a tenth of a second to load, and a run begins without it
     from rich.console import Console
@@ -20,8 +19,7 @@ MOST_NOTES = 3
 """Notes that are printed; files hold all of them."""
 
 
-@dataclass(frozen=True)
-class Heading:
+class Heading(NamedTuple):
     """The head of a column."""
 
     text: str

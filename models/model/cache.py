@@ -196,4 +196,4 @@ def _stamps(files: Iterable[str]) -> dict[str, list[int]]:
 @cache
 def _data_stamps() -> dict[str, list[int]]:
     """The parameter files. What comes later, or changes, is not what a model of this process was made from."""
-    return _stamps(f"{folder}{os.sep}{n}" for folder, _, names in os.walk(PACKAGE) for n in names if n.endswith(".toml"))
+    return _stamps(f"{folder}{os.sep}{n}" for folder, _, names in os.walk(PACKAGE / "data") for n in names if n.endswith(".toml"))

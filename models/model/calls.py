@@ -1,9 +1,12 @@
-"""What the functions of a model call: helpers that compiled code cannot call are named before anything is compiled."""
+"""What the functions of a model call and read: what compiled code cannot do is named before anything is compiled."""
 
 from __future__ import annotations
 
+import ast
 import dis
-from collections.abc import Callable, Iterator
+import inspect
+import textwrap
+from collections.abc import Callable, Collection, Iterator
 from types import FunctionType, ModuleType
 from typing import Any
 
@@ -32,6 +35,23 @@ def check_kernels(*functions: Callable[..., Any]) -> None:
                     "call it; write @kernel of robomill.models.model.declaration above it"
                 )
             waiting.append(called)
+
+
+def check_fields(fields: Collection[str], *functions: Callable[..., Any]) -> None:
+    """ValueError names a field of the record (the first argument of each function) that is read or set there, and is not declared."""
+    for function in functions:
+        try:
+            lines, first = inspect.getsourcelines(function)
+        except OSError:  # made from text
+            continue
+        tree = ast.parse(textwrap.dedent("".join(lines)))
+        record = next(iter(inspect.signature(function).parameters))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == record and node.attr not in fields:
+                raise ValueError(
+                    f"{inspect.getsourcefile(function)}:{first + node.lineno - 1}: {record}.{node.attr} is no variable of the model; "
+                    f"declare it, or use one of these: {', '.join(fields)}"
+                )
 
 
 def _called(function: FunctionType) -> Iterator[FunctionType]:

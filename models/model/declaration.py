@@ -14,7 +14,6 @@ The same two functions run in plain Python, compiled in process, and inside an F
 
 from __future__ import annotations
 
-import math
 import string
 import weakref
 from collections.abc import Callable, Sequence
@@ -84,19 +83,21 @@ class Variable:
             raise ValueError(f"variable {self.name!r}: a description is missing")
         if self.kind != "table":
             start = self.start_values
-            for bound, bad in ((self.minimum, start < _or(self.minimum, -math.inf)), (self.maximum, start > _or(self.maximum, math.inf))):
-                if bool(np.any(bad)):
+            for bound, outside in ((self.minimum, np.less), (self.maximum, np.greater)):
+                if bound is not None and bool(np.any(outside(start, bound))):
                     raise ValueError(f"variable {self.name!r}: start {self.start} violates the bound {bound} {self.unit}")
             if self.effect and bool(np.any(start != 0.0)):
                 raise ValueError(f"variable {self.name!r}: an effect is off, that is zero, by default")
 
-    @property
+    @cached_property
     def start_values(self) -> FloatArray:
-        """Start values as an array of `shape` [unit]; a scalar start fills the array."""
-        values = np.asarray(self.start, dtype=np.float64)
-        if values.ndim and values.shape != self.shape:
-            raise ValueError(f"variable {self.name!r}: start has shape {values.shape}, declared is {self.shape}")
-        return np.full(self.shape, values)
+        """Start values as a read-only array of `shape` [unit]; a scalar start fills the array."""
+        given = np.asarray(self.start, dtype=np.float64)
+        if given.ndim and given.shape != self.shape:
+            raise ValueError(f"variable {self.name!r}: start has shape {given.shape}, declared is {self.shape}")
+        values = np.full(self.shape, given)
+        values.flags.writeable = False
+        return values
 
     @property
     def dtype(self) -> type[np.float64] | type[np.int64]:
@@ -113,10 +114,6 @@ class Variable:
 
 _PAGE = 512
 """Words of a page of memory: 4096 bytes, as most processors have them."""
-
-
-def _or(value: float | None, default: float) -> float:
-    return default if value is None else value
 
 
 def _place(v: Variable) -> tuple[bool, int, bool]:

@@ -6,19 +6,17 @@ import ctypes
 import hashlib
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from robomill.machine_code import MachineCode, machine_code, object_code
 from robomill.models.model.cache import kept_code
-from robomill.models.model.calls import check_kernels
+from robomill.models.model.calls import check_fields, check_kernels
 from robomill.models.model.declaration import Model
 from robomill.models.model.kernels import COMPILER_OPTIONS, tell_numba
 
 
-@dataclass(frozen=True)
-class ModelCode:
+class ModelCode(NamedTuple):
     """Compiled functions of a model, in memory as long as this object."""
 
     init: Callable[[int], int]
@@ -63,6 +61,7 @@ def _make(model: Model) -> tuple[bytes, bool]:
     import numba
 
     check_kernels(model.init, model.step)
+    check_fields(model.dtype.names or (), model.init, model.step)
     tell_numba()
     record: Any = numba.from_dtype(model.dtype)
     functions: dict[str, Any] = {"model_init": (model.init, (record,)), "model_step": (model.step, (record, numba.float64, numba.float64))}

@@ -230,7 +230,9 @@ class _Reader:
             if name is None:
                 raise ValueError(f"expected a unit before {self.tokens[0][1]!r}" if self.tokens else "a unit is missing at its end")
             found = _symbol(name)
-        power = self.take("power") or "1"
+        power = self.take("power")
+        if power is None:
+            return found
         if "." in power:
             raise ValueError(f"its power {power} is not whole, as those of units here are")
         return _Product().times(found, int(power))
@@ -323,7 +325,7 @@ def convert(value: float, stated: str, wanted: str) -> float:
     if not stated:
         if compatible(wanted, "1"):
             return value
-        if value == 0.0 and not any(u.offset for u in map(_known, fitting(wanted)) if u):
+        if value == 0.0 and not compatible(wanted, "K"):  # only temperatures have scales with another zero
             return 0.0
         fit = fitting(wanted)
         examples = " or ".join(f'"{value:.15g} {u}"' for u in dict.fromkeys((fit[0], wanted)))

@@ -15,9 +15,8 @@ import os
 import tomllib
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,8 +32,7 @@ _COMPARED = ("algorithm", "sources", "rates", "connections", "files", "parameter
 _REMEDY = "run it anew without resuming, or into another folder"
 
 
-@dataclass(frozen=True)
-class Snapshot:
+class Snapshot(NamedTuple):
     """A run between two steps."""
 
     done: int
@@ -44,7 +42,7 @@ class Snapshot:
     bus: FloatArray
     gather: Mapping[str, Any]
     """Positions of the inputs on the bus by component: they differ from the wiring's where inputs are overridden."""
-    states: Mapping[str, Any] = field(repr=False)
+    states: Mapping[str, Any]
     """States of the slaves, from `Slave.get_state`."""
 
     @property

@@ -11,7 +11,7 @@ import contextlib
 import datetime
 import errno
 import os
-import socket
+import platform
 import sys
 import warnings
 from pathlib import Path
@@ -47,7 +47,7 @@ class FolderLock:
             os.close(self._descriptor)  # who held it has removed it meanwhile
         os.ftruncate(self._descriptor, 0)
         since = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
-        os.write(self._descriptor, f"process {os.getpid()} on {socket.gethostname()} since {since}\n".encode())
+        os.write(self._descriptor, f"process {os.getpid()} on {platform.node()} since {since}\n".encode())
 
     def _is_there(self) -> bool:
         try:

@@ -58,6 +58,8 @@ class Recorder:
     resume_after: int | None = None
     lock: FolderLock | None = None
     """Lock of the folder, if the caller holds it; else it is taken for as long as the run lasts."""
+    later: bool = False
+    """A run that finishes is completed by whoever calls `complete`."""
 
     def begin(self, wiring: Wiring, step: float) -> None:
         """Choose the columns, write run.toml, begin the flight recorder."""
@@ -80,6 +82,7 @@ class Recorder:
 
     def _open(self, wiring: Wiring, step: float, chosen: list[int], info: dict[str, Any], fields: list[Field]) -> None:
         self._seen = 0
+        self._ended: tuple[str, str] | None = None
         aside = None
         if self.resume_after is None:
             self._clear()
@@ -186,7 +189,16 @@ class Recorder:
         return len(kept) * len(self._taken) == columns.size and self._all_real
 
     def end(self, outcome: str, message: str) -> None:
-        """Write what is left, turn the stream into signals.parquet, complete run.toml."""
+        """Complete the run: now, or later."""
+        self._ended = (outcome, message)
+        if not self.later or outcome != "finished":
+            self.complete()
+
+    def complete(self) -> None:
+        """Write what is left, turn the stream into signals.parquet, complete run.toml, unless that is done."""
+        if self._ended is None:
+            return
+        (outcome, message), self._ended = self._ended, None
         from robomill.orchestration.runs.signals import finalise, write_csv
 
         try:

@@ -7,8 +7,7 @@ needs to be imported). It is asked for after the first step of a run and valid u
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 
 class Block(Protocol):
@@ -127,8 +126,7 @@ class Rollback(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class BlockData:
+class BlockData(NamedTuple):
     """A `Block` as plain data."""
 
     kind: str

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -67,8 +68,7 @@ class Wiring:
         return [f"{c}.{p.name}" for c, p in self.outputs]
 
 
-@dataclass(frozen=True)
-class _Pair:
+class _Pair(NamedTuple):
     source: Element
     target: Element
     delayed: bool

@@ -14,7 +14,7 @@ from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
 from robomill.fmus import components
 from robomill.fmus.components import COMPONENTS, NAMES, component, home, is_component
-from robomill.models.model.calls import check_kernels
+from robomill.models.model.calls import check_fields, check_kernels
 from robomill.orchestration.assembly import run
 from robomill.orchestration.errors import SystemFileError
 from tests.fmus import demo
@@ -119,6 +119,16 @@ def test_a_helper_without_kernel_is_named_with_its_caller(smoother: Path) -> Non
     with pytest.raises(ValueError, match=text):
         model.compiled()
     assert model.plain()[0] is model.init  # in plain Python it runs
+
+
+def test_a_name_that_is_no_variable_is_named_with_its_line(smoother: Path) -> None:
+    smoother.write_text(smoother.read_text().replace("s.y = smoothed", "s.yy = smoothed"))
+    model = component(f"{smoother}:MODEL")
+    with pytest.raises(ValueError, match=r"smoother\.py:\d+: s\.yy is no variable of the model; declare it, or use one of these: .*y"):
+        check_fields(model.dtype.names or (), model.init, model.step)
+    for name in NAMES:
+        found = COMPONENTS[name]
+        check_fields(found.dtype.names or (), found.init, found.step)
 
 
 def test_helpers_are_followed_through_modules_closures_and_each_other() -> None:

@@ -64,6 +64,10 @@ WRONG_FILES = {
         "[scenario] names as system",
     ),
     "a log that is not there": ("import axis/map.toml nothing.csv --out r", "robomill import: no log file nothing.csv; correct the path"),
+    "a log as a mapping": (
+        "import nothing.csv axis/map.toml --out r",
+        "robomill import: nothing.csv is no mapping; give the mapping first, then the log: axis/map.toml nothing.csv",
+    ),
     "a log as a run": (
         "diagnose axis/system.toml axis/map.toml --out d",
         "robomill diagnose: no run folder axis/map.toml; give a folder that `robomill run` or `robomill import` has written",
