@@ -198,7 +198,8 @@ class Problem:
         form = np.concatenate([FORM * of * solution.x for of in grams], axis=1)
         inverse = np.linalg.inv(G + np.diag(np.where(self.named, 0.0, 1.0)) + 1e-12 * np.diag(np.diag(G) + 1e-300))
         M = sum(self._scatter(noise, weights, inverse)) + form @ form.T
-        size = np.sqrt(np.diag(M)) + 1e-300
+        size = np.sqrt(np.diag(M))
+        size[size == 0.0] = 1.0  # a number that does nothing
         across = np.linalg.solve(M / np.outer(size, size) + 1e-6 * np.eye(len(G)), np.column_stack([G, g]) / size[:, None])
         return G.T @ (across[:, :-1] / size[:, None]), G.T @ (across[:, -1] / size)
 
