@@ -97,6 +97,10 @@ FORMATS = (
         "`robomill diagnose --catalogue` takes it",
     ),
     Format(
+        "calibration", "Calibration files", catalogue.CalibrationKeys, catalogue.Catalogue(Path(), ()).calibrated,
+        "`robomill diagnose --calibration` takes it",
+    ),
+    Format(
         "campaign", "Campaign files", campaign.CampaignKeys, lambda file: campaign.load_campaign(file, load_system),
         "`robomill diagnose --campaign` takes it",
     ),
