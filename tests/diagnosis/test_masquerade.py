@@ -28,7 +28,7 @@ TRUTHS = {
 
 
 ALIKE = {"friction @ mass 1": "friction @ mass 2", "stiffness @ spring 2": "stiffness @ spring 1"}
-"""Two frictions differ by jumps. The first spring for the second leaves a fifth of the gap, and nothing that the catalogue could explain."""
+"""Two frictions differ by jumps. The first spring leaves a fifth of the gap, and nothing that the catalogue could explain."""
 
 
 @pytest.mark.slow
