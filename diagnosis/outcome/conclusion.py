@@ -31,7 +31,7 @@ from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Menu, Unkno
 from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, Closing, metrics
 from robomill.diagnosis.outcome.steps import signatures, steps
-from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, share_left, tested
+from robomill.diagnosis.outcome.verdict import IDENTIFIED, UNKNOWN, changes, judged, over_noise, share_left, tested
 from robomill.orchestration.slaves.protocol import FloatArray
 
 SAID = {
@@ -71,8 +71,10 @@ class Conclusion:
         self.laboratory, self.simulator, self.search, self.groups, self.n = laboratory, simulator, search, groups, n
         self.findings, self.menu, self.repair, self.false_alarm = findings, menu, repair, false_alarm
         self.titles = titles_of(search.catalogue.titles, laboratory.ports)
-        self.nothing = float(probabilities(fits, search.candidates)[0])
-        self.fits, self.weights = weighed(search, fits)
+        self.fits, self.weights = fits, probabilities(fits, search.candidates)
+        self.nothing = float(self.weights[0])
+        if over_noise(search, fits[0]) > UNKNOWN:  # else, where noise is a guess, the answer is none
+            self.fits, self.weights = weighed(search, fits)
         self.best = self.fits[int(self.weights.argmax())]
         self.known: Mapping[str, Known] = {}
 

@@ -27,6 +27,10 @@ TRUTHS = {
 }
 
 
+ALIKE = {"friction @ mass 1": "friction @ mass 2", "stiffness @ spring 2": "stiffness @ spring 1"}
+"""Two frictions differ by jumps. The first spring leaves a fifth of the gap, and nothing that the catalogue could explain."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("true", TRUTHS)
 def test_only_the_true_effect_is_named(tmp_path: Path, true: str) -> None:
@@ -34,10 +38,11 @@ def test_only_the_true_effect_is_named(tmp_path: Path, true: str) -> None:
     truth = {component: {parameter: value}}
     runs, other = measure(truth), measure(truth, amplitude=0.4, repeats=2, seed=2)
     full = catalogue(tmp_path)
-    verdicts, same, new, expected = {}, {}, {}, {}
+    verdicts, same, new, expected, believed = {}, {}, {}, {}, {}
     for c in full.candidates:
         result = diagnose(SYSTEM, runs, replace(full, candidates=(c,)), held_out=other, resolver=resolve).result
         verdicts[c.name] = result["verdict"]
+        believed[c.name] = result["tests"]["p_fit"]
         same[c.name] = 1.0 - result["gap"]["unexplained"]
         moved = result.get("transfer")
         expected[c.name] = moved["expected_gain"] if moved else 0.0
@@ -47,8 +52,9 @@ def test_only_the_true_effect_is_named(tmp_path: Path, true: str) -> None:
     assert new[true] == pytest.approx(1.0, abs=chance(2.0 / math.sqrt(expected[true] * DEPENDENCE)))  # of noise as of the fitted value
     wrong = set(verdicts) - {true}
     others = {name for name in wrong if verdicts[name] != "unknown"}
-    assert others <= {"friction @ mass 2" if true == "friction @ mass 1" else ""}
-    assert {verdicts[name] for name in others} <= {"ambiguous"}  # at 0.50: two frictions differ by jumps
+    assert others <= {ALIKE.get(true, "")}
+    assert {verdicts[name] for name in others} <= {"ambiguous"}
+    assert all(believed[name] < 0.51 for name in others)  # neither yes nor no
     # friction under one mass for that under the other: jumps, which count for little at steps of 10 ms, tell them apart; the new condition
     # decides
     assert all(same[name] < 0.8 for name in wrong)
