@@ -421,8 +421,11 @@ def engagement(
 
     (ux, uy) is the feed direction; `sines`, `cosines` belong to the middle of the bins, clockwise from the left of the feed.
     Material is read where the edge is, from the field and the trail of `follow`: walls are right to a fraction of a cell,
-    what the tool itself has cut lately to a scallop of micrometres. Edges outside the block meet nothing.
+    what the tool itself has cut lately to CLEAR cells: a tool that swings sideways by less has the whole arc, as the chip comes from
+    the commanded feed and would not damp it. Edges outside the block meet nothing.
     """
+    spacing = dx if dx > dy else dy
+    within = max(radius - CLEAR * spacing, 0.0)
     for b in range(bins):
         left = radius * cosines[b]
         ahead = radius * sines[b]
@@ -441,10 +444,11 @@ def engagement(
         lx, ly = trail[k, 0], trail[k, 1]
         if travel < OWN:
             continue
-        # the edge at phi is in the disc about the place where behind sin(phi) - aside cos(phi) < -(behind^2 + aside^2) / 2 R
+        # the edge at phi is that far in the disc about the place where
+        # behind sin(phi) - aside cos(phi) < (within^2 - R^2 - behind^2 - aside^2) / 2 R
         behind = -(wx * ux + wy * uy)
         aside = wy * ux - wx * uy
-        bound = -0.5 * (behind * behind + aside * aside) / radius
+        bound = 0.5 * (within * within - radius * radius - behind * behind - aside * aside) / radius
         if behind >= 0.0 and abs(aside) <= -bound:
             continue
         floor = trail[k, 2] - z

@@ -257,7 +257,7 @@ def test_a_wall_across_the_path_is_met_where_the_edge_is() -> None:
 
 @pytest.mark.parametrize("turn", [20.0, 60.0, 90.0, -90.0, 130.0, 180.0])
 def test_after_a_corner_edges_meet_what_is_outside_of_the_way(turn: float) -> None:
-    """Every edge farther than a cell from the sides of the way: material outside of it, none within, right behind the corner and later."""
+    """Edges outside of the way meet material, those CLEAR cells within and more meet none: right behind the corner and later."""
     block = Block()
     corner = np.array([1e-3, -2e-3])
     a = math.radians(turn)
@@ -276,7 +276,7 @@ def test_after_a_corner_edges_meet_what_is_outside_of_the_way(turn: float) -> No
         way = points[: i + 1 - round(workpiece.OWN / 1e-4)]
         outside = np.min(np.hypot(*(edge[:, None, :] - way).T), axis=0) - RADIUS
         assert depth[outside > 3e-4] == pytest.approx(0.005, rel=ROUNDOFF)
-        assert not depth[outside < -3e-4].any()
+        assert not depth[outside < -workpiece.CLEAR * 2e-4 - 3e-4].any()
 
 
 def test_a_tool_that_springs_back_stays_at_the_front_of_its_cut() -> None:
@@ -286,6 +286,18 @@ def test_a_tool_that_springs_back_stays_at_the_front_of_its_cut() -> None:
     back = np.array([*direction, 0.0])
     assert block.engagement(tip - 0.8 * workpiece.OWN * back, direction) == pytest.approx(0.01, rel=ROUNDOFF)
     assert not block.engagement(tip - 0.003 * back, direction)[30:60].any()
+
+
+@pytest.mark.parametrize(("swing", "whole"), [(0.9, True), (4.0, False)])
+def test_a_tool_that_swings_sideways_by_less_than_the_clear_cells_has_the_whole_arc(swing: float, whole: bool) -> None:
+    block = Block()
+    x = np.arange(-0.02, 1e-5, 1e-4)
+    y = swing * workpiece.CLEAR * 2e-4 * np.sin(2.0 * math.pi * x / 1.6e-3) / 2.0  # from one side to the other within the trail
+    tips = np.column_stack([x, y, np.full(len(x), -0.01)])
+    block.along(tips)
+    for side in (-1.0, 1.0):
+        depth = block.engagement(tips[-1] + [1e-4, side * swing * workpiece.CLEAR * 1e-4, 0.0], (1.0, 0.0))
+        assert bool(np.all(depth > 0.009)) is whole  # the outermost edge may read a cell that is partly cut
 
 
 def test_what_was_noted_is_cut_when_the_tool_leaves() -> None:
