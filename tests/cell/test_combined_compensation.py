@@ -24,8 +24,8 @@ def compensated(folder: Path, variant: str, *machines: Perturbation) -> Compensa
 def test_both_are_better_than_either_on_a_softer_machine(tmp_path: Path) -> None:
     """Paper 000 claims that the combination is better; it gives no figure. Surface, rms: a quarter less; half where springs are known.
 
-    Bounds are ours (26 % and 54 % in docs/explanation/validation.md), with room for another processor's rounding. On the nominal twin
-    there is next to nothing to gain; the largest deviation, at the rim of the exit, becomes less than with pilot control alone.
+    Bounds are ours (27 % and 58 % in docs/explanation/validation.md), with room for another processor's rounding. On the nominal twin there
+    is nothing to gain, and the largest deviation, at the rim of the exit, is worse than with pilot control alone: that is said.
     """
     offline = compensated(tmp_path, "uncompensated", SOFT)
     both = compensated(tmp_path, "cartesian_pilot", SOFT, KNOWN)
@@ -38,4 +38,4 @@ def test_both_are_better_than_either_on_a_softer_machine(tmp_path: Path) -> None
         assert together < part * min(online, alone)
         assert trial.after.figures.rms_m < 0.7 * min(trial.before.figures.rms_m, offline.trials[0].after.figures.rms_m)
     assert both.after.figures.rms_m < 0.8 * min(both.before.figures.rms_m, offline.after.figures.rms_m)
-    assert both.results[1].figures.max_deviation_m < both.results[0].figures.max_deviation_m
+    assert both.results[1].figures.max_deviation_m > both.results[0].figures.max_deviation_m
