@@ -24,8 +24,8 @@ def compensated(folder: Path, variant: str, *machines: Perturbation) -> Compensa
 def test_both_are_better_than_either_on_a_softer_machine(tmp_path: Path) -> None:
     """Paper 000 claims that the combination is better; it gives no figure. Surface, rms: a quarter less; half where springs are known.
 
-    Bounds are ours (27 % and 58 % in docs/explanation/validation.md), with room for another processor's rounding. On the nominal twin there
-    is nothing to gain, and the largest deviation, at the rim of the exit, is worse than with pilot control alone: that is said.
+    Bounds are ours (27 % and 58 % in docs/explanation/validation.md), with room for another processor's rounding. On the nominal twin the
+    surface gains nothing, and the largest deviation, at the rim of the exit, is worse than with pilot control alone: that is said.
     """
     offline = compensated(tmp_path, "uncompensated", SOFT)
     both = compensated(tmp_path, "cartesian_pilot", SOFT, KNOWN)
