@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -18,12 +18,13 @@ NOTHING_OVERRIDES_RIGHTS = ["setpriv", "--bounding-set", "-dac_override,-dac_rea
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder with the servo axis in `axis` and the groove in `mill`; commands are given in it."""
     monkeypatch.chdir(tmp_path)
     copy(AXIS, Path("axis"))
     copy("groove", Path("mill"))
-    return tmp_path
+    yield tmp_path
+    sys.modules.pop(AXIS, None)  # this copy of it: another test has one of its own
 
 
 def alone(command: str, *before: str) -> subprocess.CompletedProcess[str]:
