@@ -205,9 +205,20 @@ def step(s: Record, t: float, h: float) -> int:
         if status != 0:
             return status
         s.removal_rate = _cut(s, True) / h
+    else:
+        _catch_up(s)
     for i in range(3):
         s.p_last[i] = s.p_PT_P[i]
     return 0
+
+
+@kernel
+def _catch_up(s: Record) -> None:
+    """Let the workpiece that the edges read have all that the tool has cut: it does not cut any more."""
+    if s.places > 0:
+        x, y, z = s.p_last[0], s.p_last[1], s.p_last[2]
+        workpiece.settle(s.lagging, s.nx, s.ny, s.dx, s.dy, s.stock_error, s.bottom, s.trail, s.places, x, y, z, 0.5 * s.diameter)
+        s.places = 0
 
 
 @kernel
@@ -219,9 +230,8 @@ def _cut(s: Record, done: bool) -> float:
     near = workpiece.touches(s.nx, s.ny, s.dx, s.dy, s.stock_error, xa, ya, za, x, y, z, radius + max(s.dx, s.dy))
     if near and z < s.stock_error:
         s.places = workpiece.follow(s.lagging, s.nx, s.ny, s.dx, s.dy, s.stock_error, s.bottom, s.trail, s.places, x, y, z, radius)
-    elif s.places > 0:
-        workpiece.settle(s.lagging, s.nx, s.ny, s.dx, s.dy, s.stock_error, s.bottom, s.trail, s.places, xa, ya, za, radius)
-        s.places = 0
+    else:
+        _catch_up(s)
     removed = 0.0
     if near:
         removed = workpiece.cut(s.height, s.nx, s.ny, s.dx, s.dy, s.stock_error, s.bottom, xa, ya, za, x, y, z, radius, done)
