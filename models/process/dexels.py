@@ -27,7 +27,7 @@ TRAIL = 64
 """Places of the tool, about a cell apart, by which that map lags at most."""
 
 OWN = 1e-3
-"""Travel [m] of the tool that its edges do not look at: a tool that springs back by less stays at the front of its cut."""
+"""Travel [m] of the tool that its edges do not look at, there and back: a tool that springs back by half of it stays in its cut."""
 
 LEAST_DEPTH = 1e-9
 """Material standing less than this above the tip [m] is the roundoff of a floor already cut."""
