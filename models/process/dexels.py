@@ -467,13 +467,15 @@ def engagement(
     """
     spacing = dx if dx > dy else dy
     within = max(radius - CLEAR * spacing, 0.0)
+    # a whole cell from the side faces the footprint is 1
+    inside = abs(x) + radius + spacing <= 0.5 * nx * dx and abs(y) + radius + spacing <= 0.5 * ny * dy
     for b in range(bins):
         left = radius * cosines[b]
         ahead = radius * sines[b]
         px = x + ahead * ux - left * uy
         py = y + ahead * uy + left * ux
         depth[b] = 0.0
-        if footprint(nx, ny, dx, dy, px, py) > 0.0:
+        if inside or footprint(nx, ny, dx, dy, px, py) > 0.0:
             depth[b] = height_at(lagging, nx, ny, dx, dy, px, py) - z
     travel = 0.0
     lx, ly = x, y
@@ -498,9 +500,11 @@ def engagement(
                 depth[b] = floor
     largest = 0.0
     for b in range(bins):
-        left = radius * cosines[b]
-        ahead = radius * sines[b]
-        a = depth[b] * footprint(nx, ny, dx, dy, x + ahead * ux - left * uy, y + ahead * uy + left * ux)
+        a = depth[b]
+        if not inside:
+            left = radius * cosines[b]
+            ahead = radius * sines[b]
+            a *= footprint(nx, ny, dx, dy, x + ahead * ux - left * uy, y + ahead * uy + left * ux)
         depth[b] = 0.0
         if a > low + LEAST_DEPTH:
             depth[b] = a
