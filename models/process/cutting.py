@@ -278,16 +278,23 @@ def _moment(w: float, low: float, high: float) -> float:
 
 
 @kernel
-def mean_length(
-    first0: float, last0: float, first1: float, last1: float, scale: float, low: float, high: float
-) -> tuple[float, float]:
-    """Means of `edge_length` [m] and of the integral of z over that length [m2] while the edge goes from first0, last0 to first1, last1 [m].
+def passed(start: float, stop: float, low: float, high: float) -> tuple[float, float]:
+    """Integrals of clip(w, low, high) [m2] and of half its square [m3], but for a constant, while w goes from `start` to `stop` [m].
 
-    `scale`: 1 / (first1 - first0) [1/m]. Exact. first > last, first1 > first0, high >= low.
+    The difference of two, of an edge at the bounds of an interval of phi, over the way stop - start: the means of `edge_length` and of the
+    integral of z over that length. Exact.
     """
-    length = (_area(first1, low, high) - _area(first0, low, high)) - (_area(last1, low, high) - _area(last0, low, high))
-    moment = (_moment(first1, low, high) - _moment(first0, low, high)) - (_moment(last1, low, high) - _moment(last0, low, high))
-    return length * scale, moment * scale
+    return _area(stop, low, high) - _area(start, low, high), _moment(stop, low, high) - _moment(start, low, high)
+
+
+@kernel
+def _turns(angle: float) -> float:
+    """Whole turns in an angle [rad], rounded down; without a division where it is less than one."""
+    if angle >= 0.0 and angle < TWO_PI:
+        return 0.0
+    if angle < 0.0 and angle >= -TWO_PI:
+        return -1.0
+    return float(math.floor(angle / TWO_PI))
 
 
 @kernel
@@ -317,25 +324,26 @@ def mean_over_rotation(
         table = j if tables > 1 else 0
         # bring the start of this tooth into 0..2 pi, then visit every turn in which its edge meets the bins
         start = theta0 - TWO_PI * j / teeth
-        start -= TWO_PI * math.floor(start / TWO_PI)
+        start -= TWO_PI * _turns(start)
         stop = start + (theta1 - theta0)
-        turn = TWO_PI * math.floor((bounds[bins] - start + lag * highest) / TWO_PI)
+        turn = TWO_PI * _turns(bounds[bins] - start + lag * highest)
         while stop + turn > bounds[0]:
             begin = start + turn
             end = stop + turn
             scale = lag / (end - begin)
-            known = -1
-            first0, first1 = 0.0, 0.0
+            area, moment = 0.0, 0.0
+            # the next bin begins where the last one ends: what has passed there is known, if it is as deep
+            known, known_depth = -1, 0.0
             for b in range(bins):
                 deep = depth[b]
                 if deep <= low or bounds[b] >= end or bounds[b + 1] <= begin - lag * deep:
                     continue
-                if known != b:
-                    first0 = (begin - bounds[b]) / lag
-                    first1 = (end - bounds[b]) / lag
-                last0 = (begin - bounds[b + 1]) / lag
-                last1 = (end - bounds[b + 1]) / lag
-                length, moment = mean_length(first0, last0, first1, last1, scale, low, deep)
+                if known != b or known_depth != deep:
+                    area, moment = passed((begin - bounds[b]) / lag, (end - bounds[b]) / lag, low, deep)
+                behind_area, behind_moment = passed((begin - bounds[b + 1]) / lag, (end - bounds[b + 1]) / lag, low, deep)
+                length = (area - behind_area) * scale
+                first_moment = (moment - behind_moment) * scale
+                area, moment, known, known_depth = behind_area, behind_moment, b + 1, deep
                 force = density[table, b]
                 fx += force[0] * length
                 fy += force[1] * length
@@ -343,10 +351,8 @@ def mean_over_rotation(
                 fa += force[3] * length
                 fs += force[4] * length
                 fc += force[5] * length
-                mx += force[0] * moment
-                my += force[1] * moment
-                # the next bin begins where this one ends
-                first0, first1, known = last0, last1, b + 1
+                mx += force[0] * first_moment
+                my += force[1] * first_moment
             turn -= TWO_PI
     out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7] = fx, fy, ft, fa, fs, fc, mx, my
 
@@ -398,5 +404,5 @@ def at_angle(
 def _last_turn(theta: float, tooth: int, teeth: int, last: float, reach: float) -> float:
     """Largest angle of the tip of a tooth, whole turns from where it stands, at which its edge, that lags by up to `reach`, is before `last`."""
     start = theta - TWO_PI * tooth / teeth
-    start -= TWO_PI * math.floor(start / TWO_PI)
-    return start + TWO_PI * math.floor((last - start + reach) / TWO_PI)
+    start -= TWO_PI * _turns(start)
+    return start + TWO_PI * _turns(last - start + reach)
