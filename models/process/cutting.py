@@ -12,7 +12,7 @@ length of edge, with chip thickness h, the force ON the tool is
     Fx = -Ft cos(phi) - Fr sin(phi),  Fy = Ft sin(phi) - Fr cos(phi).
 
 The edge lags by psi(z) = kappa z, kappa = 2 tan(helix)/D. There are no axial layers: the length of the helical edge
-within an interval of phi, and its mean over an interval of rotation, have closed forms (`edge_length`, `mean_length`).
+within an interval of phi, and its mean over an interval of rotation, have closed forms (`edge_length`, `passed`).
 """
 
 from __future__ import annotations
@@ -402,7 +402,7 @@ def at_angle(
 
 @kernel
 def _last_turn(theta: float, tooth: int, teeth: int, last: float, reach: float) -> float:
-    """Largest angle of the tip of a tooth, whole turns from where it stands, at which its edge, that lags by up to `reach`, is before `last`."""
+    """Largest angle of the tip of a tooth, whole turns from theta, at which its edge, which lags by up to `reach`, meets `last` [rad]."""
     start = theta - TWO_PI * tooth / teeth
     start -= TWO_PI * _turns(start)
     return start + TWO_PI * _turns(last - start + reach)

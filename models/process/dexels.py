@@ -191,7 +191,7 @@ def _cut_piece(
                 vx = x0 + ix * dx - xa
                 along = vx * ux + va * uy
                 t = 0.0
-                if along >= length2 and length2 > 0.0:
+                if along >= length2 > 0.0:
                     t = 1.0
                 elif along > 0.0:
                     t = along / length2

@@ -20,8 +20,8 @@ from robomill.models.process.cutting import (
     edge_length,
     immersion,
     mean_force,
-    mean_length,
     mean_torque,
+    passed,
     slot_force,
     tooth_radii,
 )
@@ -159,10 +159,11 @@ def test_edge_lengths_of_all_bins_add_up_to_the_depth() -> None:
     assert min(lengths) >= 0.0
 
 
-def test_mean_length_against_quadrature() -> None:
+def test_what_passes_two_bounds_against_quadrature() -> None:
     theta = np.linspace(0.1, 1.7, 20001)
     low, high, lag = 0.002, 0.011, 72.0
-    mean, moment = mean_length(*((theta[i] - phi) / lag for i in (0, -1) for phi in (0.5, 0.6)), lag / 1.6, low, high)
+    at = [passed((theta[0] - phi) / lag, (theta[-1] - phi) / lag, low, high) for phi in (0.5, 0.6)]
+    mean, moment = ((first - last) * lag / 1.6 for first, last in zip(*at, strict=True))
     top = np.clip((theta - 0.5) / lag, low, high)
     bottom = np.clip((theta - 0.6) / lag, low, high)
     bound = discretisation(1.0, theta[1] - theta[0], 2)
