@@ -284,10 +284,10 @@ def _row(
 @kernel
 def _lower(heights: FloatArray, z: float, removed: float) -> float:
     """Lower the heights to z [m]; `removed` plus what was above [m]. Most often nothing is, which is seen without looking one by one."""
-    above = False
+    above = 0
     for k in range(len(heights)):
-        above |= heights[k] > z
-    if above:
+        above += 1 if heights[k] > z else 0
+    if above > 0:
         for k in range(len(heights)):
             if heights[k] > z:
                 removed += heights[k] - z
