@@ -88,6 +88,8 @@ _CALLS |= {"umax": "{0} > {1} ? {0} : {1}", "umin": "{0} < {1} ? {0} : {1}", "us
 _CALLS |= {"abs": "(int64_t){0} < 0 ? -{0} : {0}"}
 _FLAGS = re.compile(r"\b(?:nuw|nsw|exact|nneg|disjoint|samesign|inbounds|nusw|tail|musttail|notail|fastcc|volatile)\b ?")
 _SUFFIX = re.compile(r"(?:, ![\w.]+ !\d+)*(?: #\d+)?(?:, ![\w.]+ !\d+)*$")
+_ANY_VALUE = re.compile(r"poison|undef")
+"""Elements of a mask that nothing reads."""
 _VECTOR = re.compile(r"<(\d+) x (\w+)>")
 _ARRAY = re.compile(r"\[(\d+) x (.+)\]")
 
@@ -331,9 +333,8 @@ class _Function:
     def _cast(self, name: str, operands: str, expression: Callable[[str, str, str], str]) -> None:
         source, _, target = operands.rpartition(" to ")
         of, a = _typed(source)
-        if len(self._parts(of)) > 1:
-            raise NativeBuildError(f"no C code for a conversion of {of}")
-        self._set(name, target, expression(of, target, self._value(of, a)))
+        element = self._element(target)
+        self._operation(name, of, lambda part: expression(self._element(of), element, self._value(of, a, part)), element)
 
     def _do_zext(self, name: str, operands: str) -> None:
         self._cast(name, operands, lambda _, to, x: f"({TYPES[to]}){x}")
@@ -413,7 +414,7 @@ class _Function:
         shape = _VECTOR.match(mask)
         assert shape is not None
         count, wide, chosen = int(shape[1]), len(self._parts(of)), mask[shape.end() :].strip()
-        indices = [0] * count if chosen == "zeroinitializer" else [int(p.split()[-1]) for p in _split(chosen[1:-1])]
+        indices = [0] * count if chosen == "zeroinitializer" else [int(_ANY_VALUE.sub("0", p).split()[-1]) for p in _split(chosen[1:-1])]
         for i, k in enumerate(indices):
             self._set(f"{name}_{i}", self._element(of), self._value(of, a, f"_{k}") if k < wide else self._value(of, b, f"_{k - wide}"))
 
@@ -442,6 +443,9 @@ class _Function:
         if intrinsic in ("memset", "memcpy", "memmove"):
             size = f"(size_t){values[2]}"
             self.out.append(f"    {intrinsic}({values[0]}, {values[1]}, {size});")
+        elif intrinsic.startswith("vector.reduce.add.") and kind == "i64":
+            (of, text) = arguments[0]
+            self._set(name, kind, " + ".join(self._value(of, text, part) for part in self._parts(of)))
         elif intrinsic in ("uadd.with.overflow", "usub.with.overflow") and arguments[0][0] == "i64":
             a, b = values
             added = intrinsic.startswith("uadd")

@@ -12,7 +12,7 @@ length of edge, with chip thickness h, the force ON the tool is
     Fx = -Ft cos(phi) - Fr sin(phi),  Fy = Ft sin(phi) - Fr cos(phi).
 
 The edge lags by psi(z) = kappa z, kappa = 2 tan(helix)/D. There are no axial layers: the length of the helical edge
-within an interval of phi, and its mean over an interval of rotation, have closed forms (`edge_length`, `mean_length`).
+within an interval of phi, and its mean over an interval of rotation, have closed forms (`edge_length`, `passed`).
 """
 
 from __future__ import annotations
@@ -249,9 +249,12 @@ def _clip(w: float, low: float, high: float) -> float:
 
 
 @kernel
-def edge_length(theta: float, phi0: float, phi1: float, lag: float, low: float, high: float) -> float:
-    """Axial length [m] of an edge between heights low..high [m] that stands in phi0..phi1 [rad]; its tip is at theta."""
-    return _clip((theta - phi0) / lag, low, high) - _clip((theta - phi1) / lag, low, high)
+def edge_length(first: float, last: float, low: float, high: float) -> float:
+    """Axial length [m] of an edge between heights low..high [m] that stands between two angles, where it is at heights first > last [m].
+
+    With its tip at theta an edge is at the height (theta - phi) / lag where it stands at the angle phi.
+    """
+    return _clip(first, low, high) - _clip(last, low, high)
 
 
 @kernel
@@ -275,19 +278,23 @@ def _moment(w: float, low: float, high: float) -> float:
 
 
 @kernel
-def mean_length(theta0: float, theta1: float, phi0: float, phi1: float, lag: float, low: float, high: float) -> tuple[float, float]:
-    """Means of `edge_length` [m] and of the integral of z over that length [m2] while the tip turns from theta0 to theta1.
+def passed(start: float, stop: float, low: float, high: float) -> tuple[float, float]:
+    """Integrals of clip(w, low, high) [m2] and of half its square [m3], but for a constant, while w goes from `start` to `stop` [m].
 
-    Exact. theta1 > theta0, phi1 > phi0, high >= low.
+    The difference of two, of an edge at the bounds of an interval of phi, over the way stop - start: the means of `edge_length` and of the
+    integral of z over that length. Exact.
     """
-    w00 = (theta0 - phi0) / lag
-    w01 = (theta0 - phi1) / lag
-    w10 = (theta1 - phi0) / lag
-    w11 = (theta1 - phi1) / lag
-    scale = lag / (theta1 - theta0)
-    length = (_area(w10, low, high) - _area(w00, low, high)) - (_area(w11, low, high) - _area(w01, low, high))
-    moment = (_moment(w10, low, high) - _moment(w00, low, high)) - (_moment(w11, low, high) - _moment(w01, low, high))
-    return length * scale, moment * scale
+    return _area(stop, low, high) - _area(start, low, high), _moment(stop, low, high) - _moment(start, low, high)
+
+
+@kernel
+def _turns(angle: float) -> float:
+    """Whole turns in an angle [rad], rounded down; without a division where it is less than one."""
+    if angle >= 0.0 and angle < TWO_PI:
+        return 0.0
+    if angle < 0.0 and angle >= -TWO_PI:
+        return -1.0
+    return float(math.floor(angle / TWO_PI))
 
 
 @kernel
@@ -311,27 +318,43 @@ def mean_over_rotation(
     height `low` to depth[b] [m] (`highest` = the largest); density (tables, bins, 6) as `edge_density`, tables = 1 (all teeth alike) or N.
     out[0..5] = the integrals of the six densities [N]; out[6], out[7] = first moments z Fx, z Fy [N.m].
     """
-    for i in range(8):
-        out[i] = 0.0
-    if highest <= low:
-        return
-    for j in range(teeth):
+    # sums in scalars: in an array each addition would wait for the one before to be stored
+    fx, fy, ft, fa, fs, fc, mx, my = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(teeth if highest > low else 0):
         table = j if tables > 1 else 0
         # bring the start of this tooth into 0..2 pi, then visit every turn in which its edge meets the bins
         start = theta0 - TWO_PI * j / teeth
-        start -= TWO_PI * math.floor(start / TWO_PI)
+        start -= TWO_PI * _turns(start)
         stop = start + (theta1 - theta0)
-        turn = TWO_PI * math.floor((bounds[bins] - start + lag * highest) / TWO_PI)
+        turn = TWO_PI * _turns(bounds[bins] - start + lag * highest)
         while stop + turn > bounds[0]:
+            begin = start + turn
+            end = stop + turn
+            scale = lag / (end - begin)
+            area, moment = 0.0, 0.0
+            # the next bin begins where the last one ends: what has passed there is known, if it is as deep
+            known, known_depth = -1, 0.0
             for b in range(bins):
-                if depth[b] <= low or bounds[b] >= stop + turn or bounds[b + 1] <= start + turn - lag * depth[b]:
+                deep = depth[b]
+                if deep <= low or bounds[b] >= end or bounds[b + 1] <= begin - lag * deep:
                     continue
-                length, moment = mean_length(start + turn, stop + turn, bounds[b], bounds[b + 1], lag, low, depth[b])
-                for i in range(6):
-                    out[i] += density[table, b, i] * length
-                out[6] += density[table, b, 0] * moment
-                out[7] += density[table, b, 1] * moment
+                if known != b or known_depth != deep:
+                    area, moment = passed((begin - bounds[b]) / lag, (end - bounds[b]) / lag, low, deep)
+                behind_area, behind_moment = passed((begin - bounds[b + 1]) / lag, (end - bounds[b + 1]) / lag, low, deep)
+                length = (area - behind_area) * scale
+                first_moment = (moment - behind_moment) * scale
+                area, moment, known, known_depth = behind_area, behind_moment, b + 1, deep
+                force = density[table, b]
+                fx += force[0] * length
+                fy += force[1] * length
+                ft += force[2] * length
+                fa += force[3] * length
+                fs += force[4] * length
+                fc += force[5] * length
+                mx += force[0] * first_moment
+                my += force[1] * first_moment
             turn -= TWO_PI
+    out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7] = fx, fy, ft, fa, fs, fc, mx, my
 
 
 @kernel
@@ -349,25 +372,37 @@ def at_angle(
     out: FloatArray,
 ) -> None:
     """Forces at one angle of rotation: out[0..2] = Fx, Fy, Fa [N]; arguments as `mean_over_rotation`, with bins of equal width."""
-    for i in range(3):
-        out[i] = 0.0
-    if highest <= low:
-        return
+    fx, fy, fa = 0.0, 0.0, 0.0
     width = (bounds[bins] - bounds[0]) / bins
-    for j in range(teeth):
+    reach = lag * highest
+    ahead = _last_turn(theta, 0, teeth, bounds[bins], reach)
+    for j in range(teeth if highest > low else 0):
         table = j if tables > 1 else 0
-        start = theta - TWO_PI * j / teeth
-        start -= TWO_PI * math.floor(start / TWO_PI)
-        angle = start + TWO_PI * math.floor((bounds[bins] - start + lag * highest) / TWO_PI)
+        # a tooth ahead: which bins are visited is then known before they are
+        angle = ahead
+        ahead = _last_turn(theta, j + 1, teeth, bounds[bins], reach)
         while angle - lag * low > bounds[0]:
-            first = math.floor((angle - lag * highest - bounds[0]) / width) - 1
+            first = math.floor((angle - reach - bounds[0]) / width) - 1
             last = math.floor((angle - lag * low - bounds[0]) / width) + 1
             first = max(first, 0)
             last = min(last, bins - 1)
+            before = (angle - bounds[first]) / lag
             for b in range(first, last + 1):
+                behind = (angle - bounds[b + 1]) / lag
                 if depth[b] > low:
-                    length = edge_length(angle, bounds[b], bounds[b + 1], lag, low, depth[b])
-                    out[0] += density[table, b, 0] * length
-                    out[1] += density[table, b, 1] * length
-                    out[2] += density[table, b, 3] * length
+                    length = edge_length(before, behind, low, depth[b])
+                    force = density[table, b]
+                    fx += force[0] * length
+                    fy += force[1] * length
+                    fa += force[3] * length
+                before = behind
             angle -= TWO_PI
+    out[0], out[1], out[2] = fx, fy, fa
+
+
+@kernel
+def _last_turn(theta: float, tooth: int, teeth: int, last: float, reach: float) -> float:
+    """Largest angle of the tip of a tooth, whole turns from theta, at which its edge, which lags by up to `reach`, meets `last` [rad]."""
+    start = theta - TWO_PI * tooth / teeth
+    start -= TWO_PI * _turns(start)
+    return start + TWO_PI * _turns(last - start + reach)

@@ -165,92 +165,133 @@ def _cut_piece(
         ux, uy, length2 = 0.0, 0.0, 0.0
     length = math.sqrt(length2)
     removed = 0.0
+    if idle and length2 == 0.0:
+        return removed
     first_row = math.ceil(((ya if ya < yb else yb) - outer - y0) / dy)
     last_row = math.floor(((ya if ya > yb else yb) + outer - y0) / dy)
     first_row = max(first_row, 0)
     last_row = min(last_row, ny - 1)
+    side = outer / length if length2 > 0.0 else 0.0
+    ahead = _row(first_row, nx, dx, dy, x0, y0, xa, ya, xb, yb, ux, uy, side, outer, inner)
     for iy in range(first_row, last_row + 1):
-        y = y0 + iy * dy
-        va = y - ya
-        vb = y - yb
-        # the row's interval of the stadium of radius `outer`: the extremes of both discs and of the tangents between them
-        low = 1e30
-        high = -1e30
-        r2 = outer * outer - va * va
-        if r2 >= 0.0:
-            r = math.sqrt(r2)
-            low = xa - r
-            high = xa + r
-        r2 = outer * outer - vb * vb
-        if r2 >= 0.0:
-            r = math.sqrt(r2)
-            low = min(low, xb - r)
-            high = max(high, xb + r)
-        if uy != 0.0:
-            side = outer / length
-            for _ in range(2):
-                t = (va - side * ux) / uy
-                if t >= 0.0 and t <= 1.0:
-                    x = xa + t * ux - side * uy
-                    low = min(low, x)
-                    high = max(high, x)
-                side = -side
-        if low > high:
-            continue
-        first = math.ceil((low - x0) / dx) if low > x0 else 0
-        last = math.floor((high - x0) / dx) if high < x0 + nx * dx else nx - 1
-        last = min(last, nx - 1)
-        # the core: cells wholly covered both at a and at b
-        core_first = last + 1
-        core_last = last
-        ra = inner * inner - va * va
-        rb = inner * inner - vb * vb
-        if ra > 0.0 and rb > 0.0:
-            ra = math.sqrt(ra)
-            rb = math.sqrt(rb)
-            low = xa - ra if xa - ra > xb - rb else xb - rb
-            high = xa + ra if xa + ra < xb + rb else xb + rb
-            if low <= high:
-                core_first = math.ceil((low - x0) / dx) if low > x0 else 0
-                core_last = math.floor((high - x0) / dx) if high < x0 + nx * dx else nx - 1
-                core_last = min(core_last, last)
-                if core_first > core_last:
-                    core_first = last + 1
-                    core_last = last
+        # a row ahead: where the loops over the cells end is then known before they begin
+        first, core_first, core_end, end = ahead
+        ahead = _row(iy + 1, nx, dx, dy, x0, y0, xa, ya, xb, yb, ux, uy, side, outer, inner)
+        va = y0 + iy * dy - ya
         row = iy * nx
-        ix = first
-        while ix <= last:
-            if ix == core_first:
-                if not idle:
-                    for k in range(row + core_first, row + core_last + 1):
-                        if height[k] > z:
-                            removed += height[k] - z
-                            height[k] = z
-                ix = core_last + 1
-                continue
-            # partly covered, or not covered all the way from a to b: distance of the centre from the way of the axis
-            vx = x0 + ix * dx - xa
-            t = 0.0
-            if length2 > 0.0:
-                t = (vx * ux + va * uy) / length2
-                t = min(t, 1.0)
-            if t <= 0.0:
-                if idle:
-                    ix += 1
-                    continue
+        for part in range(2):
+            # before the core and behind it: partly covered, or not covered all the way from a to b
+            begin, stop = first, core_first
+            if part == 1:
+                begin, stop = core_end, end
+                if not idle and core_first < core_end:
+                    removed = _lower(height[row + core_first : row + core_end], z, removed)
+            for ix in range(begin, stop):
+                # the nearest place of the axis on its way
+                vx = x0 + ix * dx - xa
+                along = vx * ux + va * uy
                 t = 0.0
-            wx = vx - t * ux
-            wy = va - t * uy
-            cover = (outer - math.sqrt(wx * wx + wy * wy)) / (outer - inner)
-            if cover > 0.0:
-                lowered = z
-                if cover < 1.0:
-                    lowered = z + (1.0 - cover) * (top - z)
-                k = row + ix
-                if height[k] > lowered:
-                    removed += height[k] - lowered
-                    height[k] = lowered
-            ix += 1
+                if along >= length2 > 0.0:
+                    t = 1.0
+                elif along > 0.0:
+                    t = along / length2
+                elif idle:
+                    continue
+                wx = vx - t * ux
+                wy = va - t * uy
+                cover = (outer - math.sqrt(wx * wx + wy * wy)) / (outer - inner)
+                if cover > 0.0:
+                    lowered = z
+                    if cover < 1.0:
+                        lowered = z + (1.0 - cover) * (top - z)
+                    k = row + ix
+                    # without a branch: which cells change is hard to foretell
+                    before = height[k]
+                    after = min(before, lowered)
+                    removed += before - after
+                    height[k] = after
+    return removed
+
+
+@kernel
+def _row(
+    iy: int,
+    nx: int,
+    dx: float,
+    dy: float,
+    x0: float,
+    y0: float,
+    xa: float,
+    ya: float,
+    xb: float,
+    yb: float,
+    ux: float,
+    uy: float,
+    side: float,
+    outer: float,
+    inner: float,
+) -> tuple[int, int, int, int]:
+    """Cells of a row in the stadium a-b of radius `outer` [m]: the first one, the core (wholly covered at a and at b) from and to, the end.
+
+    Each is one behind the last, and without a core it is at the end. (ux, uy) = b - a [m]; `side` = outer / length.
+    """
+    y = y0 + iy * dy
+    va = y - ya
+    vb = y - yb
+    # the extremes of both discs and of the tangents between them
+    low = 1e30
+    high = -1e30
+    r2 = outer * outer - va * va
+    if r2 >= 0.0:
+        r = math.sqrt(r2)
+        low = xa - r
+        high = xa + r
+    r2 = outer * outer - vb * vb
+    if r2 >= 0.0:
+        r = math.sqrt(r2)
+        low = min(low, xb - r)
+        high = max(high, xb + r)
+    if uy != 0.0:
+        for _ in range(2):
+            # t from 0 to 1 without the division, which few rows need: rounding does not change on which side of both it is
+            along = va - side * ux
+            if (along >= 0.0 and along <= uy) or (along <= 0.0 and along >= uy):
+                x = xa + along / uy * ux - side * uy
+                low = min(low, x)
+                high = max(high, x)
+            side = -side
+    if low > high:
+        return 0, 0, 0, 0
+    first = math.ceil((low - x0) / dx) if low > x0 else 0
+    end = math.floor((high - x0) / dx) + 1 if high < x0 + nx * dx else nx
+    end = min(end, nx)
+    ra = inner * inner - va * va
+    rb = inner * inner - vb * vb
+    if ra > 0.0 and rb > 0.0:
+        ra = math.sqrt(ra)
+        rb = math.sqrt(rb)
+        low = xa - ra if xa - ra > xb - rb else xb - rb
+        high = xa + ra if xa + ra < xb + rb else xb + rb
+        if low <= high:
+            core_first = math.ceil((low - x0) / dx) if low > x0 else 0
+            core_end = math.floor((high - x0) / dx) + 1 if high < x0 + nx * dx else nx
+            core_end = min(core_end, end)
+            if core_first < core_end:
+                return first, core_first, core_end, end
+    return first, end, end, end
+
+
+@kernel
+def _lower(heights: FloatArray, z: float, removed: float) -> float:
+    """Lower the heights to z [m]; `removed` plus what was above [m]. Most often nothing is, which is seen without looking one by one."""
+    above = 0
+    for k in range(len(heights)):
+        above += 1 if heights[k] > z else 0
+    if above > 0:
+        for k in range(len(heights)):
+            if heights[k] > z:
+                removed += heights[k] - z
+                heights[k] = z
     return removed
 
 
@@ -426,13 +467,15 @@ def engagement(
     """
     spacing = dx if dx > dy else dy
     within = max(radius - CLEAR * spacing, 0.0)
+    # a whole cell from the side faces the footprint is 1
+    inside = abs(x) + radius + spacing <= 0.5 * nx * dx and abs(y) + radius + spacing <= 0.5 * ny * dy
     for b in range(bins):
         left = radius * cosines[b]
         ahead = radius * sines[b]
         px = x + ahead * ux - left * uy
         py = y + ahead * uy + left * ux
         depth[b] = 0.0
-        if footprint(nx, ny, dx, dy, px, py) > 0.0:
+        if inside or footprint(nx, ny, dx, dy, px, py) > 0.0:
             depth[b] = height_at(lagging, nx, ny, dx, dy, px, py) - z
     travel = 0.0
     lx, ly = x, y
@@ -457,9 +500,11 @@ def engagement(
                 depth[b] = floor
     largest = 0.0
     for b in range(bins):
-        left = radius * cosines[b]
-        ahead = radius * sines[b]
-        a = depth[b] * footprint(nx, ny, dx, dy, x + ahead * ux - left * uy, y + ahead * uy + left * ux)
+        a = depth[b]
+        if not inside:
+            left = radius * cosines[b]
+            ahead = radius * sines[b]
+            a *= footprint(nx, ny, dx, dy, x + ahead * ux - left * uy, y + ahead * uy + left * ux)
         depth[b] = 0.0
         if a > low + LEAST_DEPTH:
             depth[b] = a

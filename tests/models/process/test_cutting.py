@@ -20,8 +20,8 @@ from robomill.models.process.cutting import (
     edge_length,
     immersion,
     mean_force,
-    mean_length,
     mean_torque,
+    passed,
     slot_force,
     tooth_radii,
 )
@@ -154,21 +154,22 @@ def test_against_axial_layers_and_time_samples(seed: int) -> None:
 
 def test_edge_lengths_of_all_bins_add_up_to_the_depth() -> None:
     bounds = np.linspace(-2.0, 3.0, 51)
-    lengths = [edge_length(2.5, a, b, 70.0, 0.001, 0.013) for a, b in itertools.pairwise(bounds)]
+    lengths = [edge_length((2.5 - a) / 70.0, (2.5 - b) / 70.0, 0.001, 0.013) for a, b in itertools.pairwise(bounds)]
     assert sum(lengths) == pytest.approx(0.012, rel=ROUNDOFF)
     assert min(lengths) >= 0.0
 
 
-def test_mean_length_against_quadrature() -> None:
+def test_what_passes_two_bounds_against_quadrature() -> None:
     theta = np.linspace(0.1, 1.7, 20001)
     low, high, lag = 0.002, 0.011, 72.0
-    mean, moment = mean_length(0.1, 1.7, 0.5, 0.6, lag, low, high)
+    at = [passed((theta[0] - phi) / lag, (theta[-1] - phi) / lag, low, high) for phi in (0.5, 0.6)]
+    mean, moment = ((first - last) * lag / 1.6 for first, last in zip(*at, strict=True))
     top = np.clip((theta - 0.5) / lag, low, high)
     bottom = np.clip((theta - 0.6) / lag, low, high)
     bound = discretisation(1.0, theta[1] - theta[0], 2)
     assert mean == pytest.approx(np.trapezoid(top - bottom, theta) / 1.6, abs=bound)
     assert moment == pytest.approx(np.trapezoid(0.5 * (top**2 - bottom**2), theta) / 1.6, abs=bound * high)
-    assert edge_length(1.0, 0.5, 0.6, lag, low, high) == pytest.approx(np.interp(1.0, theta, top - bottom), abs=bound)
+    assert edge_length(0.5 / lag, 0.4 / lag, low, high) == pytest.approx(np.interp(1.0, theta, top - bottom), abs=bound)
 
 
 # ---------------------------------------------------------------- runout
