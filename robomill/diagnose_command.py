@@ -292,7 +292,8 @@ def lines(answer: Answer) -> list[str]:
             out.append(f"how far: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}, {closed}")
     if answer.unknown:
         for x in answer.unknown.instead:
-            out.append(f"stand-in: {x.effect}; {x.law} in its place does better in {x.port}, by {100 * x.gain:.1f} % of the gap there")
+            there = ", ".join(x.ports)
+            out.append(f"stand-in: {x.effect}; {x.law} in its place does better in {there}, by {100 * x.gain:.1f} % of the gap there")
     if answer.onset:
         out.append(f"onset: {answer.onset.text}")
     if answer.form:

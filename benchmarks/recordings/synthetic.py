@@ -128,8 +128,9 @@ def drawn(case: Case, rng: np.random.Generator) -> Robot:
 
 
 def _sized(c: Candidate, unit: float, bounds: tuple[float, float], rng: np.random.Generator) -> Iterable[tuple[Address, float]]:
+    low, high = map(math.log, bounds)
     for a in c.addresses:
-        size = unit * math.exp(rng.uniform(*map(math.log, bounds)))
+        size = unit * math.exp(rng.uniform(low, high))
         yield a, size * (rng.choice([-1.0, 1.0]) if c.both_signs else 1.0)
 
 

@@ -3,7 +3,8 @@
 Where the right effect is not in the catalogue, the others take its place, and together they may close as much. But each of them has a law,
 and a law that is not the machine's is beaten. So each effect of the best model is taken out of it in turn, and every term of the library
 of forms is put in its place, at each measured output in which the effect does something. The others stay, and all are fitted anew. What
-counts is how well blocks of time are predicted that were left out (`selection`).
+counts is how well blocks of time are predicted that were left out (`selection`). Effects of one kind that act in several outputs are also
+exchanged for the same law in all of them.
 
 Machines simulated with the best model are the yardstick: where the law of an effect is that of the machine, hardly any of many terms
 predicts better, and by little. The noise of these machines is like what the model leaves: white, and with a part that remembers.
@@ -11,8 +12,10 @@ predicts better, and by little. The noise of these machines is like what the mod
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +23,7 @@ import numpy as np
 from robomill.diagnosis.catalogue import LOGGING, Candidate
 from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate, setting
+from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.ports import Problem, alike, direct, replayed
 from robomill.diagnosis.forms.selection import Labels, Products, Rows
 from robomill.diagnosis.inference.estimation import Fit
@@ -39,13 +43,13 @@ class Instead:
     """A law that does better than an effect of the best model in its place."""
 
     effect: str
-    """Name of the effect and its place."""
-    port: str
-    """Measured output at which the law is added."""
+    """Name of the effect and its place; only its kind, where the same law does better in the place of all of them."""
+    ports: tuple[str, ...]
+    """Measured outputs at which the law is added."""
     law: str
-    """The term, as a formula has it."""
+    """The term, as a formula has it; of several ports the index is `i`."""
     gain: float
-    """Squares of left-out blocks that are predicted better with it, over those of the gap of the port."""
+    """Squares of left-out blocks that are predicted better with it, over those of the gap of the port; of several ports, the mean."""
     p: float
     """Share of machines simulated with the best model in which a law does as much better, times the tries, at most 1."""
 
@@ -59,6 +63,19 @@ class Laws:
     """Name of an effect -> the `p` of the law that puts it into doubt."""
     kinds: Mapping[str, float] | None = None
     """Kind of effect -> the same `p`: friction in six joints is one idea, and wrong in one joint it is in doubt in all."""
+
+    @staticmethod
+    def of(found: Sequence[Instead], ports: Sequence[Port]) -> Laws:
+        """Doubt is cast on each effect in the ports of a law, and on each of the kind in whose place it is."""
+        kinds: dict[str, float] = {}
+        doubtful: dict[str, float] = {}
+        for p in ports:
+            for x in found:
+                if p.name in x.ports:
+                    doubtful.update({c.name: min(x.p, doubtful.get(c.name, 1.0)) for c in p.does})
+                    beaten = (c.effect for c in p.does if x.effect in (c.name, c.effect))
+                    kinds.update({kind: min(x.p, kinds.get(kind, 1.0)) for kind in beaten})
+        return Laws(tuple(sorted(found, key=lambda x: -x.gain)), doubtful, kinds)
 
     def belief(self, c: Candidate) -> float:
         """Factor on the probability of an effect."""
@@ -79,6 +96,11 @@ class Port:
         """Squares without the effects."""
         return float(((self.rows.y + sum(self.does.values())) ** 2).sum())
 
+    @property
+    def left(self) -> float:
+        """Share of the gap that the best model leaves."""
+        return float((self.rows.y**2).sum()) / self.gap
+
 
 def laws(laboratory: Laboratory, n: int, best: Fit, false_alarm: float) -> Laws:
     """The laws that do better than effects of the best model; `n`: how many conditions are diagnosed.
@@ -93,21 +115,18 @@ def laws(laboratory: Laboratory, n: int, best: Fit, false_alarm: float) -> Laws:
         looked_at = ports(laboratory.shown_in(own), own, best)
     except OrchestrationError:
         return Laws()
-    tries = sum(len(p.does) for p in looked_at)
     apart = all(laboratory.conditions[i].independent for i in own)
-    found = [x for p in looked_at for x in better(p, tries, apart) if x.p <= false_alarm]
-    kinds: dict[str, float] = {}
-    doubtful: dict[str, float] = {}
-    for p in looked_at:
-        for x in found:
-            if x.port == p.name:
-                doubtful.update({c.name: min(x.p, doubtful.get(c.name, 1.0)) for c in p.does})
-                kinds.update({c.effect: min(x.p, kinds.get(c.effect, 1.0)) for c in p.does if c.name == x.effect})
-    return Laws(tuple(sorted(found, key=lambda x: -x.gain)), doubtful, kinds)
+    tried = [Exchanged(p, apart) for p in looked_at]
+    kinds = shared(tried)
+    open_ = [t for t in tried if t.port.left > LITTLE]
+    tries = sum(len(t.effects) for t in open_)
+    found = [x for t in open_ for x in better(t, tries)]
+    found += [x for kind, places in kinds.items() for x in everywhere(kind, places, len(kinds))]
+    return Laws.of([x for x in found if x.p <= false_alarm], looked_at)
 
 
 def ports(laboratory: Laboratory, own: Sequence[int], best: Fit) -> list[Port]:
-    """Measured outputs in which the best model leaves more than LITTLE of the gap, with the effects that close MATERIAL of it or more."""
+    """Measured outputs of the components of the best model, with the effects that close MATERIAL of the gap there or more."""
     components = list(dict.fromkeys(c.component for c in best.model))
     if not any(channel.partition(".")[0] in components for channel in laboratory.channels):
         return []
@@ -117,10 +136,7 @@ def ports(laboratory: Laboratory, own: Sequence[int], best: Fit) -> list[Port]:
     for component in components:
         members = [c for c in best.model if c.component == component]
         moved = {c: [r.change(component, tuple((a, 0.0) for a in c.addresses)) for r in replays] for c in members}
-        for problem in direct(with_it[0], replays, component):
-            made = _port(problem, component, replays, moved)
-            if float((made.rows.y**2).sum()) > LITTLE * made.gap:
-                found.append(made)
+        found += [_port(problem, component, replays, moved) for problem in direct(with_it[0], replays, component)]
     return found
 
 
@@ -151,36 +167,127 @@ def _port(problem: Problem, component: str, replays: Sequence[ComponentReplay], 
     return made
 
 
-def better(port: Port, tries: int, apart: bool) -> list[Instead]:
-    """For each effect in a port the law that does better by more than LITTLE of the gap, with its rank; `apart`: samples have no memory.
+@dataclass(frozen=True)
+class Left:
+    """Squares of left-out blocks over those of the gap of a port, on some machines."""
+
+    effect: FloatArray
+    """With the effect, [machines]."""
+    laws: FloatArray
+    """With each law in its place, [laws, machines]; infinite where a law is no other than what stays."""
+
+    @property
+    def gains(self) -> FloatArray:
+        """What is predicted better with each law, [laws, machines]."""
+        return self.effect - self.laws
+
+    @property
+    def ratios(self) -> FloatArray:
+        """Log of what is left with the effect over what is left with each law, [laws, machines]."""
+        return np.asarray(np.log(self.effect) - np.log(self.laws))
+
+
+class Exchanged:
+    """A port in which each effect is taken out, and each term is put in its place; all others stay, and are fitted anew.
 
     A law that has more than half of its squares in one block is no rival: what it does there the other blocks cannot say.
     """
-    rows, effects = port.rows, list(port.does)
-    columns = np.stack([port.does[c] for c in effects], axis=1) if effects else np.zeros((len(rows.y), 0))
-    wide, k = replace(rows, y=rows.y + columns.sum(axis=1), X=np.concatenate([columns, rows.X], axis=1)), len(effects)
-    parts = rows.parts(FOLDS)
-    products, gap = Products(wide, parts), port.gap
-    squares = np.diagonal(products.gram, axis1=1, axis2=2)[:, k:]  # of each law in each block
-    spread = k + np.flatnonzero(squares.max(axis=0) <= 0.5 * squares.sum(axis=0))
-    if not len(spread):
-        return []
-    machines: tuple[FloatArray, FloatArray] | None = None
+
+    def __init__(self, port: Port, apart: bool) -> None:
+        self.port, self.effects = port, list(port.does)
+        rows, k = port.rows, len(self.effects)
+        does = np.stack([port.does[c] for c in self.effects], axis=1) if k else np.zeros((len(rows.y), 0))
+        self._model, self._apart = does.sum(axis=1), apart
+        self._rows = replace(rows, y=rows.y + self._model, X=np.concatenate([does, rows.X], axis=1))
+        self._parts = rows.parts(FOLDS)
+        self._products = Products(self._rows, self._parts)
+        squares = np.diagonal(self._products.gram, axis1=1, axis2=2)[:, k:]  # of each law in each block
+        self.laws = np.flatnonzero(squares.max(axis=0) <= 0.5 * squares.sum(axis=0))
+        """Terms of the problem that are rivals, [laws]."""
+
+    def left(self, j: int) -> Left:
+        """What is left in the place of effect `j`."""
+        return self._left(j)
+
+    def simulated(self, j: int) -> Left:
+        """The same on machines simulated with the best model."""
+        return self._left(j, *self._machines)
+
+    def _left(self, j: int, *instead: FloatArray) -> Left:
+        k = len(self.effects)
+        left = self._products.left_beside([i for i in range(k) if i != j], None, *instead)
+        return Left(left[j] / self.port.gap, left[k + self.laws] / self.port.gap)
+
+    @cached_property
+    def _machines(self) -> tuple[FloatArray, FloatArray]:
+        return _machines(self._rows, self._model, self._parts, self._apart)
+
+    def law(self, i: int) -> Term:
+        """The term of the i-th law."""
+        return self.port.problem.terms[int(self.laws[i])][1]
+
+    def alike(self) -> dict[str, int]:
+        """Which law is which: its text with the index of the port as `i`, the number of a root left out -> its place in `laws`."""
+        own = f"[{self.port.name.partition('[')[2]}"
+        return {SHAPE.sub("", self.law(i).text.replace(own, "[i]")): i for i in range(len(self.laws))}
+
+
+SHAPE = re.compile(r"/\([^)]*\)")
+"""What a root is over, in its text: each port has its own."""
+
+
+def better(tried: Exchanged, tries: int) -> list[Instead]:
+    """For each effect in a port the law that does better by more than LITTLE of the gap, with its rank."""
     found = []
-    for j, c in enumerate(effects):
-        others = [i for i in range(k) if i != j]
-        left = products.left_beside(others)[:, 0]
-        law = int(spread[left[spread].argmin()])
-        gain = float(left[j] - left[law]) / gap
-        if gain <= LITTLE:
+    for j, c in enumerate(tried.effects):
+        gains = tried.left(j).gains[:, 0]
+        if not len(gains) or (gain := float(gains.max())) <= LITTLE:
             continue
-        if machines is None:
-            machines = _machines(wide, columns.sum(axis=1), parts, apart)
-        simulated = products.left_beside(others, None, *machines)
-        above = int(((simulated[j] - simulated[spread].min(axis=0)) / gap >= gain).sum())
+        above = int((tried.simulated(j).gains.max(axis=0) >= gain).sum())
         p = min(1.0, tries * (1 + above) / (1 + MACHINES))
-        found.append(Instead(c.name, port.name, port.problem.terms[law - k][1].text, gain, p))
+        found.append(Instead(c.name, (tried.port.name,), tried.law(int(gains.argmax())).text, gain, p))
     return found
+
+
+Places = Sequence[tuple[Exchanged, int]]
+"""Ports in which effects of a kind act, and which of their effects is of the kind."""
+
+
+def shared(tried: Sequence[Exchanged]) -> dict[str, Places]:
+    """Kinds of effects that act in several ports and close more than LITTLE of the gap there in the mean: what does less is no matter."""
+    places: dict[str, list[tuple[Exchanged, int]]] = {}
+    for t in tried:
+        for j, c in enumerate(t.effects):
+            places.setdefault(c.effect, []).append((t, j))
+    strong = {k: np.mean([float((t.port.does[t.effects[j]] ** 2).sum()) / t.port.gap for t, j in at]) > LITTLE for k, at in places.items()}
+    return {kind: at for kind, at in places.items() if strong[kind] and len({t.port.name for t, _ in at}) > 1}
+
+
+def everywhere(kind: str, places: Places, tries: int) -> list[Instead]:
+    """The law that does better than a kind of effects in the place of all of them, by more than LITTLE of the gap in the mean, if any.
+
+    Friction in six joints is one idea. In each of them a rival may do better by so little that chance does as much; but chance does not
+    let the same law do better in all. Ranked is the mean of the `Left.ratios`: a joint with little noise says as much as one with much.
+    """
+    known = [t.alike() for t, _ in places]
+    same = [law for law in known[0] if all(law in other for other in known)]
+    if not same:
+        return []
+    at = [[own[law] for law in same] for own in known]
+
+    def compared(left: Sequence[Left]) -> tuple[FloatArray, FloatArray]:
+        """Means over the ports of gains and of ratios; the latter where the former are not little, [laws, machines]."""
+        gains: FloatArray = np.mean([x.gains[laws] for x, laws in zip(left, at, strict=True)], axis=0)
+        ratios = np.mean([x.ratios[laws] for x, laws in zip(left, at, strict=True)], axis=0)
+        return gains, np.where(gains > LITTLE, ratios, -np.inf)
+
+    gains, ratios = (x[:, 0] for x in compared([t.left(j) for t, j in places]))
+    best = int(ratios.argmax())
+    if np.isneginf(ratios[best]):
+        return []
+    above = int((compared([t.simulated(j) for t, j in places])[1].max(axis=0) >= ratios[best]).sum())
+    ports = tuple(dict.fromkeys(t.port.name for t, _ in places))
+    return [Instead(kind, ports, same[best], float(gains[best]), min(1.0, tries * (1 + above) / (1 + MACHINES)))]
 
 
 def _machines(rows: Rows, model: FloatArray, parts: Labels, apart: bool) -> tuple[FloatArray, FloatArray]:

@@ -15,7 +15,7 @@ from robomill.models.components.correction import KINDS, TIME, factors
 from robomill.models.model.units import unit_of
 from robomill.orchestration.slaves.protocol import FloatArray
 
-SLIDES = 0.02
+SLIDES = 0.002
 """Part of its largest size up to which a sign grows in proportion: at rest a sign is noise, and friction holds whatever it has to."""
 TEXTS: Mapping[str, str] = {
     "value": "{x}",

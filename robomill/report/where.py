@@ -131,7 +131,7 @@ def _unknown(s: Subject, known: Unknown) -> str:
         )
     for x in known.instead[:1]:
         text += (
-            f" In {s.label(x.port)}, {x.law} in place of {spoken(x.effect)} would predict what was left out better, by {percent(x.gain)} of the gap there: "
+            f" In {', '.join(map(s.label, x.ports))}, {x.law} in place of {spoken(x.effect)} would predict what was left out better, by {percent(x.gain)} of the gap there: "
             "that effect stands in for something else, and its outputs and others of its kind are in doubt with it."
         )
     return paragraph(text) + table(("Share of what is left", "Signal", "Channel"), rows)

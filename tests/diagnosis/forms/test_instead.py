@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from robomill.diagnosis.engine import diagnose
-from robomill.diagnosis.forms.instead import LITTLE, Instead, Laws, Port, better
+from robomill.diagnosis.forms.instead import LITTLE, Exchanged, Instead, Laws, Port, better, everywhere, shared
 from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.ports import Problem
 from robomill.diagnosis.forms.selection import Rows
@@ -26,21 +26,21 @@ from tests.tolerances import ROUNDOFF
 V, SIGN = NAMES.index("v"), NAMES.index("sgn v")
 
 
-def port(law: FloatArray, X: FloatArray, true: FloatArray, rest: FloatArray) -> Port:
+def port(law: FloatArray, X: FloatArray, true: FloatArray, rest: FloatArray, name: str = "a.y") -> Port:
     """An output whose gap is `true` + `rest`, with a model that has `law` [n] at its best size; the terms of the library are X."""
     gap = true + rest
     fitted = law * float(law @ gap) / float(law @ law)
     named = [("y", cast(Term, SimpleNamespace(text=name))) for name in NAMES]
     made: Rows = rows(gap - fitted, X)
-    return Port("a.y", cast(Problem, SimpleNamespace(terms=named)), made, {candidate("rubbing"): fitted})
+    return Port(name, cast(Problem, SimpleNamespace(terms=named)), made, {candidate("rubbing"): fitted})
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.05])
 def test_a_stand_in_is_beaten_by_the_law_of_the_machine(memory: float) -> None:
     rng = np.random.default_rng(1)
     X = terms(rng)
-    (found,) = better(port(X[:, V], X, X[:, SIGN], 0.2 * noise(rng, memory)), 1, False)
-    assert (found.effect, found.port, found.law) == (candidate("rubbing").name, "a.y", "sgn v")
+    (found,) = better(Exchanged(port(X[:, V], X, X[:, SIGN], 0.2 * noise(rng, memory)), False), 1)
+    assert (found.effect, found.ports, found.law) == (candidate("rubbing").name, ("a.y",), "sgn v")
     assert found.gain > LITTLE
     assert found.p == 1.0 / (1 + MACHINES)
 
@@ -53,24 +53,24 @@ def test_the_right_law_is_not(memory: float) -> None:
         rng = np.random.default_rng(seed)
         X = terms(rng)
         smooth = np.tanh(X[:, V] / 0.05)
-        alarms += any(x.p <= FALSE_ALARM for x in better(port(smooth, X, smooth, 0.7 * noise(rng, memory)), 1, False))
+        alarms += any(x.p <= FALSE_ALARM for x in better(Exchanged(port(smooth, X, smooth, 0.7 * noise(rng, memory)), False), 1))
     assert alarms <= 1  # FALSE_ALARM of ten, and what chance does to them
 
 
 def test_the_more_tries_the_less_a_rank_says() -> None:
     rng = np.random.default_rng(1)
     X = terms(rng)
-    made = port(X[:, V], X, X[:, SIGN], 0.2 * noise(rng, 0.0))
-    one, many = (better(made, tries, True)[0].p for tries in (1, 20))
+    made = Exchanged(port(X[:, V], X, X[:, SIGN], 0.2 * noise(rng, 0.0)), True)
+    one, many = (better(made, tries)[0].p for tries in (1, 20))
     assert many == pytest.approx(20.0 * one, rel=ROUNDOFF)
-    assert better(made, 10 * MACHINES, True)[0].p == 1.0
+    assert better(made, 10 * MACHINES)[0].p == 1.0
 
 
 def test_what_does_better_by_little_says_nothing() -> None:
     rng = np.random.default_rng(1)
     X = terms(rng)
     nearly = X[:, SIGN] + 0.02 * X[:, V]
-    assert better(port(X[:, SIGN], X, nearly, 0.02 * noise(rng, 0.0)), 1, True) == []
+    assert better(Exchanged(port(X[:, SIGN], X, nearly, 0.02 * noise(rng, 0.0)), True), 1) == []
 
 
 def test_what_is_there_in_one_block_of_time_only_is_no_rival() -> None:
@@ -79,16 +79,70 @@ def test_what_is_there_in_one_block_of_time_only_is_no_rival() -> None:
     X = terms(rng)
     X[:, NAMES.index("t")] = np.exp(-T)  # three quarters of its squares are in the first sixth of the time
     right, dies = 0.2 * X[:, SIGN], np.exp(-T)
-    assert better(port(right, X, right, 2.0 * dies), 1, True) == []
+    assert better(Exchanged(port(right, X, right, 2.0 * dies), True), 1) == []
     X[:, NAMES.index("t")] = np.exp(-T / 20.0)  # what goes on is one
-    assert [x.law for x in better(port(right, X, right, 2.0 * np.exp(-T / 20.0)), 1, True)] == ["t"]
+    assert [x.law for x in better(Exchanged(port(right, X, right, 2.0 * np.exp(-T / 20.0)), True), 1)] == ["t"]
+
+
+def joints(seed: int, law: int, true: int, count: int = 4) -> list[Exchanged]:
+    """Outputs of several joints, whose gaps are nearly lost in noise with a memory; in the model of each is the same `law`."""
+    made = []
+    for i in range(count):
+        rng = np.random.default_rng([seed, i])
+        X = terms(rng)
+        made.append(Exchanged(port(X[:, law], X, X[:, true], 2.5 * noise(rng, 0.05), f"a.y[{i + 1}]"), False))
+    return made
+
+
+def test_what_chance_does_in_one_joint_it_does_not_do_in_all() -> None:
+    """The stand-in is beaten in all of the joints together more often than in any single one."""
+    alone = together = 0
+    for seed in range(5):
+        tried = joints(seed, V, SIGN)
+        alone += any(x.p <= FALSE_ALARM for t in tried for x in better(t, len(tried) + 1))
+        ((kind, places),) = shared(tried).items()
+        found = [x for x in everywhere(kind, places, len(tried) + 1) if x.p <= FALSE_ALARM]
+        together += bool(found)
+        assert all((x.effect, x.law, len(x.ports)) == ("rubbing", "sgn v", 4) for x in found)
+    assert alone < together
+
+
+def test_the_right_law_is_not_beaten_in_all_joints() -> None:
+    for seed in range(5):
+        tried = joints(seed, SIGN, SIGN)
+        ((kind, places),) = shared(tried).items()
+        assert everywhere(kind, places, 1) == []
+
+
+def test_a_law_in_all_joints_has_the_index_of_each() -> None:
+    """It is one law, whatever the number in its root; a term of one certain joint is not the same in each."""
+    names = ("qd[1]", "sgn(qd[1]) sqrt(|qd[1]|/(0.4 rad/s))", "qd[2]"), ("sgn(qd[2]) sqrt(|qd[2]|/(0.7 rad/s))", "qd[1]", "qd[2]")
+    tried = []
+    for i, of in enumerate(names):
+        rng = np.random.default_rng(i)
+        X = terms(rng)[:, :3]
+        made = replace(port(X[:, 0], X, X[:, 0], noise(rng, 0.0)), name=f"a.y[{i + 1}]")
+        made.problem = cast(Problem, SimpleNamespace(terms=[("y", cast(Term, SimpleNamespace(text=text))) for text in of]))
+        tried.append(Exchanged(made, True))
+    assert [t.alike() for t in tried] == [
+        {"qd[i]": 0, "sgn(qd[i]) sqrt(|qd[i]|)": 1, "qd[2]": 2},
+        {"sgn(qd[i]) sqrt(|qd[i]|)": 0, "qd[1]": 1, "qd[i]": 2},
+    ]
+
+
+def test_a_kind_in_one_output_is_not_shared() -> None:
+    assert shared(joints(0, V, SIGN, count=1)) == {}
 
 
 def test_doubt_is_that_of_the_port_and_of_the_kind() -> None:
     beaten, beside, elsewhere, other = (replace(candidate(e), location=p) for e, p in (("a", "1"), ("b", "1"), ("a", "2"), ("b", "2")))
-    found = Laws((Instead(beaten.name, "x.y[1]", "v", 0.1, 0.01),), {beaten.name: 0.01, beside.name: 0.01}, {"a": 0.01})
+    empty = cast(Any, None)
+    ports = [Port(f"x.y[{i + 1}]", empty, empty, dict.fromkeys(of, empty)) for i, of in enumerate(((beaten, beside), (elsewhere, other)))]
+    found = Laws.of([Instead(beaten.name, ("x.y[1]",), "v", 0.1, 0.01)], ports)
     assert [found.belief(c) for c in (beaten, beside, elsewhere, other)] == [0.01, 0.01, 0.01, 1.0]
     assert Laws().belief(beaten) == 1.0
+    everywhere_ = Laws.of([Instead("a", ("x.y[1]", "x.y[2]"), "v", 0.1, 0.01)], ports)
+    assert [everywhere_.belief(c) for c in (beaten, beside, elsewhere, other)] == [0.01] * 4
 
 
 def answer(folder: Path, truth: dict[str, float], without: str = "") -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robomill.diagnosis.forms.library import Factor, Term, library
+from robomill.diagnosis.forms.library import SLIDES, Factor, Term, library
 from robomill.diagnosis.forms.signals import Variable
 from tests.tolerances import ROUNDOFF
 
@@ -42,4 +42,4 @@ def test_the_library_of_a_joint_has_its_own_products_and_simple_terms_of_the_oth
     assert not {"sgn(qd[2])", "qd[1] qd[2]"} & set(found)
     assert not {"sgn(load)", "|load|"} & set(found)  # never negative: the same as 1, and as the load
     made = found["sgn(qd[1]) |load|"].values(known, len(t))
-    np.testing.assert_allclose(made, np.clip(known[SPEED] / (0.02 * np.abs(known[SPEED]).max()), -1.0, 1.0) * known[LOAD], rtol=ROUNDOFF)
+    np.testing.assert_allclose(made, np.clip(known[SPEED] / (SLIDES * np.abs(known[SPEED]).max()), -1.0, 1.0) * known[LOAD], rtol=ROUNDOFF)
