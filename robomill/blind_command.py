@@ -87,7 +87,7 @@ def diagnose_case(case: Path, out: Path) -> None:
 
     Effects in the case's withheld.toml are taken out of the catalogue. Simulations of the nominal cell and of what may be wrong with it
     are the same in all cases that were measured in the same way: they are kept in `simulations` beside the cases, which may be deleted
-    at any time.
+    at any time. Data that are refused are a stop: the verdict is `bad_log`, with the error as `refused`.
     """
     from robomill.blind.make import CALIBRATION
     from robomill.cell.binding import convert, resolve
@@ -96,6 +96,7 @@ def diagnose_case(case: Path, out: Path) -> None:
     from robomill.diagnosis.catalogue import Catalogue
     from robomill.diagnosis.engine import diagnose_campaign
     from robomill.diagnosis.experiment.campaign import Campaign, load_campaign
+    from robomill.diagnosis.experiment.measured import DataError
     from robomill.diagnosis.experiment.store import Store
     from robomill.orchestration.runs.run import Run
 
@@ -108,8 +109,11 @@ def diagnose_case(case: Path, out: Path) -> None:
     with TemporaryDirectory() as folder:
         told = menu(campaign.system, Path(folder))
         store = Store(case.parent.parent / SIMULATIONS, sources(*{p.system.name: p.system for p in campaign.parts}.values()))
-        found = diagnose_campaign(campaign, catalogue, resolver=resolve, convert=convert, menu=told, store=store)
-    (out / "diagnosis.json").write_text(json.dumps(found.result, indent=1) + "\n", encoding="utf-8")
+        try:
+            result = diagnose_campaign(campaign, catalogue, resolver=resolve, convert=convert, menu=told, store=store).result
+        except DataError as error:
+            result = {"verdict": "bad_log", "refused": str(error)}
+    (out / "diagnosis.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 def withheld(case: Path) -> list[str]:
