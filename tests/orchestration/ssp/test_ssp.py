@@ -163,6 +163,11 @@ class TestProfile:
         (oms,) = ssd.iterfind("{*}System/{*}Annotations/{*}Annotation[@type='org.openmodelica']//{*}FixedStepMaster")
         assert oms.get("stepSize") == "0.01"
 
+    def test_the_times_are_where_others_look(self, package):
+        ssd = self.parse(package, "SystemStructure.ssd", "SystemStructureDescription.xsd")
+        (experiment,) = ssd.iterfind("{*}DefaultExperiment")
+        assert dict(experiment.attrib) == {"startTime": "0.0", "stopTime": "0.5"}
+
     def test_as_omsimulator_reads_it(self, package):
         """Version 2 takes another child of the root for a fault and of a system's annotations reads the first; 3 reads attributes."""
         ssd = self.parse(package, "SystemStructure.ssd", "SystemStructureDescription.xsd")
