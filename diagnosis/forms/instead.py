@@ -210,7 +210,7 @@ class Exchanged:
         return self._left(j)
 
     def simulated(self, j: int) -> Left:
-        """The same on machines simulated with the best model."""
+        """What is left there on machines simulated with the best model."""
         return self._left(j, *self._machines)
 
     def _left(self, j: int, *instead: FloatArray) -> Left:
