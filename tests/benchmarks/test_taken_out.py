@@ -19,6 +19,7 @@ from robomill.diagnosis.forms.layout import Form, PortForm
 from robomill.diagnosis.forms.ports import direct
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.orchestration.runs.run import Run
+from tests.tolerances import ROUNDOFF
 
 LATE = 3.05
 """ms by which the encoders behind the gears are late (first edition and least squares: 3.04 and 3.05 ms)."""
@@ -77,25 +78,30 @@ def test_six_motors_lack_friction_of_their_own_joint(kuka: Case, given: list[Run
         assert port.closure > 0.5, port.formula
 
 
-def answer(what: str, verdict: str, form: Form | None = None, **named: float) -> TakenOut:
-    return TakenOut(what, verdict, {n.replace("_at_", " @ "): p for n, p in named.items()}, "", form, 1.0)
+def answer(what: str, verdict: str, closed: float, form: Form | None = None, **named: float) -> TakenOut:
+    closures = {("robot.q_link rms", "diagnosed runs"): 0.99, ("robot.q_link rms", "held-out condition"): closed}
+    return TakenOut(what, verdict, {n.replace("_at_", " @ "): p for n, p in named.items()}, "", form, closures, 1.0)
 
 
 def test_names_that_take_the_place_of_what_was_taken_out_are_counted(kuka: Case) -> None:
     port = PortForm("robot.q_link[1]", "rad", "-0.003 qd[1]", (), 0.996, None)
     seen = HowFar("rms", "robot.q_link", "rad", "held-out condition", 3e-3, 3e-4, 0.0, 0.99)
     form = Form("robot", "output", 0.0, (port,), ("like a delay of 3 ms in robot.q_link[1]",), (seen,))
-    whole = answer("", "identified", form, coulomb_at_a=0.98, viscous_at_a=0.97, load_at_a=0.1)
-    wrong = answer("coulomb", "identified", viscous_at_a=0.99, load_at_a=0.96)
-    right = answer("viscous", "unknown", coulomb_at_a=0.9, load_at_a=0.96)
+    whole = answer("", "identified", 0.98, form, coulomb_at_a=0.98, viscous_at_a=0.97, load_at_a=0.1)
+    wrong = answer("coulomb", "identified", 0.97, viscous_at_a=0.99, load_at_a=0.96)
+    right = answer("viscous", "unknown", 0.5, coulomb_at_a=0.9, load_at_a=0.96)
     assert wrong.in_its_place(whole) == {"load @ a": 0.96}
     text = taken_out.text(kuka, [whole, wrong, right])
-    assert "| nothing | identified | coulomb @ a 0.980 | - | 1.0 |" in text
-    assert "| coulomb | identified | viscous @ a 0.990 | load @ a 0.96 | 1.0 |" in text
+    assert "| nothing | identified | coulomb @ a 0.980 | - | 0.0 % | 1.0 |" in text
+    assert "| coulomb | identified | viscous @ a 0.990 | load @ a 0.96 | 1.0 % | 1.0 |" in text
     assert "- as it was recorded: like a delay of 3 ms in robot.q_link[1]" in text
     assert "  - robot.q_link[1] (rad): -0.003 qd[1], closes 100 %" in text
     assert "  - in the loop, robot.q_link rms, held-out condition: 0.003 -> 0.0003 rad, 99 %" in text
     assert "With names in its place, and `identified`: coulomb, of 2." in text
+    assert "Of these, no test on these recordings tells from the right names: coulomb." in text
+    worse = answer("coulomb", "identified", 0.9, viscous_at_a=0.99, load_at_a=0.96)
+    assert worse.closes_less(whole) == pytest.approx(0.08, rel=ROUNDOFF)
+    assert "Of these" not in taken_out.text(kuka, [whole, worse, right])
 
 
 def test_a_coupling_is_added_to_one_column_only(given: list[Run]) -> None:
