@@ -76,7 +76,7 @@ class TakenOut:
 
     def closes_less(self, whole: TakenOut) -> float:
         """By how much of the gap less is closed than with the `whole` catalogue, where that is most, held-out runs included; at least 0."""
-        return max((c - self.closures.get(at, 0.0) for at, c in whole.closures.items()), default=0.0)
+        return max((0.0, *(c - self.closures.get(at, 0.0) for at, c in whole.closures.items())))
 
 
 def without(case: Case, effect: str, given: Sequence[Run], held: Sequence[Run], what: str, form: bool = False) -> TakenOut:
@@ -144,7 +144,11 @@ def text(case: Case, found: Sequence[TakenOut]) -> str:
             *answers(found),
             "",
             f"With names in its place, and `identified`: {', '.join(f.what for f in worse) or 'none'}, of {len(others)}.",
-            *([f"Of these, no test on these recordings tells from the right names: {', '.join(f.what for f in alike)}."] if alike else []),
+            *(
+                [f"Of these, as much of the gap is closed without the right names, within 2 %: {', '.join(f.what for f in alike)}."]
+                if alike
+                else []
+            ),
             *(["Onset: " + "; ".join(sure) + "."] if sure else []),
             "",
             "The form of all that the nominal system lacks, whatever the catalogue has:",
@@ -162,7 +166,7 @@ Written by `python -m benchmarks.recordings.taken_out --page FILE`; do not edit.
 All effects of one kind that the machine is known to have are taken out of the catalogue. Then no other name may take their place with
 confidence. Names in its place: likelier than not here, and not with the whole catalogue. Closes less by: the part of the gap that the
 answer closes less than that with the whole catalogue, in the figure and the runs where that is most, held-out ones included. Where it is
-no more than 2 %, other names do all that the right ones do in these recordings. The
+no more than 2 %, what is left does not give the other names away. The
 [form](../explanation/unknown_forms.md) says what is missing, without any name.
 
 No recording has a wrist coupling: speeds of the other joints do not predict the torques of a trajectory that was left out. One is

@@ -12,7 +12,6 @@ predicts better, and by little. The noise of these machines is like what the mod
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -106,7 +105,8 @@ def laws(laboratory: Laboratory, n: int, best: Fit, false_alarm: float) -> Laws:
     """The laws that do better than effects of the best model; `n`: how many conditions are diagnosed.
 
     None where no output of a component with an effect was measured, where the system cannot be replayed, and where a fault of the log is
-    part of the model: it is in the measured signals that components are driven with.
+    part of the model: it is in the measured signals that components are driven with. Two questions are asked, each with the rate of
+    false alarms `false_alarm`: is an effect beaten in an output, and is a kind of effects beaten in all of its outputs?
     """
     own = [i for i in range(n) if alike(laboratory, i)]
     if not own or any(c.component == LOGGING for c in best.model):
@@ -226,14 +226,10 @@ class Exchanged:
         """The term of the i-th law."""
         return self.port.problem.terms[int(self.laws[i])][1]
 
-    def alike(self) -> dict[str, int]:
-        """Which law is which: its text with the index of the port as `i`, the number of a root left out -> its place in `laws`."""
-        own = f"[{self.port.name.partition('[')[2]}"
-        return {SHAPE.sub("", self.law(i).text.replace(own, "[i]")): i for i in range(len(self.laws))}
-
-
-SHAPE = re.compile(r"/\([^)]*\)")
-"""What a root is over, in its text: each port has its own."""
+    def patterns(self) -> dict[str, int]:
+        """Laws by what is the same in all joints (`Term.pattern`) -> place in `laws`."""
+        index = self.port.name.partition("[")[2].rstrip("]")
+        return {self.law(i).pattern(index): i for i in range(len(self.laws))}
 
 
 def better(tried: Exchanged, tries: int) -> list[Instead]:
@@ -269,7 +265,7 @@ def everywhere(kind: str, places: Places, tries: int) -> list[Instead]:
     Friction in six joints is one idea. In each of them a rival may do better by so little that chance does as much; but chance does not
     let the same law do better in all. Ranked is the mean of the `Left.ratios`: a joint with little noise says as much as one with much.
     """
-    known = [t.alike() for t, _ in places]
+    known = [t.patterns() for t, _ in places]
     same = [law for law in known[0] if all(law in other for other in known)]
     if not same:
         return []

@@ -50,6 +50,11 @@ class Factor:
         """As a formula has it."""
         return TEXTS[self.kind].format(x=self.variable.text, p=self.shape, u=self.variable.unit)
 
+    def pattern(self, index: str) -> str:
+        """What is the same in all joints: the text with `index` as `i`, without the scale of a root, which its coefficient takes up."""
+        variable = replace(self.variable, name=self.variable.name.replace(f"[{index}]", "[i]"))
+        return f"sgn({variable.text}) sqrt(|{variable.text}|)" if self.kind == "root" else replace(self, variable=variable).text
+
     def plain(self) -> dict[str, Any]:
         """As the specification of a form has it."""
         return {"kind": self.kind, "variable": self.variable.name, "rate": self.variable.rate, "shape": self.shape}
@@ -65,6 +70,10 @@ class Term:
     def text(self) -> str:
         """As a formula has it."""
         return " ".join(f.text for f in self.factors) or "1"
+
+    def pattern(self, index: str) -> str:
+        """The text of a law that is the same in all joints, where this is that of joint `index`."""
+        return " ".join(f.pattern(index) for f in self.factors) or "1"
 
     def unit(self, port: str) -> str:
         """Unit of its coefficient, where the port has the unit `port`."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,3 +45,14 @@ def test_the_library_of_a_joint_has_its_own_products_and_simple_terms_of_the_oth
     assert not {"sgn(load)", "|load|"} & set(found)  # never negative: the same as 1, and as the load
     made = found["sgn(qd[1]) |load|"].values(known, len(t))
     np.testing.assert_allclose(made, np.clip(known[SPEED] / (SLIDES * np.abs(known[SPEED]).max()), -1.0, 1.0) * known[LOAD], rtol=ROUNDOFF)
+
+
+def test_a_law_in_all_joints_has_the_index_of_each() -> None:
+    """It is one law, whatever the scale of a root; a term of one certain joint is not the same in each, and decays keep their time."""
+    root = Term((Factor("root", SPEED, 0.4),))
+    assert root.pattern("1") == "sgn(qd[i]) sqrt(|qd[i]|)"
+    assert root.pattern("1") == Term((Factor("root", replace(SPEED, name="qd[2]"), 0.7),)).pattern("2")
+    assert Term((Factor("sign", SPEED, 0.1), Factor("size", LOAD))).pattern("1") == "sgn(qd[i]) |load|"
+    assert Term((Factor("value", OTHER),)).pattern("1") == "qd[2]"
+    assert Term((Factor("decay", TIME, 3.0),)).pattern("1") == "exp(-t/(3 s))"
+    assert Term().pattern("1") == "1"
