@@ -67,6 +67,15 @@ def estimate(c: Case, said: Candidate, i: int = 0) -> tuple[float, bool | None] 
     return None
 
 
+def fault_said(c: Case) -> bool:
+    """Whether the fault of a bad log is said and does no harm.
+
+    The log is stopped; or the repeat that was aborted, and no other, is named as such and left out: the rest is a good log.
+    """
+    aborted = c.truth.aborted_run
+    return c.prediction.stopped or bool(aborted and c.prediction.left_out == {aborted})
+
+
 def answer_right(c: Case) -> bool:
     """Whether a null is `none`, what is in no catalogue `unknown`, and of an effect the first that is named."""
     said = {"null": "none", "outside": "unknown", "formed": "unknown"}.get(c.kind)

@@ -9,7 +9,16 @@ import numpy as np
 
 from robomill.blind.baselines import Guess
 from robomill.blind.case import CATALOGUE, REAL, Case, Cases
-from robomill.blind.criteria import answer_right, component_right, effect_in_top, estimate, location_right, named_exactly, set_holds_truth
+from robomill.blind.criteria import (
+    answer_right,
+    component_right,
+    effect_in_top,
+    estimate,
+    fault_said,
+    location_right,
+    named_exactly,
+    set_holds_truth,
+)
 from robomill.blind.prediction import ComponentValues
 from robomill.blind.set_figures import (
     Equivalents,
@@ -76,8 +85,8 @@ def alarms(cases: Cases) -> dict[str, Figure]:
     """Whether there is anything, and whether the log is at fault."""
     return {
         "null_false_alarm": proportion([c.prediction.verdict != "none" for c in cases.of("null")]),
-        "bad_log_stopped": proportion([c.prediction.stopped for c in cases.detectable("bad_log")]),
-        "bad_log_stopped_of_all": proportion([c.prediction.stopped for c in cases.of("bad_log")]),
+        "bad_log_stopped": proportion([fault_said(c) for c in cases.detectable("bad_log")]),
+        "bad_log_stopped_of_all": proportion([fault_said(c) for c in cases.of("bad_log")]),
         "detection": proportion([c.prediction.found for c in cases.detectable(*REAL)]),
         "good_log_stopped": proportion([c.prediction.stopped for c in cases.of("null", *REAL)]),
     }

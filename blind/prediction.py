@@ -102,10 +102,13 @@ class Prediction:
     """CPU time that it took [s]."""
     wall: float | None = None
     """Wall time that it took [s]."""
+    left_out: frozenset[str] = frozenset()
+    """Runs that it names as cut short, and does not use."""
 
     @staticmethod
     def read(content: Mapping[str, Any]) -> Prediction:
         """Anything that is missing counts as empty."""
+        findings = (content.get("gate") or {}).get("findings") or ()
         candidates = sorted((Candidate.read(w) for w in content.get("which") or ()), key=lambda c: -c.probability)
         return Prediction(
             str(content.get("verdict", "missing")),
@@ -116,6 +119,7 @@ class Prediction:
             (content.get("form") or {}).get("specification") or None,
             (content.get("time") or {}).get("cpu"),
             (content.get("time") or {}).get("wall"),
+            frozenset(str(f["run"]) for f in findings if f["kind"] == "short" and f.get("repaired")),
         )
 
     @property

@@ -120,6 +120,13 @@ class Truth:
         return Truth(**{**content, **records})
 
     @property
+    def aborted_run(self) -> str:
+        """Folder of the repeat that was aborted: the last one of the first condition (`second.generate`). Empty where none was."""
+        if self.bad_log is None or self.bad_log.kind != "aborted" or not self.conditions:
+            return ""
+        return f"{self.conditions[0].name.replace(' ', '-')}-{self.repeats}"
+
+    @property
     def content(self) -> dict[str, Any]:
         """The content of the sealed file."""
         return {k: v for k, v in asdict(self).items() if v is not None}

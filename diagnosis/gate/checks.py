@@ -62,7 +62,9 @@ class Finding:
     fatal: bool = True
     """Whether it makes the log a bad one."""
     repaired: bool = False
-    """Whether `--repair` corrected it."""
+    """Whether it was corrected: by `--repair`, or because a repeat was left out."""
+    run: str = ""
+    """Folder of the run that it is about; empty where that is not one alone."""
 
 
 def raw(run: Run, channels: Sequence[str], ranges: Mapping[str, tuple[float | None, float | None]], step: float) -> list[Finding]:

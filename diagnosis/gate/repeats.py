@@ -92,7 +92,7 @@ def compared(
     for name, x, (late, error) in zip(names, stack, offsets(group, usual, step), strict=True):
         if abs(late) > max(CONFUSABLE * error, 0.5 * step):
             text = f"{name} is {1e3 * late:.3g} ms (standard error {1e3 * error:.2g} ms) later than the median of the repeats; expected 0"
-            found.append(Finding("t", "offset", late, "s", text, fatal=False))
+            found.append(Finding("t", "offset", late, "s", text, fatal=False, run=name))
         off = ((x - middle) ** 2).mean(axis=0)
         if abs(late) < step:  # a clock that was started between two samples moves a jump
             off = np.minimum(off, ((x - middle + late * rate) ** 2).mean(axis=0))
@@ -105,5 +105,5 @@ def compared(
             text = f"{far}; expected about 1, at most {UNLIKE:.0f}" + (
                 "; leave it out" if fatal else "; not so in most channels: it is kept"
             )
-            found.append(Finding(channels[worst], "repeat", float(ratio[worst]), "1", text, fatal))
+            found.append(Finding(channels[worst], "repeat", float(ratio[worst]), "1", text, fatal, run=name))
     return found

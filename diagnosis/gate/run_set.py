@@ -84,7 +84,7 @@ def complete(conditions: Sequence[Condition]) -> tuple[list[Condition], list[Fin
                 whole = f"{begin:.3f} to {end:.3f} s, as the repeats of {c.name!r}"
                 has = f"{r.folder.name} has {r.t[0]:.3f} to {r.t[-1]:.3f} s; expected {whole}"
                 then = "it was left out; record it anew" if out else "only what all have is looked at; leave it out to use the rest"
-                found.append(Finding("t", "short", lost, "s", f"is cut short: {has}: {then}", fatal=False, repaired=out))
+                found.append(Finding("t", "short", lost, "s", f"is cut short: {has}: {then}", fatal=False, repaired=out, run=r.folder.name))
         made.append(replace(c, runs=tuple(kept), grid=common_grid(kept, step)) if len(kept) < len(c.runs) else c)
     return made, found
 

@@ -35,6 +35,24 @@ def test_nulls_bad_logs_and_unknowns_are_counted_by_verdict():
     assert (scores["detection"].value, scores["detection"].count) == (1.0, 4)
 
 
+@pytest.mark.parametrize(
+    ("kind", "findings", "stopped"),
+    [
+        ("aborted", [{"kind": "short", "run": "deep-slot-2", "repaired": True}], 1.0),
+        ("aborted", [{"kind": "short", "run": "deep-slot-2", "repaired": False}], 0.0),  # it makes the others shorter
+        ("aborted", [{"kind": "short", "run": "deep-slot-1", "repaired": True}], 0.0),
+        ("aborted", [{"kind": "short", "run": f"deep-slot-{i}", "repaired": True} for i in (1, 2)], 0.0),
+        ("aborted", [{"kind": "repeat", "run": "deep-slot-2", "repaired": True}], 0.0),
+        ("aborted", [], 0.0),
+        ("sign", [{"kind": "short", "run": "deep-slot-2", "repaired": True}], 0.0),
+    ],
+)
+def test_an_aborted_repeat_that_is_named_and_left_out_does_no_harm(kind, findings, stopped):
+    told = truth("bad_log", bad_log={"kind": kind}, repeats=2, conditions=[{"name": "deep slot", "position": [0, 0, 0], "turn": 0.0}])
+    scores = figures(cases((told, said("none", gate={"findings": findings}))))
+    assert scores["bad_log_stopped"].value == scores["bad_log_stopped_of_all"].value == stopped
+
+
 def test_effects_are_known_by_component_and_parameter_whatever_they_are_called():
     other_names = {**entry("robot_compliance", "stiffness_error[2]", 0.9), "effect": "joint_stiffness_error"}
     scores = figures(cases((truth("single", STIFF), said("identified", other_names))))

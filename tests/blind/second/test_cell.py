@@ -230,7 +230,8 @@ class TestCases:
     @pytest.mark.parametrize("kind", ["copies", "aborted"])
     def test_faults_of_a_set_of_runs(self, tmp_path, kind):
         seed = next(s for s in range(200) if drawn(s) == kind)
-        generate.write_case(tmp_path, Plan(1, "bad_log", ("lag",), 2, "cuts", "second"), seed, "T1")
+        truth = generate.write_case(tmp_path, Plan(1, "bad_log", ("lag",), 2, "cuts", "second"), seed, "T1")
+        assert truth.aborted_run == ("training-2" if kind == "aborted" else "")
         runs = tmp_path / "cases" / "0001" / "runs"
         first, last = (Run.load(runs / f"training-{i}") for i in (1, 2))
         if kind == "copies":

@@ -84,7 +84,7 @@ class TestEach:
         (condition,), (finding,) = complete(sort_by_condition([runs[0], cut(runs[1], left), *runs[2:]], SYSTEM))
         assert [r.folder for r in condition.runs] == [runs[0].folder, *(r.folder for r in runs[2:])]
         assert condition.grid[-1] == pytest.approx(8.0, abs=ROUNDOFF)
-        assert (finding.kind, finding.fatal, finding.repaired) == ("short", False, True)
+        assert (finding.kind, finding.fatal, finding.repaired, finding.run) == ("short", False, True, "run1")
         assert finding.text == (
             f"is cut short: run1 has 0.000 to {0.01 * (left - 1):.3f} s; expected 0.000 to 8.000 s, as the repeats of 'amplitude 1.0': "
             "it was left out; record it anew"
