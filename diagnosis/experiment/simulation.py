@@ -91,7 +91,12 @@ class Laboratory:
 
     def measured(self) -> list[list[FloatArray]]:
         """The repeats of every condition as its simulations are, [samples, channels]."""
-        return [[decimate(c.matrix(r, self.channels), self.factor(i)) for r in c.runs] for i, c in enumerate(self.conditions)]
+        return [self.measured_in(i) for i in range(len(self.conditions))]
+
+    def measured_in(self, index: int) -> list[FloatArray]:
+        """The repeats of condition `index` as its simulations are, [samples, channels]."""
+        condition = self.conditions[index]
+        return [decimate(condition.matrix(r, self.channels), self.factor(index)) for r in condition.runs]
 
     def effective(self, index: int, changes: Setting) -> Setting:
         """Those of the changes that condition `index` has parameters or channels for: the others do nothing there."""

@@ -33,8 +33,9 @@ DEPENDENCE = 10.0
 """Samples that are worth one: what two systems that are not quite the same leave is no noise, it goes in one direction for a while."""
 FORM = 0.04
 """Part of what an effect does, by condition and array, that a law which is right may miss (standard deviation)."""
-GUESSED = 3.0
-"""chi2 of noise over that of its fast part [1], where nothing was repeated (judgement: the noise of trackers and drives is coloured)."""
+GUESSED = 2.0
+"""Variance of what is slow in noise over that of what is white, by communication step [1], where nothing was repeated (judgement: the noise
+of trackers and drives is coloured)."""
 LATENESS = 0.2
 """Communication steps that the channels of a component may be late: outputs hold for a step, and a step later others see them."""
 BEGINNING, SETTLING = 25, 0.1
@@ -46,6 +47,26 @@ that what begins at an instant is seen up to a step later. Sudden is what is no 
 
 Changes = Mapping[Address, Sequence[FloatArray]]
 """parameter -> change of the channels that it makes in each condition, [samples, channels]."""
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Repeats of a condition that is held out. What they scatter is noise; of a gap, which they have in common, it says nothing."""
+
+    name: str
+    """Name of the condition: that of a diagnosed one, if they are repeats of that."""
+    runs: Sequence[FloatArray]
+    """Measured, [samples, channels] each."""
+    there: npt.NDArray[np.bool_]
+    """Which channels the condition has, [channels]."""
+    independent: bool
+    """Whether each sample is a measurement of its own."""
+
+    @property
+    def deviations(self) -> list[FloatArray]:
+        """Of each run from the mean of all, [samples, channels]."""
+        mean = np.mean(self.runs, axis=0)
+        return [x - mean for x in self.runs]
 
 
 @dataclass
@@ -84,11 +105,21 @@ class Evidence:
     """What two independent means of nominal simulations are away from the mean of all, whitened."""
     independent: list[bool]
     """Whether each sample of a condition is a measurement of its own."""
+    decimation: int
+    """Communication steps that a sample is the mean over."""
+
+    @property
+    def once(self) -> bool:
+        """Whether nothing was repeated of what is diagnosed: noise is a guess then, or is known from what is held out."""
+        return all(len(runs) == 1 for runs in self.residuals)
 
     @property
     def guess(self) -> float:
-        """chi2 of noise over that of the part of it that is known: GUESSED where that is the fast part of a time series, 1 else."""
-        return GUESSED if self.whitening.guessed and not all(self.independent) else 1.0
+        """chi2 of noise over that of the part of it that is known: 1, but where that is the fast part of a time series.
+
+        Means over `decimation` steps have so much less white noise, and as much slow noise as before.
+        """
+        return 1.0 + GUESSED * self.decimation if self.whitening.guessed and not all(self.independent) else 1.0
 
     @property
     def noise(self) -> float:
@@ -188,7 +219,8 @@ def gather(
     independent = [laboratory.independent(name) for name in conditions]
     if like is None:
         over = _left_by_all(over, changes, independent)
-    w = _whitening(groups, nominals, changes, begin, over, there, independent) if like is None else like.whitening
+    spare = _spare(laboratory, active) if like is None else []
+    w = _whitening(groups, nominals, changes, begin, over, there, independent, spare) if like is None else like.whitening
     ws = [w.of(apart) for apart in independent]
     # the mean of so many simulations scatters too
     counts = [len(g) * len(m) / (len(g) + len(m)) if len(m) > 1 else float(len(g)) for g, m in zip(groups, nominals, strict=True)]
@@ -241,7 +273,9 @@ def gather(
         allowed[block].reshape(-1, len(names))[:] = level + seen.mean(axis=0) * there[i] / dependence(independent[i])
         if independent[i]:  # neither drifts nor spells
             continue
-        column = own_noise([group, simulated], len(names), spell)
+        held = [_padded(r.deviations, means[i]) for r in spare if r.name == conditions[i] and len(group) == 1]
+        others = [[ws[i].apply(x, 1.0, sudden[i], there[i]) for x in runs] for runs in held]
+        column = own_noise([group, simulated, *others], len(names), spell)
         padded = np.zeros((y.size, column.shape[1]))
         padded[block] = column / np.sqrt(DEPENDENCE)
         own.append(csc_array(padded))
@@ -269,7 +303,23 @@ def gather(
         there,
         halves,
         independent,
+        laboratory.decimation,
     )
+
+
+def _spare(laboratory: Laboratory, active: npt.NDArray[np.bool_]) -> list[Repeats]:
+    """The held-out conditions that were repeated, with the `active` channels."""
+    found = []
+    for i, c in enumerate(laboratory.conditions):
+        if c.held_out and len(c.runs) > 1:
+            there = np.array([c.has(name) for name in laboratory.channels])[active]
+            found.append(Repeats(c.name, [x[:, active] for x in laboratory.measured_in(i)], there, c.independent))
+    return found
+
+
+def _padded(runs: Sequence[FloatArray], like: FloatArray) -> list[FloatArray]:
+    """The runs with as many samples as this one: zeros where they have fewer."""
+    return [np.concatenate([x[: len(like)], np.zeros_like(like[len(x) :])]) for x in runs]
 
 
 def _discrepancy(
@@ -360,13 +410,21 @@ def _whitening(
     left: Sequence[Sequence[FloatArray]],
     there: Sequence[npt.NDArray[np.bool_]],
     independent: Sequence[bool],
+    spare: Sequence[Repeats],
 ) -> Whitening:
-    """From the repeats, above a floor of TRUST of what effects of typical size do to a channel, over the conditions that have it."""
+    """From the repeats, above a floor of TRUST of what effects of typical size do to a channel, over the conditions that have it.
+
+    Of channels that are repeated in no condition noise is what the `spare` repeats scatter, and a guess where there are none of these.
+    """
     samples = np.maximum(np.sum([len(n[0]) * on for n, on in zip(nominals, there, strict=True)], axis=0), 1)
     rms = np.array([np.sqrt(sum((c * c).sum(axis=0) for c in change) / samples) for change in changes.values()])
     floor = np.array([TRUST * np.median(r[r > 1e-3 * r.max()]) if r.max() > 0.0 else 0.0 for r in rms.T])
     least = 1e-9 + 1e-6 * np.abs(np.concatenate([n[0] for n in nominals])).max(axis=0)  # what numbers are not good for
-    return whitening(groups, np.maximum(floor, least), begin, left, there, independent)
+    known = np.any([on & (len(g) > 1) for g, on in zip(groups, there, strict=True)], axis=0)
+    spare = [r for r in spare if np.any(r.there & ~known)]
+    every, rest = [*groups, *(r.runs for r in spare)], [*left, *(r.runs for r in spare)]
+    shown, apart = [*there, *(r.there & ~known for r in spare)], [*independent, *(r.independent for r in spare)]
+    return whitening(every, np.maximum(floor, least), begin, rest, shown, apart)
 
 
 def _scatter(group: Sequence[FloatArray], channels: int) -> FloatArray:

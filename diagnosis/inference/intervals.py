@@ -256,11 +256,11 @@ def _left(search: Search, values: Mapping[Address, float]) -> list[FloatArray | 
 
 
 def by_least_squares(search: Search, fit: Fit) -> dict[str, Known]:
-    """What is known of each effect of a model, by name, where its noise is a guess; empty where there are repeats, or no effect.
+    """What is known of each effect of a model, by name, where nothing was repeated; empty where there are repeats, or no effect.
 
     Gauss-Newton: where the slopes of before move the values on from what a simulation at them leaves, slopes are taken anew.
     """
-    problem = Problem.of(search, fit, fit.values) if fit.model and search.evidence.whitening.guessed else None
+    problem = Problem.of(search, fit, fit.values) if fit.model and search.evidence.once else None
     if problem is None:
         return {}
     solution = problem.solved()

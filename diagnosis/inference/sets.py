@@ -81,14 +81,14 @@ class Sets:
 
 
 def weighed(search: Search, fits: Sequence[Fit]) -> tuple[list[Fit], FloatArray]:
-    """Models and the probability of each, float64[models]: those of the search, and where its noise is a guess, those of `Sets`, too.
+    """Models and the probability of each, float64[models]: those of the search, and where nothing was repeated, those of `Sets`, too.
 
     Sets are those about the best model: where another one is better, that is fitted, and sets are weighed anew, until it stays. A fault
     of the log that the best model of the search does not have is not looked at: there is more to it than evidence.
     """
     weights = probabilities(fits, search.candidates)
     best = fits[int(weights.argmax())]
-    if not best.model or not search.evidence.whitening.guessed:
+    if not best.model or not search.evidence.once:
         return list(fits), weights
     for _ in range(GUESSES):
         problem = Problem.of(search, best, best.values)

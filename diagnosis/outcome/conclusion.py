@@ -105,7 +105,7 @@ class Conclusion:
         faulty = any(believed[c] >= IDENTIFIED for c in clocks) and not self.repair
         verdict = judged(search, tests, nominal, self.best, other, believed, faulty)
         # with repeats, noise is known, and what a model leaves says whether it is right
-        tried = verdict in ("identified", "ambiguous") and search.evidence.whitening.guessed
+        tried = verdict in ("identified", "ambiguous") and search.evidence.once
         instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if tried else Laws()
         if instead.found:
             verdict = "unknown"

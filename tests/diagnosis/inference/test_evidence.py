@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from robomill.diagnosis.inference.evidence import (
     gather,
 )
 from robomill.diagnosis.inference.noise import SPELL, own_noise
+from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import STEP
 from tests.diagnosis.formula import Calculated, candidate
@@ -171,6 +173,40 @@ class TestScales:
         with pytest.raises(DataError, match="nothing to diagnose"):
             gathered(groups, nominals, {P: [0.0 * change]}, {P: 1.0}, {P: 1.0}, {})
 
+    @pytest.mark.parametrize(("decimation", "repeats", "guess"), [(1, 1, 1.0 + GUESSED), (4, 1, 1.0 + 4.0 * GUESSED), (4, 2, 1.0)])
+    def test_slow_noise_is_as_large_in_means_over_steps_and_white_noise_is_not(self, decimation: int, repeats: int, guess: float) -> None:
+        runs = [[still(float(k)) for k in range(repeats)]]
+        found = gathered(runs, [[still()]], {P: [still(1.0)]}, {P: 1.0}, {P: 1.0}, {}, decimation)
+        assert (found.guess, found.once) == (guess, repeats == 1)
+        assert found.noise == pytest.approx(guess * float(found.expected.sum()), rel=ROUNDOFF)
+
+    def beside(self, runs: FloatArray, **condition: object) -> Evidence:
+        """One run of zeros, beside measured runs [runs, samples] of another condition; those have 100 in common."""
+        laboratory = Calculated(lambda *_: None, ROWS, CHANNELS[:1], 2)
+        first, second = laboratory.conditions
+        made = tuple(Run(Path(f"run{k}"), first.grid, {CHANNELS[0]: 100.0 + x}, {}, {}) for k, x in enumerate(runs))
+        laboratory.conditions = [first, replace(second, runs=made, **condition)]  # type: ignore[arg-type]
+        return gather(laboratory, [first.name], [[still()]], [[still()]], {P: [still(1.0)]}, {P: 1.0}, {P: 1.0}, {})
+
+    @pytest.mark.parametrize("held_out", [True, False])
+    def test_held_out_repeats_say_what_noise_is(self, held_out: bool) -> None:
+        """Two of a condition that is not diagnosed: their scatter is noise, whatever they have in common."""
+        found = self.beside(0.5 * np.random.default_rng(8).normal(size=(2, ROWS)), held_out=held_out)
+        assert found.once
+        assert found.whitening.guessed is not held_out
+        assert found.whitening.deviation[0] == pytest.approx(0.5 if held_out else 0.0, rel=chance(0.5 * of_variance(ROWS)))
+
+    def test_a_single_held_out_run_says_nothing_of_noise(self) -> None:
+        assert self.beside(np.random.default_rng(8).normal(size=(1, ROWS)), held_out=True).whitening.guessed
+
+    @pytest.mark.parametrize(("name", "own"), [("condition 0", True), ("condition 1", False)])
+    def test_held_out_repeats_of_a_single_run_say_what_it_has_of_its_own(self, name: str, own: bool) -> None:
+        """A spell in which an axis rests a little off."""
+        runs = np.random.default_rng(8).normal(size=(2, ROWS))
+        runs[:, SPELL : 2 * SPELL] += np.array([[2.0], [-2.0]])
+        found = self.beside(runs, name=name, held_out=True)
+        assert any(word.startswith("noise ") for _, word in found.space.names) is own
+
     def test_the_beginning_is_at_most_a_part_of_a_short_run(self) -> None:
         rows = 50
         found = gathered([[still(1.0, rows=rows)] * 2], [[still(rows=rows)]], {P: [still(1.0, rows=rows)]}, {P: 1.0}, {P: 1.0}, {})
@@ -261,10 +297,10 @@ class TestDiscrepancy:
     def test_the_level_is_that_of_the_worst_channel_in_the_worst_condition(
         self, sizes: tuple[float, float, float], worst: str, repeats: int
     ) -> None:
-        """Over that of noise and discrepancy; where nothing was repeated over GUESSED times that."""
+        """Over that of noise and discrepancy; where nothing was repeated, over that with slow noise."""
         found = self.evidence(repeats=repeats)
         square = (ROWS - BEGINNING - 1) * np.array(sizes) ** 2
-        guess = GUESSED if repeats == 1 else 1.0
+        guess = 1.0 + GUESSED if repeats == 1 else 1.0
         allowed = ROWS * self.part(repeats, self.OFF) / DEPENDENCE
         levels = dict(zip(self.NAMES, (square / guess + 1.0) / (allowed + 1.0), strict=True))
         assert max(levels, key=lambda name: levels[name]) == worst

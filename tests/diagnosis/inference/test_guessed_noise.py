@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from robomill import report
 from robomill.diagnose_command import lines
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.inference.noise import fast, whitening
+from robomill.orchestration.runs.run import Run
 from tests.diagnosis.axis import NOISE, catalogue, measure, resolve, system
 from tests.tolerances import chance, of_variance
 
@@ -52,3 +57,29 @@ def test_the_fast_part_of_white_noise_is_as_large_as_it_and_whitens_to_it() -> N
     assert w.guessed
     assert np.abs(w.coefficients).max() < 0.03
     assert np.var(w.apply(noise)[100:]) == pytest.approx(1.0, rel=chance(of_variance(2 * 20000)))
+
+
+def remembering(runs: Sequence[Run], seed: int, size: float = 3.0, seconds: float = 0.2) -> list[Run]:
+    """The runs with noise that has a memory, `size` times as large as theirs, on each channel."""
+    rng, made = np.random.default_rng(seed), []
+    for r in runs:
+        keeps = math.exp(-float(r.t[1]) / seconds)
+        pushes = {c: size * math.sqrt(1.0 - keeps**2) * NOISE[c] * rng.normal(size=len(r.t)) for c in r.columns}
+        made.append(replace(r, columns={c: x + lfilter([1.0], [1.0, -keeps], pushes[c]) for c, x in r.columns.items()}))
+    return made
+
+
+@pytest.mark.parametrize("held_out", [0, 2])
+def test_noise_of_a_single_run_is_that_of_held_out_repeats(tmp_path: Path, held_out: int) -> None:
+    """Slow noise, of which the fast part says little, is a gap where nothing was repeated."""
+    runs = remembering(measure(repeats=1 + held_out), seed=1)
+    found = diagnose(system(), runs[:1], catalogue(tmp_path), held_out=runs[1:], resolver=resolve)
+    assert found.answer.guessed is (held_out == 0)
+    assert (found.answer.verdict == "none") is (held_out > 0)
+
+
+def test_held_out_repeats_with_an_effect_say_as_much_of_noise(tmp_path: Path) -> None:
+    runs = measure(THREE, repeats=3)
+    found = diagnose(system(), runs[:1], catalogue(tmp_path), held_out=runs[1:], resolver=resolve)
+    assert found.answer.verdict == "identified"
+    assert {name for w in found.answer.which if w.probability > 0.8 for name in w.parameters} == THREE.keys()

@@ -20,7 +20,6 @@ from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
 from robomill.diagnosis.inference import search as search_module
 from robomill.diagnosis.inference.adequacy import COHERENT
 from robomill.diagnosis.inference.estimation import Fit, Space
-from robomill.diagnosis.inference.evidence import GUESSED
 from robomill.diagnosis.inference.search import FAULT, SUBSTANTIAL, Search
 from robomill.diagnosis.inference.sensitivities import Start
 from robomill.diagnosis.outcome.verdict import UNKNOWN
@@ -193,7 +192,7 @@ class TestExplainable:
         whole = Search.explainable(of, 5.0 * does[:, 0])
         assert counted - 1.0 == pytest.approx(COHERENT * (whole - 1.0), rel=1e2 * ROUNDOFF)
 
-    def made(self, size: float, guessed: bool = False) -> tuple[Any, FloatArray, FloatArray]:
+    def made(self, size: float, guess: float = 1.0) -> tuple[Any, FloatArray, FloatArray]:
         """All that is asked of a search; what its candidates do, [n, 3]; the covariance of noise and nuisances."""
         rng = np.random.default_rng(7)
         does, nuisances = size * rng.normal(size=(self.N, 3)), rng.normal(size=(self.N, 2)) * [0.3, 2.0]
@@ -203,21 +202,21 @@ class TestExplainable:
         starts = {turns: Start(0.2, 0.2 * sensitivities[turns], np.zeros(self.N))}
         sensitivities[turns] = rng.normal(size=self.N)
         space = Space(np.zeros(self.N), {"all": slice(0, self.N)}, nuisances)
-        evidence = SimpleNamespace(space=space, sensitivities=sensitivities, guess=GUESSED if guessed else 1.0)
+        evidence = SimpleNamespace(space=space, sensitivities=sensitivities, guess=guess)
         return SimpleNamespace(candidates=self.ENTRIES, evidence=evidence, starts=starts), does, np.eye(self.N) + nuisances @ nuisances.T
 
     def smoother(self, does: FloatArray, covariance: FloatArray) -> FloatArray:
         """By the covariance of data that have all effects: C^-1 - (C + V V')^-1, of which the trace is that of the smoother times C^-1."""
         return np.asarray(np.linalg.inv(covariance) - np.linalg.inv(covariance + does @ does.T))
 
-    @pytest.mark.parametrize("guessed", [False, True])
-    def test_it_is_what_a_fit_with_priors_explains_over_the_trace_of_its_smoother(self, guessed: bool) -> None:
-        of, does, covariance = self.made(0.1, guessed)
+    @pytest.mark.parametrize("guess", [1.0, 3.0])
+    def test_it_is_what_a_fit_with_priors_explains_over_the_trace_of_its_smoother(self, guess: float) -> None:
+        of, does, covariance = self.made(0.1, guess)
         left = np.random.default_rng(1).normal(size=self.N)
         smoother = self.smoother(does, covariance)
         freedom = float(np.trace(smoother @ covariance))
         assert 1.0 < freedom < 3.0
-        expected = float(left @ smoother @ left) / freedom / (GUESSED if guessed else 1.0)
+        expected = float(left @ smoother @ left) / freedom / guess
         assert Search.explainable(of, left) == pytest.approx(expected, rel=1e4 * ROUNDOFF)
 
     def test_of_noise_it_is_one_and_of_less_than_one_degree_of_freedom_less(self) -> None:
