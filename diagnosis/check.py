@@ -92,7 +92,7 @@ class Checked:
     conditions: dict[str, int]
     """Diagnosed condition -> its repeats."""
     noise_is_a_guess: bool
-    """Whether nothing was repeated."""
+    """Whether nothing was repeated, of held-out runs either."""
     channels: tuple[str, ...]
     """Arrays that some effect changes."""
     silent: tuple[str, ...]

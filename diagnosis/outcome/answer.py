@@ -104,7 +104,7 @@ class Gap:
     unexplained: float
     """Share of what is beyond noise and calibration that the best model leaves, 0..1."""
     noise_is_a_guess: bool
-    """Whether nothing was repeated."""
+    """Whether nothing was repeated, of held-out runs either."""
 
 
 @dataclass(frozen=True)
