@@ -64,7 +64,7 @@ class Repeats:
 
     @property
     def deviations(self) -> list[FloatArray]:
-        """Of each run from the mean of all, [samples, channels]."""
+        """What the runs are away from their mean, [samples, channels] each."""
         mean = np.mean(self.runs, axis=0)
         return [x - mean for x in self.runs]
 
