@@ -8,7 +8,7 @@ in new conditions.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -101,16 +101,23 @@ def held_together(search: Search, fit: Fit) -> float:
 
 
 def judged(
-    search: Search, tests: Tests, nominal: Fit, best: Fit, other: Changing | None, probabilities: Mapping[Candidate, float], faulty: bool
+    search: Search,
+    tests: Tests,
+    nominal: Fit,
+    best: Fit,
+    changing: Callable[[], Changing | None],
+    probabilities: Mapping[Candidate, float],
+    faulty: bool,
 ) -> Verdict:
-    """The verdict; `probabilities`: of each candidate, `p_fit` included; `other`: an effect that changes with time.
+    """The verdict; `probabilities`: of each candidate, `p_fit` included; `changing`: finds an effect that changes with time, if asked.
 
     `faulty`: a fault of the log is part of the best model.
     """
-    refuted = tests.p_fit < 1.0 - tests.p_fit or (other is not None and changes(search, best, other)) or at_bound(best)
+    refuted = tests.p_fit < 1.0 - tests.p_fit or at_bound(best)
     gap = over_noise(search, nominal) > UNKNOWN
     guess = search.evidence.guess > 1.0  # of noise: nobody knows how slow it is, and an effect within it may be that
-    if not best.model or not believed(tests) or refuted or (guess and not gap):
+    none = not best.model or not believed(tests) or refuted or (guess and not gap)
+    if none or ((other := changing()) is not None and changes(search, best, other)):
         return "unknown" if gap else "none"  # nothing is there, if machines without effects leave as much
     if faulty:
         return "bad_log"
