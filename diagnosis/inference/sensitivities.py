@@ -81,8 +81,9 @@ class Sensitivities:
         sizes |= {a: s for a, s in largest.items() if a in changes}
         names = [simulator.laboratory.conditions[i].name for i in self.conditions]
         clocks = [c for c in catalogue.candidates if c.unit == "s" and (c.component != LOGGING or c.parameters[0].startswith("lag "))]
+        beyond = interplay(simulator, self.conditions, unknown, sizes, changes, nominals)
         self.evidence = gather(
-            simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks, left, doubts=doubts
+            simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks, left, doubts=doubts, beyond=beyond
         )
         self.single = {a: c for a, c in single.items() if a in self.evidence.sensitivities}
         self.starts: dict[Address, Start] = {}
@@ -288,6 +289,33 @@ def changed(
         if len(change) == len(conditions) and any(np.any(c) for c in change):
             changes[a] = change
     return changes
+
+
+def interplay(
+    simulator: Simulator,
+    conditions: Sequence[int],
+    tolerances: Mapping[Address, float],
+    sizes: Mapping[Address, float],
+    changes: Mapping[Address, Sequence[FloatArray]],
+    nominals: Sequence[Sequence[FloatArray]],
+    doing: str = "effects",
+) -> list[list[FloatArray]]:
+    """What calibrated numbers do together beyond the sum of what they do alone: all a deviation up, and all a deviation down.
+
+    Each per condition, [samples, channels]; without what cannot run. An axis that the nominal program leaves at rest moves a little up or
+    down on a real machine, and stands on this or that side of its known gap, however little it is that moves it.
+    """
+    seen = {a: s for a, s in tolerances.items() if a in changes}
+    ways = [simulator.seeded(setting({a: sign * s for a, s in seen.items()})) for sign in (1.0, -1.0)] if seen else []
+    results = iter(simulator.many([(i, way) for way in ways for i in conditions], doing))
+    found = []
+    for sign in (1.0, -1.0)[: len(ways)]:
+        there = [next(results) for _ in conditions]
+        alone = [sum((sign * s / sizes[a] * changes[a][k] for a, s in seen.items()), np.zeros(())) for k in range(len(conditions))]
+        ran = [r - group[0] - each for r, group, each in zip(there, nominals, alone, strict=True) if r is not None]
+        if len(ran) == len(conditions):
+            found.append(ran)
+    return found
 
 
 def _smaller(candidate: Candidate) -> float:

@@ -21,7 +21,7 @@ from robomill.diagnosis.inference.adequacy import KEEPS, MISFIT, kept, left_by, 
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.evidence import gather
 from robomill.diagnosis.inference.search import POLISH, Search
-from robomill.diagnosis.inference.sensitivities import NOMINAL, TOLERANCES, changed
+from robomill.diagnosis.inference.sensitivities import NOMINAL, TOLERANCES, changed, interplay
 from robomill.orchestration.slaves.protocol import FloatArray
 
 
@@ -91,7 +91,17 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     scales, doubts = {n.address: n.scale for n in search.nuisances}, {n.address: n.doubt for n in search.nuisances}
     measured = [groups[i] for i in every]
     e = gather(
-        simulator.laboratory, [names[i] for i in every], measured, plain, changes, sizes, {}, scales, like=search.evidence, doubts=doubts
+        simulator.laboratory,
+        [names[i] for i in every],
+        measured,
+        plain,
+        changes,
+        sizes,
+        {},
+        scales,
+        like=search.evidence,
+        doubts=doubts,
+        beyond=interplay(simulator, every, scales, sizes, changes, plain, "new conditions"),
     )
     if not e.judged.any():  # without tolerances nothing is known of discrepancies: there is the noise to compare with
         e = replace(e, judged=np.ones_like(e.judged))
