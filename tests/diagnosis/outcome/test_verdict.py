@@ -13,7 +13,7 @@ import pytest
 from scipy.special import expit
 
 from robomill.diagnosis.catalogue import LOGGING, Candidate
-from robomill.diagnosis.inference.adequacy import EXACT, LEVEL, MISFIT, left_by
+from robomill.diagnosis.inference.adequacy import EXACT, LEVEL, MISFIT, kept, left_by
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
@@ -63,6 +63,15 @@ class TestTested:
         assert found.nothing == pytest.approx(expit(-(math.log(0.98 / 0.02) - 3.0)), rel=1e2 * ROUNDOFF)
         odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(9.0, 1.3) + moved.worth
         assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
+
+    def test_what_is_left_of_several_conditions_is_that_of_the_worst_one(self, tmp_path: Path) -> None:
+        effect = catalogue(tmp_path).candidates[:1]
+        several = search()
+        several.evidence.space = Space(np.zeros(7), {str(i): slice(i, i + 1) for i in range(7)}, np.zeros((7, 0)))
+        before, after = (replace(fit(left, m), signature=np.full(7, -left)) for left, m in ((9.0, ()), (2.0, effect)))
+        found = verdict.tested(several, before, after, 0.001, 0.001, None, 0.02)
+        odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(9.0, 2.0, conditions=7)
+        assert found.p_fit == pytest.approx(expit(odds + kept(verdict.held_together(several, after))), rel=1e2 * ROUNDOFF)
 
     def test_a_fault_of_the_log_must_leave_less(self, tmp_path: Path) -> None:
         clock = tuple(c for c in catalogue(tmp_path).candidates if c.component == LOGGING)[:1]
