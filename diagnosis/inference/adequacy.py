@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import log_ndtr, logsumexp
 
 from robomill.diagnosis.catalogue import LOGGING
 from robomill.diagnosis.inference.estimation import Model
 from robomill.diagnosis.inference.evidence import FORM
 from robomill.orchestration.slaves.protocol import FloatArray
 
-LEVEL, SPREAD = 1.3, 0.3
-"""Level [1] that a right model leaves (`outcome.verdict.over_noise`), and its standard deviation. Fitted to eleven machines without
-effects (twelve cells of both generators, development seed 101): 0.7 to 1.7 in the worst channel of a condition."""
+LEVEL, SPREAD, CONDITIONS = 1.3, 0.3, 2
+"""Level [1] that a right model leaves (`outcome.verdict.over_noise`), its standard deviation, and of how many conditions it is the worst.
+Fitted to eleven machines without effects (twelve cells of both generators, development seed 101): 0.7 to 1.7 in the worst channel."""
 COHERENT = 0.6
 """Part that counts of what all candidates together explain beyond noise (`Search.explainable`) [1]: what two formulations leave is more
 like effects than noise is. Fitted to eleven machines without effects (decision 73)."""
@@ -68,12 +68,12 @@ def unexplained(before: float, after: float) -> float:
     return max(after - LEVEL, 0.0) / max(before - LEVEL, 1e-9)
 
 
-def left_by(before: float, after: float, misfit: float = MISFIT, kinds: int = 1) -> float:
+def left_by(before: float, after: float, misfit: float = MISFIT, kinds: int = 1, conditions: int = CONDITIONS) -> float:
     """Log Bayes factor for a right model against a stand-in, from what it leaves of a gap; both over noise.
 
-    after ~ N(LEVEL + u (before - LEVEL), SPREAD^2). The share u that is left is Beta(1, 1 / misfit - 1) for a right model. For a stand-in
-    it could be anything between 0 and 1; of several `kinds` of effects that were fitted together the least of as many such shares:
-    Beta(1, kinds).
+    after ~ N(LEVEL + u (before - LEVEL), SPREAD^2), or the largest of `conditions` / CONDITIONS such levels. The share u that is left is
+    Beta(1, 1 / misfit - 1) for a right model. For a stand-in it could be anything between 0 and 1; of several `kinds` of effects that were
+    fitted together the least of as many such shares: Beta(1, kinds).
     """
     gap = max(before - LEVEL, 0.0)
     centre, width = (after - LEVEL) / (gap + 1e-12), SPREAD / (gap + 1e-12)
@@ -81,7 +81,8 @@ def left_by(before: float, after: float, misfit: float = MISFIT, kinds: int = 1)
         [np.linspace(0.0, 1.0, 201), misfit * np.linspace(0.0, 10.0, 201), centre + width * np.linspace(-8.0, 8.0, 201)]
     )
     u = np.unique(np.clip(finely, 0.0, 1.0))
-    log_likelihood = -0.5 * ((u - centre) / width) ** 2
+    z = (centre - u) / width
+    log_likelihood = -0.5 * z * z + max(conditions / CONDITIONS - 1.0, 0.0) * log_ndtr(z)
     step = np.log(np.convolve(np.diff(u), [0.5, 0.5]))  # of the trapezoidal rule
     b = 1.0 / misfit - 1.0
     right = math.log(b) + (b - 1.0) * np.log(np.maximum(1.0 - u, 1e-300))

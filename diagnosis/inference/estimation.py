@@ -197,6 +197,16 @@ class Space:
         """Products of the columns of a matrix [n, k], for `within` of this space and of those that are it `without` some nuisances."""
         return Gram(matrix.T @ matrix, self._across @ matrix)
 
+    def beside(self, known: Gram, matrix: FloatArray, columns: FloatArray) -> Gram:
+        """Products of the columns of a matrix [n, k] and of `columns` [n, l] after them, where those of the matrix are `known`.
+
+        Known may be from the space that this one is `widened` from.
+        """
+        more = self.nuisances[:, len(known.projected) :].T @ matrix
+        across = matrix.T @ columns
+        plain = np.block([[known.plain, across], [across.T, columns.T @ columns]])
+        return Gram(plain, np.hstack([np.vstack([known.projected, more]), self._across @ columns]))
+
     def within(self, gram: Gram, chosen: Sequence[int]) -> FloatArray:
         """The inner products of the `chosen` columns in this space, [chosen, chosen]."""
         part = gram.projected[:, chosen]

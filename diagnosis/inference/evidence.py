@@ -45,6 +45,8 @@ SUDDEN, AROUND = 1.0, 10
 """Communication steps, at random, that a sudden change may come early or late: signals go from one component to the next with a step, so
 that what begins at an instant is seen up to a step later. Sudden is what is no straight line over so many steps before and after."""
 
+INTERPLAY: Address = ("", "interplay")
+"""What stands for calibrated numbers together among the names of nuisances."""
 Changes = Mapping[Address, Sequence[FloatArray]]
 """parameter -> change of the channels that it makes in each condition, [samples, channels]."""
 
@@ -199,6 +201,7 @@ def gather(
     left: Sequence[Sequence[FloatArray]] = (),
     like: Evidence | None = None,
     doubts: Mapping[Address, float] | None = None,
+    beyond: Sequence[Sequence[FloatArray]] = (),
 ) -> Evidence:
     """Evidence from the repeats and nominal simulations of each of these conditions, [samples, channels].
 
@@ -206,7 +209,9 @@ def gather(
     `tolerances` the standard deviations of calibrated ones; `clocks` those among the candidates that are late clocks, or times of a
     component. `left`: what a model leaves of each run, from which the noise is guessed where there are no repeats (else what the nominal
     one leaves). `like`: channels, whitening and what is no nuisance are those of this one, so that chi2 can be compared. `doubts`: the
-    standard deviations that a discrepancy goes with (None: `tolerances`). DataError if no parameter changes anything.
+    standard deviations that a discrepancy goes with (None: `tolerances`). `beyond`: what calibrated numbers do together beyond the sum of
+    what they do alone, in each condition; each of these may be there or not, in every condition anew. DataError if no parameter changes
+    anything.
     """
     active = _moved(changes) if like is None else like.active
     groups = [[x[:, active] for x in g] for g in groups]
@@ -261,6 +266,7 @@ def gather(
     ]
     scatter = np.sum(alone, axis=0) / np.maximum(np.sum(there, axis=0), 1)
     spell = max(1, round(SPELL / laboratory.decimation))
+    together = _apart([white([x[:, active] for x in way]) for way in beyond], blocks)
     own, expected, allowed = [], np.zeros(y.size), np.zeros(y.size)
     for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
         simulated = [ws[i].apply(x - means[i], 1.0, sudden[i], there[i]) for x in nominals[i]]
@@ -279,8 +285,9 @@ def gather(
         padded = np.zeros((y.size, column.shape[1]))
         padded[block] = column / np.sqrt(DEPENDENCE)
         own.append(csc_array(padded))
-    doubtful = [*nuisances, *((LOGGING, f"noise {i + 1}") for i in range(sum(o.shape[1] for o in own)))]
-    space = Space(y, blocks, hstack([csc_array(np.stack(list(nuisances.values()), axis=1)), *own], format="csc"), doubtful)
+    doubtful = [*nuisances, *[INTERPLAY] * len(together), *((LOGGING, f"noise {i + 1}") for i in range(sum(o.shape[1] for o in own)))]
+    columns = [csc_array(np.stack(list(nuisances.values()), axis=1)), *together, *own]
+    space = Space(y, blocks, hstack(columns, format="csc"), doubtful)
     late = _late(space, clocks, names, LATENESS * laboratory.system.step) if like is None else like.late
     space = space.less(late)
     space.find_alike(sensitivities, scales)
@@ -320,6 +327,18 @@ def _spare(laboratory: Laboratory, active: npt.NDArray[np.bool_]) -> list[Repeat
 def _padded(runs: Sequence[FloatArray], like: FloatArray) -> list[FloatArray]:
     """The runs with as many samples as this one: zeros where they have fewer."""
     return [np.concatenate([x[: len(like)], np.zeros_like(like[len(x) :])]) for x in runs]
+
+
+def _apart(columns: Sequence[FloatArray], blocks: Mapping[str, slice]) -> list[csc_array]:
+    """Each column [n] as one for every condition, which is zero in the others; without those that are zero."""
+    found = []
+    for column in columns:
+        for block in blocks.values():
+            alone = np.zeros_like(column)
+            alone[block] = column[block]
+            if np.any(alone):
+                found.append(csc_array(alone[:, None]))
+    return found
 
 
 def _discrepancy(

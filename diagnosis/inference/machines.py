@@ -7,8 +7,7 @@ from scipy.special import logsumexp
 
 from robomill.diagnosis.inference.adequacy import LEVEL, SPREAD
 from robomill.diagnosis.inference.priors import log_priors
-from robomill.diagnosis.inference.search import Search
-from robomill.diagnosis.inference.sensitivities import per_scale
+from robomill.diagnosis.inference.search import Search, addresses
 from robomill.orchestration.slaves.protocol import FloatArray
 
 MACHINES = 2000
@@ -21,10 +20,8 @@ def p_none(search: Search, log_odds: float, seed: int = 0) -> float:
     Of a machine with whitened residual y, only the products with the sensitivities V count: <V, y>. Where noise and tolerances are what the
     space takes them for these are N(0, <V, V>), whatever the number of samples. The rank is (1 + those above) / (1 + MACHINES).
     """
-    space = search.evidence.space
-    columns = {a: i for i, a in enumerate(dict.fromkeys(a for c in search.candidates for a in c.addresses))}
-    v = np.stack([per_scale(search.evidence, search.starts, a) for a in columns], axis=1)
-    gram = space.dot(v, v)
+    columns = {a: i for i, a in enumerate(addresses(search.candidates))}
+    gram = search.evidence.space.within(search.together[1], range(len(columns)))
     values, vectors = np.linalg.eigh(gram)
     random = np.random.default_rng(seed)
     level = np.maximum(random.normal(LEVEL, SPREAD, (MACHINES, 1)), 0.0)  # of the chi2 that a machine leaves

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 
 from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
 from robomill.diagnosis.inference.adequacy import COHERENT
-from robomill.diagnosis.inference.estimation import Fit, Model, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
+from robomill.diagnosis.inference.estimation import Fit, Gram, Model, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
 from robomill.diagnosis.inference.evidence import dependence
 from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Sensitivities, per_scale
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -59,6 +60,15 @@ class Search:
         self.evidence, self.candidates, self.starts = sensitivities.evidence, sensitivities.candidates, sensitivities.starts
         self.bent = sensitivities.bent
 
+    @cached_property
+    def together(self) -> tuple[FloatArray, Gram]:
+        """What each parameter of the candidates does per prior scale, [n, parameters], and the products of that.
+
+        To be asked for when the search is over: its candidates and their sensitivities are what they are then.
+        """
+        columns = np.stack([per_scale(self.evidence, self.starts, a) for a in addresses(self.candidates)], axis=1)
+        return columns, self.evidence.space.gram(columns)
+
     def nominal(self) -> Fit:
         """The fit of the nominal model, which has no effect: log evidence 0, signature 0."""
         s = self.evidence.space
@@ -70,10 +80,10 @@ class Search:
         Beyond 1, COHERENT of it counts. Each has a normal prior of its own scale. After a right model nothing is left that others could
         explain; after the nearest thing in a catalogue to something else there is.
         """
-        columns = [per_scale(self.evidence, self.starts, a) for a in dict.fromkeys(a for c in self.candidates for a in c.addresses)]
-        space = self.evidence.space
-        gram = space.within(space.gram(np.column_stack([*columns, left])), range(len(columns) + 1))
-        inverse = np.linalg.inv(gram[:-1, :-1] + np.eye(len(columns)))
+        columns, known = self.together
+        space, k = self.evidence.space, columns.shape[1]
+        gram = space.within(space.beside(known, columns, left[:, None]), range(k + 1))
+        inverse = np.linalg.inv(gram[:-1, :-1] + np.eye(k))
         freedom = float(np.trace(inverse @ gram[:-1, :-1]))
         return 1.0 + COHERENT * (float(gram[:-1, -1] @ inverse @ gram[:-1, -1]) / max(freedom, 1.0) / self.evidence.guess - 1.0)
 
@@ -84,9 +94,9 @@ class Search:
         variants of a candidate the best one; all of them where they are not proportional to their size: sensitivities say too little.
         """
         space = self.evidence.space
-        order = list(dict.fromkeys(a for c in self.candidates for a in c.addresses))
-        stacked = np.stack([self.evidence.sensitivities[a] for a in order], axis=1)
-        place = {a: i for i, a in enumerate(order)}
+        place = {a: i for i, a in enumerate(addresses(self.candidates))}
+        stacked = np.stack([self.evidence.sensitivities[a] for a in place], axis=1)
+        known, count = space.gram(stacked), len(place)
         found: dict[frozenset[Candidate], Fit] = {}
         for base in bases:
             assert base.signature is not None
@@ -95,8 +105,8 @@ class Search:
             best = np.array([base.values[a] for c in base.model for a in c.addresses]) / (scales if len(scales) else 1.0)
             target = space.y - base.signature + base.sensitivities @ best
             wide = space.widened(base.form)
-            gram = wide.gram(np.column_stack([base.sensitivities, stacked, target]))
-            k = len(best)
+            gram = wide.beside(known, stacked, np.column_stack([base.sensitivities, target]))
+            own_columns = range(count, count + len(best))
             for c in self.candidates:
                 model = (*base.model, c)
                 key = frozenset(model)
@@ -109,7 +119,7 @@ class Search:
                     found[key] = quadratic_fit(model, base.signature + there.signature, sensitivities, start, space, base.form)
                     continue
                 own = wide.without([a for m in model for a in m.addresses])
-                products = own.within(gram, [*range(k), *(k + place[a] for a in c.addresses), k + len(order)])
+                products = own.within(gram, [*own_columns, *(place[a] for a in c.addresses), count + len(best)])
                 found[key] = solved(model, products, space, own)
         kept: dict[frozenset[tuple[str, object]], Fit] = {}
         for fit in sorted(found.values(), key=_evidence):
@@ -396,6 +406,11 @@ def likely_count(catalogue: Catalogue, nuisances: Sequence[Nuisance], conditions
     """About how many simulations a search takes that ends with single effects; more where effects are combined."""
     addresses = {a for c in catalogue.candidates for a in c.addresses} | {n.address for n in nuisances}
     return conditions * (NOMINAL + len(addresses) + 2 * SINGLES + POLISH * POLISHED)
+
+
+def addresses(candidates: Sequence[Candidate]) -> list[Address]:
+    """The parameters of all these candidates, each once."""
+    return list(dict.fromkeys(a for c in candidates for a in c.addresses))
 
 
 def _evidence(fit: Fit) -> float:

@@ -81,8 +81,9 @@ class Sensitivities:
         sizes |= {a: s for a, s in largest.items() if a in changes}
         names = [simulator.laboratory.conditions[i].name for i in self.conditions]
         clocks = [c for c in catalogue.candidates if c.unit == "s" and (c.component != LOGGING or c.parameters[0].startswith("lag "))]
+        beyond = interplay(simulator, self.conditions, unknown, sizes, changes, nominals)
         self.evidence = gather(
-            simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks, left, doubts=doubts
+            simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks, left, doubts=doubts, beyond=beyond
         )
         self.single = {a: c for a, c in single.items() if a in self.evidence.sensitivities}
         self.starts: dict[Address, Start] = {}
@@ -112,15 +113,7 @@ class Sensitivities:
         tried = self._signatures(sizes)
         found: list[Candidate] = []
         for c in self.candidates:
-            told, kept = [np.stack([per_scale(self.evidence, self.starts, a) for a in c.addresses], axis=1)], []
-            for v in c.variants:
-                first = [(a, sizes[a][0]) for a in v.addresses if a in sizes]
-                if not first or not all(key in tried for key in first):
-                    continue
-                shown = np.stack([tried[key] / key[1] for key in first], axis=1)
-                if all(self._apart(c, shown, other, first[0][1]) > CONFUSABLE for other in told):
-                    told.append(shown)
-                    kept.append(v)
+            kept = self._told(c, {v: [(a, sizes[a][0]) for a in v.addresses if a in sizes] for v in c.variants}, tried)
             for a in (a for v in kept for a in v.addresses):
                 self._take([(x, tried[a, x]) for x in sizes[a] if (a, x) in tried], a)
             found += [replace(v, locations=c.locations * (1 + len(kept))) for v in (c, *kept)]
@@ -138,16 +131,27 @@ class Sensitivities:
         does = np.stack([per_scale(self.evidence, self.starts, b) for b in candidate.addresses], axis=1)
         return bool(0.5 * largest**2 * own.chi2_of(does).max() > NOTED)
 
-    def _apart(self, candidate: Candidate, one: FloatArray, other: FloatArray, size: float) -> float:
-        """Distance [deviations of noise] of what one variant does at a size [prior scales] from what another one does at its best size.
-
-        `one`, `other`: per prior scale, [n, parameters]; of an amplitude with a phase that of the part that is farther away.
-        """
-        both, k = np.concatenate([other, one], axis=1), other.shape[1]
-        products = self.evidence.space.without(candidate.addresses).dot(both, both)
-        cross = products[:k, k:]
-        left = np.diag(products[k:, k:] - cross.T @ np.linalg.pinv(products[:k, :k]) @ cross)
-        return abs(size) * math.sqrt(max(float(left.max()), 0.0))
+    def _told(
+        self, c: Candidate, at: Mapping[Candidate, Sequence[tuple[Address, float]]], tried: Mapping[tuple[Address, float], FloatArray]
+    ) -> list[Candidate]:
+        """The variants of a candidate that these runs tell from it and from each other; `at`: where each was `tried`, if it was."""
+        shown = {v: [tried[key] / key[1] for key in keys] for v, keys in at.items() if keys and all(key in tried for key in keys)}
+        if not shown:
+            return []
+        columns = [per_scale(self.evidence, self.starts, a) for a in c.addresses]
+        places = [range(len(columns))]
+        kept: list[Candidate] = []
+        for does in shown.values():
+            places.append(range(len(columns), len(columns) + len(does)))
+            columns += does
+        own = self.evidence.space.without(c.addresses)
+        products = own.within(own.gram(np.stack(columns, axis=1)), range(len(columns)))
+        told = places[:1]
+        for v, here in zip(shown, places[1:], strict=True):
+            if all(_apart(products, here, there, at[v][0][1]) > CONFUSABLE for there in told):
+                told.append(here)
+                kept.append(v)
+        return kept
 
     def _take(self, found: Sequence[tuple[float, FloatArray]], address: Address) -> None:
         """The sensitivity of a variant from its signatures at sizes [prior scales], and its start where there are several."""
@@ -173,10 +177,11 @@ class Sensitivities:
             tried = self._signatures({a: [smaller[a]] for a in wanted})
             other |= {a: tried[a, smaller[a]] / smaller[a] for a in wanted if (a, smaller[a]) in tried}
         alike = {a: _cosine(sensitivity, sensitivities[a]) for a, sensitivity in other.items()}
-        for a, cosine in alike.items():
-            c = single[a]
-            if self._apart(c, other[a][:, None], sensitivities[a][:, None], 1.0) > CONFUSABLE:
-                self.bent.add(c.name)
+        gram = space.gram(np.stack([s for a in other for s in (sensitivities[a], other[a])], axis=1)) if other else None
+        for k, (a, cosine) in enumerate(alike.items()):
+            assert gram is not None
+            if _apart(space.without([a]).within(gram, [2 * k, 2 * k + 1]), [1], [0], 1.0) > CONFUSABLE:
+                self.bent.add(single[a].name)
             if cosine < BENT:
                 self._take_if_better(a, other[a], smaller[a])
         turned = [a for a, cosine in alike.items() if cosine < TURNED]
@@ -249,6 +254,17 @@ class Sensitivities:
         return {key: signature for key, signature in found.items() if signature is not None}
 
 
+def _apart(products: FloatArray, one: Sequence[int], other: Sequence[int], size: float) -> float:
+    """Distance [deviations of noise] of what one variant does at a size [prior scales] from what another one does at its best size.
+
+    `products` of what both do per prior scale; `one`, `other`: places of their parameters there. Of an amplitude with a phase that of the
+    part that is farther away.
+    """
+    cross = products[np.ix_(other, one)]
+    left = np.diag(products[np.ix_(one, one)] - cross.T @ np.linalg.pinv(products[np.ix_(other, other)]) @ cross)
+    return abs(size) * math.sqrt(max(float(left.max()), 0.0))
+
+
 def per_scale(evidence: Evidence, starts: Mapping[Address, Start], address: Address) -> FloatArray:
     """What a parameter does per prior scale, [n]: where its fit starts, or by its sensitivity."""
     start = starts.get(address)
@@ -273,6 +289,33 @@ def changed(
         if len(change) == len(conditions) and any(np.any(c) for c in change):
             changes[a] = change
     return changes
+
+
+def interplay(
+    simulator: Simulator,
+    conditions: Sequence[int],
+    tolerances: Mapping[Address, float],
+    sizes: Mapping[Address, float],
+    changes: Mapping[Address, Sequence[FloatArray]],
+    nominals: Sequence[Sequence[FloatArray]],
+    doing: str = "effects",
+) -> list[list[FloatArray]]:
+    """What calibrated numbers do together beyond the sum of what they do alone: all a deviation up, and all a deviation down.
+
+    Each per condition, [samples, channels]; without what cannot run. An axis that the nominal program leaves at rest moves a little up or
+    down on a real machine, and stands on this or that side of its known gap, however little it is that moves it.
+    """
+    seen = {a: s for a, s in tolerances.items() if a in changes}
+    ways = [simulator.seeded(setting({a: sign * s for a, s in seen.items()})) for sign in (1.0, -1.0)] if seen else []
+    results = iter(simulator.many([(i, way) for way in ways for i in conditions], doing))
+    found = []
+    for sign in (1.0, -1.0)[: len(ways)]:
+        there = [next(results) for _ in conditions]
+        alone = [sum((sign * s / sizes[a] * changes[a][k] for a, s in seen.items()), np.zeros(())) for k in range(len(conditions))]
+        ran = [r - group[0] - each for r, group, each in zip(there, nominals, alone, strict=True) if r is not None]
+        if len(ran) == len(conditions):
+            found.append(ran)
+    return found
 
 
 def _smaller(candidate: Candidate) -> float:

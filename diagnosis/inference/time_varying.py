@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 from scipy.signal import lfilter
@@ -24,8 +23,6 @@ COMING_LATE = (1 / 32, 1 / 16, 1 / 8, 1 / 4)
 """Time constants with which an effect may come late, as parts of a run."""
 GROWING = 1 / 4
 """Time constant with which an effect may grow from the beginning of a run to its end, as a part of it; or it grows steadily."""
-TOGETHER = 16
-"""Candidates whose sensitivities are made at the same time: all of them would take much memory, one by one would take long."""
 
 
 @dataclass(frozen=True)
@@ -54,27 +51,21 @@ def changing(search: Search) -> Changing | None:
     candidates = [c for c in search.candidates if len(c.parameters) == 1 and c.component != LOGGING]
     best: tuple[float, float, Candidate, str] | None = None
     least = space.chi2
-    for first in range(0, len(candidates), TOGETHER):
-        some = candidates[first : first + TOGETHER]
-        made = []
-        for c in some:
-            start = search.starts.get(c.addresses[0])
-            sensitivity = search.evidence.sensitivities[c.addresses[0]] if start is None else start.signature
-            made.append({"": sensitivity, **_changed(sensitivity, space.blocks, channels)})
-        gram = space.gram(np.column_stack([*chain.from_iterable(m.values() for m in made), space.y]))
-        priors = log_priors([(c,) for c in some], search.candidates)
-        for k, (c, ways, prior) in enumerate(zip(some, made, priors, strict=True)):
-            n, own = len(ways), space.without(c.addresses)
-            products = own.within(gram, [*range(k * n, (k + 1) * n), n * len(some)])
-            size, along = np.diag(products)[:-1], products[:-1, -1]
-            explained = along**2 / np.where(size > 0.0, size, np.inf)
-            left = products[-1, -1] - explained
-            least = min(least, float(left[0]))
-            i = 1 + int(left[1:].argmin())
-            evidence = 0.5 * (space.chi2 - left[i] + space.log_determinant - own.log_determinant - math.log(max(explained[i], 1.0)))
-            log_odds = float(evidence) + prior - math.log(n - 1)
-            if best is None or log_odds > best[0]:
-                best = (log_odds, float(left[i]), c, list(ways)[i])
+    for c, prior in zip(candidates, log_priors([(c,) for c in candidates], search.candidates), strict=True):
+        start, own = search.starts.get(c.addresses[0]), space.without(c.addresses)
+        sensitivity = search.evidence.sensitivities[c.addresses[0]] if start is None else start.signature
+        ways = {"": sensitivity, **_changed(sensitivity, space.blocks, channels)}
+        together = np.column_stack([*ways.values(), space.y])
+        products = own.dot(together, together)
+        size, along = np.diag(products)[:-1], products[:-1, -1]
+        explained = along**2 / np.where(size > 0.0, size, np.inf)
+        left = products[-1, -1] - explained
+        least = min(least, float(left[0]))
+        i = 1 + int(left[1:].argmin())
+        evidence = 0.5 * (space.chi2 - left[i] + space.log_determinant - own.log_determinant - math.log(max(explained[i], 1.0)))
+        log_odds = float(evidence) + prior - math.log(len(ways) - 1)
+        if best is None or log_odds > best[0]:
+            best = (log_odds, float(left[i]), c, list(ways)[i])
     if best is None:
         return None
     log_odds, chi2, candidate, how = best

@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robomill.diagnosis.experiment.simulation import setting
-from robomill.diagnosis.inference.adequacy import KEEPS, MISFIT, kept, left_by, misfit
+from robomill.diagnosis.inference.adequacy import CONDITIONS, KEEPS, MISFIT, kept, left_by, misfit
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.evidence import gather
 from robomill.diagnosis.inference.search import POLISH, Search
-from robomill.diagnosis.inference.sensitivities import NOMINAL, TOLERANCES, changed
+from robomill.diagnosis.inference.sensitivities import NOMINAL, TOLERANCES, changed, interplay
 from robomill.orchestration.slaves.protocol import FloatArray
 
 
@@ -46,6 +46,8 @@ class Transfer:
 
     misfit: float = MISFIT
     """Mean share that the model leaves where it is right."""
+    conditions: int = CONDITIONS
+    """How many new conditions there are: `before` and `after` are of the worst one."""
 
     @property
     def worth(self) -> float:
@@ -55,7 +57,7 @@ class Transfer:
     @property
     def left(self) -> float:
         """Log Bayes factor for a right model against a stand-in, from what is left in new conditions."""
-        return left_by(self.before, self.after, self.misfit)
+        return left_by(self.before, self.after, self.misfit, conditions=self.conditions)
 
     @property
     def promise(self) -> float:
@@ -91,7 +93,17 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     scales, doubts = {n.address: n.scale for n in search.nuisances}, {n.address: n.doubt for n in search.nuisances}
     measured = [groups[i] for i in every]
     e = gather(
-        simulator.laboratory, [names[i] for i in every], measured, plain, changes, sizes, {}, scales, like=search.evidence, doubts=doubts
+        simulator.laboratory,
+        [names[i] for i in every],
+        measured,
+        plain,
+        changes,
+        sizes,
+        {},
+        scales,
+        like=search.evidence,
+        doubts=doubts,
+        beyond=interplay(simulator, every, scales, sizes, changes, plain, "new conditions"),
     )
     if not e.judged.any():  # without tolerances nothing is known of discrepancies: there is the noise to compare with
         e = replace(e, judged=np.ones_like(e.judged))
@@ -105,7 +117,8 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     wide = space.widened(e.form(fit.model[:1], signature, np.zeros((0, 0)), np.zeros(0)))
     seen = float(wide.dot(signature, signature)) + 1e-300
     amplitude = float(wide.dot(signature, space.y)) / seen
-    return Transfer(e.level(space.y), e.level(rest), 0.5 * (before - after), 0.5 * size, doubt, amplitude, seen**-0.5, misfit(fit.model))
+    levels, gain = (e.level(space.y), e.level(rest)), 0.5 * (before - after)
+    return Transfer(*levels, gain, 0.5 * size, doubt, amplitude, seen**-0.5, misfit(fit.model), len(every))
 
 
 def _chi2(space: Space, left: FloatArray, unsure: FloatArray | None) -> float:

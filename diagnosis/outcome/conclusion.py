@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -78,6 +79,11 @@ class Conclusion:
         self.best = self.fits[int(self.weights.argmax())]
         self.known: Mapping[str, Known] = {}
 
+    @cached_property
+    def other(self) -> Changing | None:
+        """The likeliest effect that changes with time."""
+        return changing(self.search)
+
     def marginal(self) -> dict[Candidate, float]:
         """Probability of each candidate, largest first: the sum of those of all models that it is in, if the best model is right."""
         total: dict[Candidate, float] = {}
@@ -98,12 +104,11 @@ class Conclusion:
         # what a dead time of the machine explains nearly as well is no reason to refuse the log
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] >= IDENTIFIED]
         moved = self.transfer() if self.best.model and not clocks else None
-        other = changing(search)
         odds = float(np.log(max(1.0 - self.nothing, 1e-300)) - np.log(max(self.nothing, 1e-300)))
         tests = tested(search, nominal, self.best, self.nothing, p_none(search, odds), moved, self.false_alarm)
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
         faulty = any(believed[c] >= IDENTIFIED for c in clocks) and not self.repair
-        verdict = judged(search, tests, nominal, self.best, other, believed, faulty)
+        verdict = judged(search, tests, nominal, self.best, lambda: self.other, believed, faulty)
         # with repeats, noise is known, and what a model leaves says whether it is right
         tried = verdict in ("identified", "ambiguous") and search.evidence.once
         instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if tried else Laws()
@@ -158,7 +163,8 @@ class Conclusion:
                 predictive={f.name: f.predictive for f in self.fits if f.predictive},
             )
         if verdict == "unknown":
-            answer = self.described(answer, found, instead, other if other is not None and changes(search, self.best, other) else None)
+            changes_with_time = self.other is not None and changes(search, self.best, self.other)
+            answer = self.described(answer, found, instead, self.other if changes_with_time else None)
         return answer, adopted
 
     def transfer(self) -> Transfer | None:

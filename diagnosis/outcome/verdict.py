@@ -8,7 +8,7 @@ in new conditions.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import expit
 
 from robomill.diagnosis.catalogue import Candidate
-from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, SPREAD, agreement, kept, left_by, misfit, unexplained
+from robomill.diagnosis.inference.adequacy import CONDITIONS, LEVEL, MISFIT, SPREAD, agreement, kept, left_by, misfit, unexplained
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
@@ -76,8 +76,9 @@ def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: floa
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
     kinds = max(len({c.effect for c in best.model}), 1)
     fits = math.log(1.0 - UNLISTED) - math.log(UNLISTED)
-    seen = sorted(zip(looks(search, nominal), looks(search, best), strict=True))
-    other, larger = (left_by(before, after, misfit(best.model), kinds) for before, after in seen)
+    conditions = (len(search.evidence.space.blocks), CONDITIONS)  # the first look is at the worst one, the second at all together
+    seen = sorted(zip(looks(search, nominal), looks(search, best), conditions, strict=True))
+    other, larger = (left_by(before, after, misfit(best.model), kinds, n) for before, after, n in seen)
     fits += larger + min(other, 0.0)  # where the gap is larger it is seen whether it closes; the other look may refute that
     holds = held_together(search, best)
     if moved is not None:
@@ -101,16 +102,23 @@ def held_together(search: Search, fit: Fit) -> float:
 
 
 def judged(
-    search: Search, tests: Tests, nominal: Fit, best: Fit, other: Changing | None, probabilities: Mapping[Candidate, float], faulty: bool
+    search: Search,
+    tests: Tests,
+    nominal: Fit,
+    best: Fit,
+    changing: Callable[[], Changing | None],
+    probabilities: Mapping[Candidate, float],
+    faulty: bool,
 ) -> Verdict:
-    """The verdict; `probabilities`: of each candidate, `p_fit` included; `other`: an effect that changes with time.
+    """The verdict; `probabilities`: of each candidate, `p_fit` included; `changing`: finds an effect that changes with time, if asked.
 
     `faulty`: a fault of the log is part of the best model.
     """
-    refuted = tests.p_fit < 1.0 - tests.p_fit or (other is not None and changes(search, best, other)) or at_bound(best)
+    refuted = tests.p_fit < 1.0 - tests.p_fit or at_bound(best)
     gap = over_noise(search, nominal) > UNKNOWN
     guess = search.evidence.guess > 1.0  # of noise: nobody knows how slow it is, and an effect within it may be that
-    if not best.model or not believed(tests) or refuted or (guess and not gap):
+    none = not best.model or not believed(tests) or refuted or (guess and not gap)
+    if none or ((other := changing()) is not None and changes(search, best, other)):
         return "unknown" if gap else "none"  # nothing is there, if machines without effects leave as much
     if faulty:
         return "bad_log"

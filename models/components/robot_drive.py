@@ -38,9 +38,10 @@ LAG_CAPACITY = 64
 """Places of the line that realises the dead time in `tracking_lag`: 0.2 s at 4 ms, and some for shorter cycles."""
 CHANNELS = 9
 """Correction channels: x, y, z in B, then A1..A6."""
-DIRECTION_THRESHOLD = 1e-9
-"""Axis motion [rad] that counts as a reversal for the backlash compensation; above roundoff of the path
-(1e-13), far below an encoder count (1e-6). It bounds the error of the compensation."""
+DIRECTION_THRESHOLD = 1e-11
+"""Axis motion [rad] that counts as a reversal for the backlash compensation; a hundred times the roundoff of the path
+(1e-13), far below an encoder count (1e-6). It bounds the error of the compensation. An axis that only calibrated numbers move, from a
+pose where the nominal program leaves it at rest, goes by 1e-9 rad a step when it sets off: it is to reverse then, not a second later."""
 GLITCH_THRESHOLD = 1e-6
 """Axis motion [rad] that counts as a reversal for the friction spike: about one encoder count."""
 EULER = 2.718281828459045

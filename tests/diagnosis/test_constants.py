@@ -29,6 +29,7 @@ from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import measure
 from tests.diagnosis.formula import candidate
+from tests.diagnosis.inference.test_machines import Known
 from tests.tolerances import ROUNDOFF
 
 STEP = 0.01
@@ -243,14 +244,14 @@ def discrepancy() -> float:
 def rank() -> float:
     """That of odds which no simulated machine has."""
     a = EFFECT.addresses[0]
-    of: Any = SimpleNamespace(candidates=(EFFECT,), starts={}, evidence=SimpleNamespace(space=NOTHING_SEEN, sensitivities={a: np.ones(1)}))
+    of = Known((EFFECT,), SimpleNamespace(space=NOTHING_SEEN, sensitivities={a: np.ones(1)}), {})
     return machines.p_none(of, math.inf)
 
 
 def explainable() -> float:
     """What is explained by a candidate that explains 100 times what it explains of noise."""
     seen = SimpleNamespace(space=NOTHING_SEEN, sensitivities={EFFECT.addresses[0]: np.full(1, 10.0)}, guess=1.0)
-    of: Any = SimpleNamespace(candidates=(EFFECT,), starts={}, evidence=seen)
+    of = Known((EFFECT,), seen, {})
     return search.Search.explainable(of, np.full(1, math.sqrt(101.0)))
 
 
@@ -260,7 +261,7 @@ def fits(before: float, after: float, *model: Candidate) -> float:
 
 def judged(before: float, probability: float, p_none: float) -> str:
     tests = verdict.Tests(0.02, p_none, 0.99, 0.0)
-    return verdict.judged(AROUND_NOISE, tests, fitted(before), fitted(1.0, EFFECT), None, {EFFECT: probability}, False)
+    return verdict.judged(AROUND_NOISE, tests, fitted(before), fitted(1.0, EFFECT), lambda: None, {EFFECT: probability}, False)
 
 
 NOTICED: list[tuple[Any, str, float, Callable[[], Any], Any, Any]] = [

@@ -12,7 +12,7 @@ from scipy.integrate import trapezoid
 from scipy.stats import beta, norm
 
 from robomill.diagnosis.catalogue import LOGGING
-from robomill.diagnosis.inference.adequacy import EXACT, HOLDS, LEVEL, MISFIT, SPREAD, kept, left_by, misfit, unexplained
+from robomill.diagnosis.inference.adequacy import CONDITIONS, EXACT, HOLDS, LEVEL, MISFIT, SPREAD, kept, left_by, misfit, unexplained
 from tests.diagnosis.inference.test_estimation import candidate
 from tests.tolerances import ROUNDOFF
 
@@ -21,15 +21,18 @@ QUADRATURE = 0.05
 GAPS = (LEVEL + SPREAD, 2.0, 5.0, 50.0, 5000.0)
 
 
-def integrated(before: float, after: float, share: float, kinds: int = 1) -> float:
-    """Log of the ratio of the integrals over the share that is left, of Beta(1, 1 / share - 1) and of Beta(1, kinds)."""
+def integrated(before: float, after: float, share: float, kinds: int = 1, levels: float = 1.0) -> float:
+    """Log of the ratio of the integrals over the share that is left, of Beta(1, 1 / share - 1) and of Beta(1, kinds).
+
+    What is left is the largest of so many `levels`.
+    """
     gap = before - LEVEL
     centre, width = (after - LEVEL) / gap, SPREAD / gap
     finely = np.concatenate(
         [np.linspace(0.0, 1.0, 20001), share * np.linspace(0.0, 50.0, 20001), centre + width * np.linspace(-9, 9, 20001)]
     )
     u = np.unique(np.clip(finely, 0.0, 1.0))
-    likelihood = norm.logpdf(u, centre, width)
+    likelihood = norm.logpdf(u, centre, width) + (levels - 1.0) * norm.logcdf(centre, u, width)
     likelihood = np.exp(likelihood - likelihood.max())
     right = beta.pdf(np.minimum(u, 1.0 - 1e-15), 1.0, 1.0 / share - 1.0)
     return math.log(trapezoid(likelihood * right, u)) - math.log(trapezoid(likelihood * beta.pdf(u, 1.0, kinds), u))
@@ -50,6 +53,19 @@ def test_several_stand_ins_together_leave_the_least_of_as_many_shares(kinds: int
     after = LEVEL + part * (before - LEVEL)
     assert left_by(before, after, MISFIT, kinds) == pytest.approx(integrated(before, after, MISFIT, kinds), abs=QUADRATURE)
     assert left_by(1e5, LEVEL, MISFIT, kinds) == pytest.approx(math.log((1.0 / MISFIT - 1.0) / kinds), abs=QUADRATURE)
+
+
+@pytest.mark.parametrize("conditions", [1, 2, 7, 20])
+@pytest.mark.parametrize("before", GAPS)
+@pytest.mark.parametrize("part", [0.0, 0.2, 0.9])
+def test_the_worst_of_more_conditions_is_the_largest_of_as_many_levels(conditions: int, before: float, part: float) -> None:
+    after = LEVEL + part * (before - LEVEL)
+    expected = integrated(before, after, MISFIT, levels=max(conditions / CONDITIONS, 1.0))
+    assert left_by(before, after, MISFIT, conditions=conditions) == pytest.approx(expected, abs=QUADRATURE)
+
+
+def test_among_more_conditions_a_little_more_is_no_sign_of_a_stand_in() -> None:
+    assert left_by(4.0, LEVEL + 2.0 * SPREAD, conditions=10 * CONDITIONS) > left_by(4.0, LEVEL + 2.0 * SPREAD) + 1.0
 
 
 @pytest.mark.parametrize("share", [MISFIT, EXACT])

@@ -128,6 +128,17 @@ class TestSpace:
         part = wide.only(["second"])
         assert part.dot(part.y, part.y) == pytest.approx(space.y[rows] @ inverse(together[rows]) @ space.y[rows], rel=INVERTED)
 
+    @pytest.mark.parametrize("k", [0, 2])
+    def test_products_of_columns_beside_known_ones_are_those_of_all_together(self, k: int) -> None:
+        """Known products are those of the space that this one is widened from, too."""
+        space = made()
+        rng = np.random.default_rng(4)
+        V, more = rng.normal(size=(N, 3)), rng.normal(size=(N, 2))
+        wide = space.widened(rng.normal(size=(N, k)))
+        found = wide.within(wide.beside(space.gram(V), V, more), range(5))
+        together = np.column_stack([V, more])
+        assert found == pytest.approx(wide.dot(together, together), rel=INVERTED, abs=INVERTED)
+
     def test_widened_it_keeps_what_is_out_and_what_is_alike(self) -> None:
         """An effect that a nuisance is like, in a model whose law may be off: the nuisance goes, what the law misses stays."""
         space = made()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ from robomill.diagnosis.inference import machines
 from robomill.diagnosis.inference.estimation import Space, quadratic_fit
 from robomill.diagnosis.inference.machines import MACHINES, p_none
 from robomill.diagnosis.inference.priors import log_posteriors, log_priors
+from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.sensitivities import Start
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.inference.test_estimation import candidate, log_density
@@ -44,12 +46,19 @@ def drawn(nuisances: FloatArray, seed: int, count: int = 1) -> FloatArray:
     return rng.normal(size=(N, count)) + nuisances @ rng.normal(size=(nuisances.shape[1], count))
 
 
+class Known(Search):
+    """A search that is over."""
+
+    def __init__(self, candidates: Sequence[Candidate], evidence: Any, starts: dict[Any, Start]) -> None:
+        self.candidates, self.evidence, self.starts = list(candidates), evidence, starts
+
+
 def search(candidates: tuple[Candidate, ...], columns: FloatArray, nuisances: FloatArray, starts: dict[Any, Start] | None = None) -> Any:
     """All that is asked of one: the space of these machines, and what each parameter does."""
     addresses = dict.fromkeys(a for c in candidates for a in c.addresses)
     sensitivities = dict(zip(addresses, columns.T, strict=True))
     evidence = SimpleNamespace(space=Space(drawn(nuisances, 0)[:, 0], {"all": slice(0, N)}, nuisances), sensitivities=sensitivities)
-    return SimpleNamespace(candidates=candidates, evidence=evidence, starts=starts or {})
+    return Known(candidates, evidence, starts or {})
 
 
 def best_odds(of: Any, y: FloatArray) -> float:

@@ -29,6 +29,7 @@ from robomill.orchestration.slaves.protocol import FloatArray
 from robomill.orchestration.system.definition import Component, System
 from tests.diagnosis.demo import SYSTEM, WELL, Part, catalogue, changed, measure, real, resolve
 from tests.diagnosis.formula import candidate
+from tests.diagnosis.inference.test_machines import Known
 from tests.tolerances import ROUNDOFF, chance
 
 GAIN, RUBBING, CLOCK = ("sensors", "gain_error[1]"), ("masses", "friction[1]"), ("logging", "lag sensors.*")
@@ -203,7 +204,7 @@ class TestExplainable:
         sensitivities[turns] = rng.normal(size=self.N)
         space = Space(np.zeros(self.N), {"all": slice(0, self.N)}, nuisances)
         evidence = SimpleNamespace(space=space, sensitivities=sensitivities, guess=guess)
-        return SimpleNamespace(candidates=self.ENTRIES, evidence=evidence, starts=starts), does, np.eye(self.N) + nuisances @ nuisances.T
+        return Known(self.ENTRIES, evidence, starts), does, np.eye(self.N) + nuisances @ nuisances.T
 
     def smoother(self, does: FloatArray, covariance: FloatArray) -> FloatArray:
         """By the covariance of data that have all effects: C^-1 - (C + V V')^-1, of which the trace is that of the smoother times C^-1."""

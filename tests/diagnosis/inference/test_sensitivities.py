@@ -13,8 +13,9 @@ import pytest
 from robomill.diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Simulator, setting
 from robomill.diagnosis.inference import sensitivities
-from robomill.diagnosis.inference.evidence import DEPENDENCE
-from robomill.diagnosis.inference.sensitivities import EVENLY, NOMINAL, TOLERANCES, changed
+from robomill.diagnosis.inference.adequacy import LEVEL, SPREAD
+from robomill.diagnosis.inference.evidence import DEPENDENCE, INTERPLAY
+from robomill.diagnosis.inference.sensitivities import EVENLY, NOMINAL, TOLERANCES, changed, interplay
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import STEP
 from tests.diagnosis.formula import Calculated, Formula, candidate
@@ -153,6 +154,60 @@ def limited(_: int, values: Mapping[Address, float]) -> FloatArray:
 def test_a_limit_that_its_usual_size_does_not_reach_is_simulated_at_the_largest() -> None:
     found = Screened(limited, 6.0, candidate("p", "log-normal", scale=2.0, largest=8.0))
     assert found.slopes[P] == pytest.approx(found.white((8.0 - 3.0) * 2.0 / 8.0 * ONE), rel=SAME, abs=SAME)
+
+
+def on_one_side(_: int, values: Mapping[Address, float]) -> FloatArray:
+    """P adds to one signal; `up` and `down` together move an axis, which stands on the lower side of its gap where it goes down."""
+    way = values.get(("a", "up"), 0.0) + 0.5 * values.get(("a", "down"), 0.0)
+    return (np.cos(T) + values.get(P, 0.0) * ONE + way * OTHER - 0.3 * float(way < 0.0))[:, None]
+
+
+class TestInterplay:
+    """What calibrated numbers do together beyond the sum of what they do alone."""
+
+    NUMBERS = (Nuisance(("a", "up"), 0.2), Nuisance(("a", "down"), 0.1))
+
+    def test_it_is_a_nuisance_of_each_condition_and_of_each_way_in_which_there_is_any(self) -> None:
+        """All of them down, the axis goes down; alone, and up, none takes it there."""
+        found = Screened(on_one_side, 0.5, candidate("p"), nuisances=self.NUMBERS)
+        space = found.evidence.space
+        here = [i for i, name in enumerate(space.names) if name == INTERPLAY]
+        columns = space.nuisances.toarray()[:, here].T
+        (gap,) = [c for c in columns if np.linalg.norm(c) > SAME * np.linalg.norm(found.slopes[P])]
+        assert gap == pytest.approx(found.white(np.full(ROWS, -0.3)), rel=SAME, abs=SAME)
+
+    def test_a_machine_on_the_other_side_of_its_gap_has_no_gap_to_explain(self) -> None:
+        """Without it, the level of a machine that is within its tolerances would be that of one with an effect."""
+        numbers = {("a", "up"): -0.1, ("a", "down"): -0.05}
+        levels = []
+        for formula in (on_one_side, lambda i, values: on_one_side(i, values) + 0.3 * float(values.get(("a", "up"), 0.0) < -0.11)):
+            laboratory = Calculated(formula, ROWS)
+            measured = on_one_side(0, numbers)
+            rng = np.random.default_rng(1)
+            groups = [[measured + NOISE * rng.normal(size=(ROWS, 1)) for _ in range(4)]]
+            catalogue = Catalogue(Path("made up"), (candidate("p"),))
+            found = sensitivities.Sensitivities(catalogue, Simulator(laboratory), groups, self.NUMBERS)
+            levels.append(found.evidence.level(found.evidence.space.y))
+        assert levels[0] < LEVEL + SPREAD
+        assert levels[1] > 2.0 * LEVEL
+
+    @pytest.mark.parametrize("fails", [-1.0, 1.0])
+    def test_where_the_system_cannot_run_with_all_of_them_the_other_way_counts(self, fails: float) -> None:
+        def formula(i: int, values: Mapping[Address, float]) -> FloatArray | None:
+            both = fails * values.get(("a", "up"), 0.0) > 0.0 and fails * values.get(("a", "down"), 0.0) > 0.0
+            return None if both else on_one_side(i, values)
+
+        sizes = {n.address: TOLERANCES * n.scale for n in self.NUMBERS}
+        simulator = Simulator(Calculated(formula, ROWS))
+        nominals = [[on_one_side(0, {})]]
+        changes = changed(simulator, [0], sizes, nominals)
+        (left,) = interplay(simulator, [0], {n.address: n.scale for n in self.NUMBERS}, sizes, changes, nominals)
+        assert left[0] == pytest.approx(np.full((ROWS, 1), -0.3 if fails > 0.0 else 0.0), abs=SAME)
+
+    def test_without_calibrated_numbers_there_is_none(self) -> None:
+        simulator = Simulator(Calculated(on_one_side, ROWS))
+        assert interplay(simulator, [0], {}, {}, {}, [[on_one_side(0, {})]]) == []
+        assert simulator.count == 0
 
 
 class TestChanged:

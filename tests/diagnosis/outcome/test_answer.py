@@ -63,6 +63,7 @@ def test_numbers_that_there_are_none_of_are_null() -> None:
         "amplitude",
         "deviation",
         "misfit",
+        "conditions",
         "promise",
         "worth",
     ]

@@ -13,7 +13,7 @@ import pytest
 from scipy.special import expit
 
 from robomill.diagnosis.catalogue import LOGGING, Candidate
-from robomill.diagnosis.inference.adequacy import EXACT, LEVEL, MISFIT, left_by
+from robomill.diagnosis.inference.adequacy import EXACT, LEVEL, MISFIT, kept, left_by
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
@@ -64,6 +64,15 @@ class TestTested:
         odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(9.0, 1.3) + moved.worth
         assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
 
+    def test_what_is_left_of_several_conditions_is_that_of_the_worst_one(self, tmp_path: Path) -> None:
+        effect = catalogue(tmp_path).candidates[:1]
+        several = search()
+        several.evidence.space = Space(np.zeros(7), {str(i): slice(i, i + 1) for i in range(7)}, np.zeros((7, 0)))
+        before, after = (replace(fit(left, m), signature=np.full(7, -left)) for left, m in ((9.0, ()), (2.0, effect)))
+        found = verdict.tested(several, before, after, 0.001, 0.001, None, 0.02)
+        odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(9.0, 2.0, conditions=7)
+        assert found.p_fit == pytest.approx(expit(odds + kept(verdict.held_together(several, after))), rel=1e2 * ROUNDOFF)
+
     def test_a_fault_of_the_log_must_leave_less(self, tmp_path: Path) -> None:
         clock = tuple(c for c in catalogue(tmp_path).candidates if c.component == LOGGING)[:1]
         effect = catalogue(tmp_path).candidates[:1]
@@ -111,25 +120,36 @@ def test_of_several_kinds_of_effects_that_were_fitted_together_less_must_be_left
     assert alone.p_fit == pytest.approx(1.0 - UNLISTED, rel=QUADRATURE)  # where there is no gap, nothing is left of one
 
 
+def steady() -> None:
+    """Nothing changes with time."""
+
+
 class TestJudged:
+    def test_what_changes_with_time_is_looked_for_only_beside_a_model_that_is_believed(self, tmp_path: Path) -> None:
+        (effect, *_) = catalogue(tmp_path).candidates
+        asked = []
+        for tests in (SURE, replace(SURE, p_fit=0.1), replace(SURE, p_none=0.5)):
+            judged(search(), tests, fit(9.0), fit(1.1, (effect,)), lambda tests=tests: asked.append(tests), {effect: 0.95}, False)
+        assert asked == [SURE]
+
     def judged(self, tests: verdict.Tests = SURE, before: float = 9.0, *, p: float = 0.95, faulty: bool = False, folder: Path) -> str:
         model = catalogue(folder).candidates[:2]
-        return judged(search(), tests, fit(before), fit(1.1, model), None, {model[0]: 0.95, model[1]: p}, faulty)
+        return judged(search(), tests, fit(before), fit(1.1, model), steady, {model[0]: 0.95, model[1]: p}, faulty)
 
     def test_an_effect_that_is_not_believed_is_none_or_a_gap_that_no_candidate_explains(self, tmp_path: Path) -> None:
         for tests in (replace(SURE, p_none=0.5), replace(SURE, nothing=0.5)):  # judged by the nominal system's level
             assert self.judged(tests, 0.99 * UNKNOWN, folder=tmp_path) == "none"
             assert self.judged(tests, 1.01 * UNKNOWN, folder=tmp_path) == "unknown"
-        assert judged(search(), SURE, fit(1.0), fit(1.0), None, {}, False) == "none"
-        assert judged(search(), SURE, fit(1.1 * UNKNOWN), fit(1.1 * UNKNOWN), None, {}, False) == "unknown"
+        assert judged(search(), SURE, fit(1.0), fit(1.0), steady, {}, False) == "none"
+        assert judged(search(), SURE, fit(1.1 * UNKNOWN), fit(1.1 * UNKNOWN), steady, {}, False) == "unknown"
 
     def test_where_noise_is_a_guess_an_effect_within_it_is_none(self, tmp_path: Path) -> None:
         model = catalogue(tmp_path).candidates[:2]
         for guess, says in ((1.0, "identified"), (3.0, "none")):
-            found = judged(search(guess=guess), SURE, fit(0.99 * UNKNOWN), fit(1.1, model), None, dict.fromkeys(model, 0.95), False)
+            found = judged(search(guess=guess), SURE, fit(0.99 * UNKNOWN), fit(1.1, model), steady, dict.fromkeys(model, 0.95), False)
             assert found == says
         assert (
-            judged(search(guess=3.0), SURE, fit(1.01 * UNKNOWN), fit(1.1, model), None, dict.fromkeys(model, 0.95), False) == "identified"
+            judged(search(guess=3.0), SURE, fit(1.01 * UNKNOWN), fit(1.1, model), steady, dict.fromkeys(model, 0.95), False) == "identified"
         )
 
     def test_a_model_that_is_rather_a_stand_in_is_unknown_be_it_as_likely_as_it_may(self, tmp_path: Path) -> None:
@@ -141,7 +161,7 @@ class TestJudged:
         effect = catalogue(tmp_path).candidates[0]
         for size, said in ((effect.maximum, "unknown"), (0.99 * effect.maximum, "identified")):
             best = replace(fit(1.1, (effect,)), values=dict.fromkeys(effect.addresses, size))
-            assert judged(search(), SURE, fit(9.0), best, None, {effect: 0.95}, False) == said
+            assert judged(search(), SURE, fit(9.0), best, steady, {effect: 0.95}, False) == said
 
     def test_one_answer_is_given_where_each_of_its_effects_is_likely(self, tmp_path: Path) -> None:
         assert self.judged(p=0.81, folder=tmp_path) == "identified"

@@ -24,8 +24,8 @@ WORK = np.deg2rad([-22.59, -118.99, 90.57, 0.0, 28.42, 0.0])
 """Position 2 of Haehn & Weigold 2020 (axis angles: FACTS 1.7)."""
 APERIODIC = {"loop_damping": 1.0}
 """The loop without its overshoot of 0.15 %, which the gap would keep."""
-SETTLED = physics(0.0, absolute=DIRECTION_THRESHOLD)
-"""What a reversal may leave [rad]; the loop itself has settled to (1 + w t) exp(-w t) < 1e-8 of 0.1 rad after 0.78 s."""
+SETTLED = physics(0.0, absolute=1e-8 * 0.1)
+"""The loop [rad] has settled to (1 + w t) exp(-w t) < 1e-8 of 0.1 rad after 0.78 s; what a reversal may leave is far less."""
 OUTPUTS = ("q_motor", "q_link", "torque_motor")
 EFFECTS = tuple(v.name for v in MODEL.variables if v.effect)
 
