@@ -9,7 +9,9 @@ over folds). The noise's memory is one number: the correlation of what is left f
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -110,7 +112,8 @@ class Products:
         best = float(beside.before.sum())
         while len(beside.taken) < min(most, self.gram.shape[1]):
             left = beside.left()[:, 0]
-            j = int(left.argmin())
+            same = left <= left.min() + np.sqrt(np.finfo(float).eps) * float(self.square.sum())
+            j = int(same.argmax())  # the first of those that differ by roundoff: signs of two variables may be one column
             if left[j] >= best:
                 break
             best = float(left[j])
@@ -132,8 +135,8 @@ class Products:
     def _beside(self, without: int | None, right: FloatArray | None = None, square: FloatArray | None = None) -> Beside:
         right = self.right[..., None] if right is None else right
         square = self.square[:, None] if square is None else square
-        folds = [f for f in range(len(self.square)) if f != without]
-        return Beside(self.gram[folds], right[folds], square[folds])
+        folds = np.array([f for f in range(len(self.square)) if f != without], dtype=np.intp)
+        return Beside(self.gram, folds, right[folds], square[folds])
 
     def errors(self, chosen: list[int]) -> FloatArray:
         """Squares left in each fold by a fit to the others, [folds]."""
@@ -155,17 +158,18 @@ class Beside:
     Of every other term, e is what it has of no direction. One more direction changes the products of e; nothing is solved again.
     """
 
-    def __init__(self, gram: FloatArray, right: FloatArray, square: FloatArray) -> None:
-        """Products of the folds: `gram` [folds, p, p] of the terms, `right` [folds, p, m] with m residuals, `square` [folds, m] of these."""
-        self._here, self._gram = gram, gram.sum(axis=0) - gram  # in the fold left out, and in those it is fitted to
-        self._own = np.diagonal(self._gram, axis1=1, axis2=2)
-        self._rest, self._size = self._own.copy(), np.diagonal(gram, axis1=1, axis2=2).copy()  # e e there, and in the fold left out
+    def __init__(self, gram: FloatArray, folds: Labels, right: FloatArray, square: FloatArray) -> None:
+        """Products of the terms, `gram` [all folds, p, p], and in the `folds` those with m residuals, `right` [folds, p, m], and of these."""
+        self._gram, self._folds, self._whole = gram, folds, gram[folds].sum(axis=0)
+        here = np.diagonal(gram, axis1=1, axis2=2)[folds]
+        self._own = here.sum(axis=0) - here
+        self._rest, self._size = self._own.copy(), here.copy()  # e e where it is fitted, and in the fold left out
         self._there, self._right = right, right.sum(axis=0) - right
-        none = np.zeros((len(gram), 0, gram.shape[1]))
+        none = np.zeros((len(folds), 0, len(self._whole)))
         self._along, self._lines = none, none  # parts of d in the terms x, and d x where they are fitted
         self._across, self._met = none, none  # d x and, when d was taken, d e in the fold left out
         self._directions = none[:, :, :0]  # d d in the fold left out
-        self._sums = self._values = self._kept = np.zeros((len(gram), 0, right.shape[2]))  # d y, value of d, and d (y - fit) left out
+        self._sums = self._values = self._kept = np.zeros((len(folds), 0, right.shape[2]))  # d y, value of d, and d (y - fit) left out
         self.before = square.copy()
         """Squares that the terms taken leave in each fold, [folds, m]."""
         self.taken: list[int] = []
@@ -192,9 +196,9 @@ class Beside:
 
     def take(self, t: int) -> None:
         """One more term; it has no value in folds where it adds nothing new."""
-        parts = self._along[:, :, t, None]
-        line = self._gram[:, t] - (parts * self._lines).sum(axis=1)
-        across = self._here[:, t] - (parts * self._across).sum(axis=1)
+        parts, here = self._along[:, :, t, None], self._gram[self._folds, t]
+        line = self._whole[t] - here - (parts * self._lines).sum(axis=1)
+        across = here - (parts * self._across).sum(axis=1)
         others = self._across[:, :, t] - (self._directions @ parts)[..., 0]  # d with the directions before it
         met = across - (others[..., None] * self._along).sum(axis=1)
         pivot = np.where(self._new[:, t], self._rest[:, t], np.inf)[:, None]
@@ -258,22 +262,31 @@ def choose(rows: Rows) -> Chosen:
     """The terms, in a band and with a memory of the noise that fit what they leave."""
     rho, pairs = 0.0, 0
     while True:
+        whitened = _by_memory(rows)
         for _ in range(2):  # the noise is known when the terms are, and the other way round
-            terms, sets, errors = _chosen(rows.whitened(rho))
+            used = rho
+            terms, sets, errors = _chosen(whitened(used))
             left = rows.y - rows.X[:, terms] @ fitted(rows, terms)
             rho = rows.memory(left)
+            if rho == used:
+                break
         white = rows.whitened(rho)
         again = white.memory(white.y - white.X[:, terms] @ fitted(white, terms))
         if again < BAND or len(rows.y) < 4 * FOLDS * MOST or 4.0 * rows.step > MEMORY:
-            plain = Products(rows, rows.parts(FOLDS))
+            plain = whitened(0.0)
             lost = sum(plain.error(f, some, plain.fit(some, f)) for f, some in enumerate(sets))
             return Chosen(terms, 1.0 - lost / max(float(plain.square.sum()), 1e-300), rho, rows, pairs, errors)
         rows, pairs = rows.paired(), pairs + 1
 
 
-def _chosen(white: Rows) -> tuple[list[int], list[list[int]], FloatArray]:
+def _by_memory(rows: Rows) -> Callable[[float], Products]:
+    """Products of the rows whitened by a memory of the noise; each is made once."""
+    parts = rows.parts(FOLDS)
+    return cache(lambda rho: Products(rows.whitened(rho), parts))
+
+
+def _chosen(products: Products) -> tuple[list[int], list[list[int]], FloatArray]:
     """Terms by all rows, those that each fold would have taken without its own rows, and squares left in the folds."""
-    products = Products(white, white.parts(FOLDS))
     folds = range(len(products.square))
     paths = [products.path(MOST, f) for f in folds]
     longest = max(map(len, paths))
