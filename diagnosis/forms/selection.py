@@ -140,7 +140,7 @@ class Products:
 
     def errors(self, chosen: list[int]) -> FloatArray:
         """Squares left in each fold by a fit to the others, [folds]."""
-        return self.errors_of([chosen])[0]
+        return np.asarray(self.errors_of([chosen])[0])
 
     def errors_of(self, sets: list[list[int]]) -> FloatArray:
         """`errors` of several sets of as many terms each, [sets, folds]."""
@@ -159,7 +159,7 @@ class Beside:
     """
 
     def __init__(self, gram: FloatArray, folds: Labels, right: FloatArray, square: FloatArray) -> None:
-        """Products of the terms, `gram` [all folds, p, p], and in the `folds` those with m residuals, `right` [folds, p, m], and of these."""
+        """Products of the terms, `gram` [all folds, p, p]; in the `folds`, with m residuals, `right` [folds, p, m], and of these."""
         self._gram, self._folds, self._whole = gram, folds, gram[folds].sum(axis=0)
         here = np.diagonal(gram, axis1=1, axis2=2)[folds]
         self._own = here.sum(axis=0) - here
