@@ -23,6 +23,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -100,6 +101,16 @@ class ComponentReplay:
         """Columns that go into each component, column -> [n]: measured where they are, else as replayed."""
         self._alone: dict[str, dict[str, FloatArray]] = {}
         self._rigs: dict[str, Rig] = {}
+
+    @staticmethod
+    def of(laboratory: Laboratory, index: int) -> ComponentReplay:
+        """The replay of a condition with its measured runs; a laboratory makes it once."""
+        condition = laboratory.conditions[index]
+        known, replay = laboratory.replays.get(index, (None, None))
+        if known is not condition:
+            replay = ComponentReplay(laboratory, index, [condition.matrix(r, laboratory.channels) for r in condition.runs])
+            laboratory.replays[index] = condition, replay
+        return cast(ComponentReplay, replay)
 
     # Simulations
 

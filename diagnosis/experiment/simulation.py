@@ -63,10 +63,12 @@ class Laboratory:
     """The simulation to which faults of the log were last applied."""
     _rigs: dict[tuple[int, int], tuple[Condition, Rig]] = field(default_factory=dict, init=False, repr=False)
     """(thread, index of a condition) -> that condition, and its system opened with the channels that say anything there."""
+    replays: dict[int, tuple[Condition, Any]] = field(default_factory=dict, init=False, repr=False)
+    """Index of a condition -> that condition, and its replay with the measured runs (`ComponentReplay.of`)."""
 
     def __getstate__(self) -> dict[str, Any]:
         """All but what belongs to this process: worker processes open systems of their own."""
-        return {**self.__dict__, "_logged": None, "_rigs": {}}
+        return {**self.__dict__, "_logged": None, "_rigs": {}, "replays": {}}
 
     def factor(self, index: int) -> int:
         """Points of the grid of condition `index` in a block: as long as `decimation` communication steps of the system, or nearly."""
@@ -87,7 +89,8 @@ class Laboratory:
 
     def shown_in(self, conditions: Sequence[int]) -> Laboratory:
         """The laboratory with the channels that all of these conditions have: what one of them lacks is not measured in any."""
-        return replace(self, channels=[c for c in self.channels if all(self.conditions[i].has(c) for i in conditions)])
+        shown = [c for c in self.channels if all(self.conditions[i].has(c) for i in conditions)]
+        return self if shown == list(self.channels) else replace(self, channels=shown)
 
     def measured(self) -> list[list[FloatArray]]:
         """The repeats of every condition as its simulations are, [samples, channels]."""

@@ -16,7 +16,7 @@ from robomill.diagnosis.forms.layout import Curve, Form, PortForm, Range, TermFo
 from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.loop import Loop, specification
 from robomill.diagnosis.forms.periods import with_periods
-from robomill.diagnosis.forms.ports import Problem, Seen, Signals, alike, behind, direct, into, replayed
+from robomill.diagnosis.forms.ports import Problem, Seen, Signals, alike, behind, direct, into
 from robomill.diagnosis.forms.selection import Products, Values, choose, pruned, values, worse
 from robomill.diagnosis.forms.signals import Variable
 from robomill.diagnosis.inference.search import Search
@@ -201,7 +201,7 @@ def discovered(
         return None
     try:
         shown = laboratory.shown_in(own)
-        found = solved(shown, [replayed(shown, i) for i in own], components, arrays)
+        found = solved(shown, [ComponentReplay.of(shown, i) for i in own], components, arrays)
     except OrchestrationError as error:
         return Form("", "output", 0.0, (), note=f"no form was looked for: {error}")
     if not found:
@@ -281,7 +281,7 @@ def _ranges(laboratory: Laboratory, found: Sequence[Solved], n: int) -> tuple[Ra
     used = list(dict.fromkeys(f.variable for s in found for _, t in s.terms for f in t.factors))
     held = [i for i in range(n, len(laboratory.conditions)) if alike(laboratory, i)]
     shown = laboratory.shown_in(held)
-    there = Seen.of(shown, [replayed(shown, i) for i in held], seen.host.name, seen.side).known if held else []
+    there = Seen.of(shown, [ComponentReplay.of(shown, i) for i in held], seen.host.name, seen.side).known if held else []
 
     def span(known: Sequence[Signals], v: Variable) -> list[float] | None:
         values_ = [k[v] for k in known if v in k]

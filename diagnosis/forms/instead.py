@@ -23,7 +23,7 @@ from robomill.diagnosis.catalogue import LOGGING, Candidate
 from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate, setting
 from robomill.diagnosis.forms.library import Term
-from robomill.diagnosis.forms.ports import Problem, alike, direct, replayed
+from robomill.diagnosis.forms.ports import Problem, alike, direct
 from robomill.diagnosis.forms.selection import Labels, Products, Rows
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.intervals import MATERIAL, Noise
@@ -131,7 +131,7 @@ def ports(laboratory: Laboratory, own: Sequence[int], best: Fit) -> list[Port]:
     if not any(channel.partition(".")[0] in components for channel in laboratory.channels):
         return []
     with_it = [_with(laboratory, i, best) for i in own]
-    replays = [replayed(one, i) for one, i in zip(with_it, own, strict=True)]
+    replays = [ComponentReplay.of(one, i) for one, i in zip(with_it, own, strict=True)]
     found = []
     for component in components:
         members = [c for c in best.model if c.component == component]

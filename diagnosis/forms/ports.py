@@ -115,12 +115,6 @@ def alike(laboratory: Laboratory, i: int) -> bool:
     return own is None or ([c.name for c in own.components], own.connections) == ([c.name for c in system.components], system.connections)
 
 
-def replayed(laboratory: Laboratory, i: int) -> ComponentReplay:
-    """The replay of a condition with its measured runs."""
-    condition = laboratory.conditions[i]
-    return ComponentReplay(laboratory, i, [condition.matrix(r, laboratory.channels) for r in condition.runs])
-
-
 def direct(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: str) -> list[Problem]:
     """One problem for each measured output of a component that can be replayed."""
     adding = {a for r in replays for a in r.adding}

@@ -9,7 +9,9 @@ over folds). The noise's memory is one number: the correlation of what is left f
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -83,10 +85,10 @@ class Products:
     """Inner products of rows, of all and of each fold, [folds, p, p]."""
 
     def __init__(self, rows: Rows, parts: Labels) -> None:
-        names = np.unique(parts)
-        self.gram = np.stack([rows.X[parts == f].T @ rows.X[parts == f] for f in names])
-        self.right = np.stack([rows.X[parts == f].T @ rows.y[parts == f] for f in names])
-        self.square = np.array([float(rows.y[parts == f] @ rows.y[parts == f]) for f in names])
+        both = np.column_stack([rows.X, rows.y])[np.argsort(parts, kind="stable")]
+        ends = np.cumsum(np.unique(parts, return_counts=True)[1])
+        products = np.stack([x.T @ x for x in np.split(both, ends[:-1])])  # of a matrix with itself: half the work
+        self.gram, self.right, self.square = products[:, :-1, :-1], products[:, :-1, -1], products[:, -1, -1]
         self._all, self._right = self.gram.sum(axis=0), self.right.sum(axis=0)
 
     def fit(self, chosen: list[int], without: int | None = None) -> FloatArray:
@@ -106,16 +108,17 @@ class Products:
 
         It ends where no term helps. A term that is large for a moment only explains that moment, and predicts nothing of the others.
         """
-        taken = list[int]()
-        best = float(self.square.sum() if without is None else self.square.sum() - self.square[without])
-        while len(taken) < min(most, self.gram.shape[1]):
-            left = self.left_beside(taken, without)[:, 0]
-            j = int(left.argmin())
+        beside = self._beside(without)
+        best = float(beside.before.sum())
+        while len(beside.taken) < min(most, self.gram.shape[1]):
+            left = beside.left()[:, 0]
+            same = left <= left.min() + np.sqrt(np.finfo(float).eps) * float(self.square.sum())
+            j = int(same.argmax())  # the first of those that differ by roundoff: signs of two variables may be one column
             if left[j] >= best:
                 break
             best = float(left[j])
-            taken.append(j)
-        return taken
+            beside.take(j)
+        return beside.taken
 
     def left_beside(
         self, taken: list[int], without: int | None = None, right: FloatArray | None = None, square: FloatArray | None = None
@@ -124,42 +127,113 @@ class Products:
 
         Of these rows, m is 1. `right` [folds, p, m] and `square` [folds, m]: products with m other residuals in place of y.
         """
+        beside = self._beside(without, right, square)
+        for t in taken:
+            beside.take(t)
+        return beside.left()
+
+    def _beside(self, without: int | None, right: FloatArray | None = None, square: FloatArray | None = None) -> Beside:
         right = self.right[..., None] if right is None else right
         square = self.square[:, None] if square is None else square
-        whole, of_all = self._all, right.sum(axis=0)
-        if without is not None:
-            whole, of_all = whole - self.gram[without], of_all - right[without]
-        left = np.zeros(of_all.shape)
-        for f in range(len(self.square)):
-            if f == without:
-                continue
-            here, product = self.gram[f], of_all - right[f]
-            gram = whole - here
-            along = _solve(gram[np.ix_(taken, taken)], gram[taken])  # what the terms taken have of each other one
-            values_ = _solve(gram[np.ix_(taken, taken)], product[taken])
-            rest = np.diag(gram) - (gram[taken] * along).sum(axis=0)
-            new = rest > np.sqrt(np.finfo(float).eps) * np.diag(gram)  # the rest of it is no roundoff
-            value = np.where(new[:, None], product - along.T @ product[taken], 0.0) / np.where(new, rest, 1.0)[:, None]
-            own, both = right[f][taken], here[np.ix_(taken, taken)]
-            cross = right[f] - here[:, taken] @ values_ - along.T @ (own - both @ values_)
-            size = np.diag(here) - 2.0 * (along * here[taken]).sum(axis=0) + (along * (both @ along)).sum(axis=0)
-            before = square[f] - 2.0 * (values_ * own).sum(axis=0) + (values_ * (both @ values_)).sum(axis=0)
-            left += np.where(new[:, None], before - 2.0 * value * cross + value**2 * size[:, None], np.inf)
-        left[taken] = np.inf
-        return left
+        folds = np.array([f for f in range(len(self.square)) if f != without], dtype=np.intp)
+        return Beside(self.gram, folds, right[folds], square[folds])
 
     def errors(self, chosen: list[int]) -> FloatArray:
         """Squares left in each fold by a fit to the others, [folds]."""
-        folds = range(len(self.square))
-        return np.array([self.error(f, chosen, self.fit(chosen, f)) for f in folds])
+        return np.asarray(self.errors_of([chosen])[0])
+
+    def errors_of(self, sets: list[list[int]]) -> FloatArray:
+        """`errors` of several sets of as many terms each, [sets, folds]."""
+        at = np.array(sets, dtype=np.intp).reshape(len(sets), -1)
+        here, right = self.gram[:, at[:, :, None], at[:, None, :]], self.right[:, at]  # [folds, sets, k, k], [folds, sets, k]
+        values_ = _solve(here.sum(axis=0) - here, right.sum(axis=0) - right)
+        size = np.einsum("fsk,fskl,fsl->fs", values_, here, values_)
+        return np.asarray((self.square[:, None] - 2.0 * (values_ * right).sum(axis=2) + size).T)
+
+
+class Beside:
+    """Terms that are taken one after the other, and what each further one would leave in each fold, fitted to the others beside them.
+
+    Each term that is taken gives a direction d: what it has of no direction before it, in the folds it is fitted to (Gram and Schmidt).
+    Of every other term, e is what it has of no direction. One more direction changes the products of e; nothing is solved again.
+    """
+
+    def __init__(self, gram: FloatArray, folds: Labels, right: FloatArray, square: FloatArray) -> None:
+        """Products of the terms, `gram` [all folds, p, p]; in the `folds`, with m residuals, `right` [folds, p, m], and of these."""
+        self._gram, self._folds, self._whole = gram, folds, gram[folds].sum(axis=0)
+        here = np.diagonal(gram, axis1=1, axis2=2)[folds]
+        self._own = here.sum(axis=0) - here
+        self._rest, self._size = self._own.copy(), here.copy()  # e e where it is fitted, and in the fold left out
+        self._there, self._right = right, right.sum(axis=0) - right
+        none = np.zeros((len(folds), 0, len(self._whole)))
+        self._along, self._lines = none, none  # parts of d in the terms x, and d x where they are fitted
+        self._across, self._met = none, none  # d x and, when d was taken, d e in the fold left out
+        self._directions = none[:, :, :0]  # d d in the fold left out
+        self._sums = self._values = self._kept = np.zeros((len(folds), 0, right.shape[2]))  # d y, value of d, and d (y - fit) left out
+        self.before = square.copy()
+        """Squares that the terms taken leave in each fold, [folds, m]."""
+        self.taken: list[int] = []
+        """Terms, in the order in which they were taken."""
+
+    @property
+    def _new(self) -> npt.NDArray[np.bool_]:
+        """Where the rest of a term is no roundoff, [folds, p]."""
+        return np.asarray(self._rest > np.sqrt(np.finfo(float).eps) * self._own)
+
+    def _products(self, at: slice) -> tuple[FloatArray, FloatArray]:
+        """Products of e with y, where it is fitted, and with what is left of y in the fold left out, [folds, terms, m]."""
+        along, met = (np.swapaxes(x[:, :, at], 1, 2) for x in (self._along, self._met))
+        return self._right[:, at] - along @ self._sums, self._there[:, at] - met @ self._values - along @ self._kept
+
+    def left(self) -> FloatArray:
+        """Squares left in all folds with each further term, [p, m]; inf where it adds nothing new."""
+        new, (product, cross) = self._new[..., None], self._products(slice(None))
+        value = np.where(new, product, 0.0) / np.where(new, self._rest[..., None], 1.0)
+        more = (value * (value * self._size[..., None] - 2.0 * cross)).sum(axis=0)
+        left = np.where(new.all(axis=0), self.before.sum(axis=0) + more, np.inf)
+        left[self.taken] = np.inf
+        return np.asarray(left)
+
+    def take(self, t: int) -> None:
+        """One more term; it has no value in folds where it adds nothing new."""
+        parts, here = self._along[:, :, t, None], self._gram[self._folds, t]
+        line = self._whole[t] - here - (parts * self._lines).sum(axis=1)
+        across = here - (parts * self._across).sum(axis=1)
+        others = self._across[:, :, t] - (self._directions @ parts)[..., 0]  # d with the directions before it
+        met = across - (others[..., None] * self._along).sum(axis=1)
+        pivot = np.where(self._new[:, t], self._rest[:, t], np.inf)[:, None]
+        product, cross = (x[:, 0] for x in self._products(slice(t, t + 1)))
+        along, value, size = line / pivot, product / pivot, self._size[:, t, None].copy()
+        self.before += value * (value * size - 2.0 * cross)
+        self._size -= along * (2.0 * met - along * size)
+        self._rest -= along * line
+        self._directions = _bordered(self._directions, others, size)
+        self._along, self._lines = _with(self._along, along), _with(self._lines, line)
+        self._across, self._met = _with(self._across, across), _with(self._met, met)
+        self._sums, self._values, self._kept = (
+            _with(self._sums, product),
+            _with(self._values, value),
+            _with(self._kept, cross - value * size),
+        )
+        self.taken.append(t)
+
+
+def _with(lines: FloatArray, line: FloatArray) -> FloatArray:
+    """One more of the lines [folds, k, n]."""
+    return np.concatenate([lines, line[:, None]], axis=1)
+
+
+def _bordered(square: FloatArray, others: FloatArray, own: FloatArray) -> FloatArray:
+    """Symmetric matrices [folds, k, k] with one more line and column."""
+    return np.concatenate([_with(square, others), np.concatenate([others, own], axis=1)[..., None]], axis=2)
 
 
 def _solve(gram: FloatArray, right: FloatArray) -> FloatArray:
-    if not len(right):
-        return np.zeros(right.shape)
-    scale = np.sqrt(np.maximum(np.diag(gram), 0.0))
-    scale[scale == 0.0] = 1.0  # a term that is there in the left-out fold only has no value
-    return np.asarray((np.linalg.lstsq(gram / np.outer(scale, scale), (right.T / scale).T, rcond=1e-10)[0].T / scale).T)
+    """Least squares of the smallest norm, [..., k], by products [..., k, k] and [..., k]."""
+    scale = np.sqrt(np.maximum(np.diagonal(gram, axis1=-2, axis2=-1), 0.0))
+    scale = np.where(scale == 0.0, 1.0, scale)  # a term that is there in the left-out fold only has no value
+    inverse = np.linalg.pinv(gram / (scale[..., :, None] * scale[..., None, :]), rcond=1e-10, hermitian=True)
+    return np.asarray((inverse @ (right / scale)[..., None])[..., 0] / scale)
 
 
 def worse(errors: FloatArray, than: FloatArray) -> bool:
@@ -188,22 +262,31 @@ def choose(rows: Rows) -> Chosen:
     """The terms, in a band and with a memory of the noise that fit what they leave."""
     rho, pairs = 0.0, 0
     while True:
+        whitened = _by_memory(rows)
         for _ in range(2):  # the noise is known when the terms are, and the other way round
-            terms, sets, errors = _chosen(rows.whitened(rho))
+            used = rho
+            terms, sets, errors = _chosen(whitened(used))
             left = rows.y - rows.X[:, terms] @ fitted(rows, terms)
             rho = rows.memory(left)
+            if rho == used:
+                break
         white = rows.whitened(rho)
         again = white.memory(white.y - white.X[:, terms] @ fitted(white, terms))
         if again < BAND or len(rows.y) < 4 * FOLDS * MOST or 4.0 * rows.step > MEMORY:
-            plain = Products(rows, rows.parts(FOLDS))
+            plain = whitened(0.0)
             lost = sum(plain.error(f, some, plain.fit(some, f)) for f, some in enumerate(sets))
             return Chosen(terms, 1.0 - lost / max(float(plain.square.sum()), 1e-300), rho, rows, pairs, errors)
         rows, pairs = rows.paired(), pairs + 1
 
 
-def _chosen(white: Rows) -> tuple[list[int], list[list[int]], FloatArray]:
+def _by_memory(rows: Rows) -> Callable[[float], Products]:
+    """Products of the rows whitened by a memory of the noise; each is made once."""
+    parts = rows.parts(FOLDS)
+    return cache(lambda rho: Products(rows.whitened(rho), parts))
+
+
+def _chosen(products: Products) -> tuple[list[int], list[list[int]], FloatArray]:
     """Terms by all rows, those that each fold would have taken without its own rows, and squares left in the folds."""
-    products = Products(white, white.parts(FOLDS))
     folds = range(len(products.square))
     paths = [products.path(MOST, f) for f in folds]
     longest = max(map(len, paths))
@@ -218,11 +301,11 @@ def pruned(products: Products, terms: list[int]) -> list[int]:
     """Terms without those that the others do not need: without one, folds are not predicted worse, or it closes too little (MATERIAL)."""
     while terms:
         errors, total = products.errors(terms), float(products.square.sum())
-        left = {t: products.errors([x for x in terms if x != t]) for t in terms}
-        least = min(terms, key=lambda t: float(left[t].sum()))
-        if worse(left[least], errors) and float((left[least] - errors).sum()) >= MATERIAL * total:
+        left = products.errors_of([[x for x in terms if x != t] for t in terms])
+        k = int(left.sum(axis=1).argmin())
+        if worse(left[k], errors) and float((left[k] - errors).sum()) >= MATERIAL * total:
             break
-        terms = [t for t in terms if t != least]
+        terms = [*terms[:k], *terms[k + 1 :]]
     return terms
 
 
@@ -249,11 +332,10 @@ def values(rows: Rows, terms: list[int]) -> Values:
     every = list(range(len(terms)))
     best = products.fit(every)
     rng = np.random.default_rng(0)
-    drawn = []
-    for _ in range(RESAMPLES):
-        some = rng.integers(0, len(products.square), len(products.square))
-        drawn.append(_solve(products.gram[some].sum(axis=0), products.right[some].sum(axis=0)))
-    low, high = np.quantile(np.array(drawn), [0.05, 0.95], axis=0)
+    some = rng.integers(0, len(products.square), (RESAMPLES, len(products.square)))
+    times = (some[..., None] == np.arange(len(products.square))).sum(axis=1).astype(np.float64)  # each block is drawn
+    drawn = _solve(np.tensordot(times, products.gram, axes=1), times @ products.right)
+    low, high = np.quantile(drawn, [0.05, 0.95], axis=0)
     gram, right, total = products.gram.sum(axis=0), products.right.sum(axis=0), float(products.square.sum())
     closed = [0.0]
     for k in range(1, len(terms) + 1):

@@ -99,8 +99,7 @@ class Replay:
     """
 
     def __init__(self, laboratory: Laboratory, conditions: Sequence[int], catalogue: Catalogue, nuisances: Sequence[Nuisance]) -> None:
-        channels, of = laboratory.channels, laboratory.conditions
-        self.replayed = [ComponentReplay(laboratory, i, [of[i].matrix(r, channels) for r in of[i].runs]) for i in conditions]
+        self.replayed = [ComponentReplay.of(laboratory, i) for i in conditions]
         self.candidates = catalogue.candidates
         self.scales = {n.address: n.scale for n in nuisances if n.address[0] != LOGGING}
         self.nuisances = set(self.scales)

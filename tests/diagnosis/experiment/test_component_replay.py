@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -141,8 +142,7 @@ def catalogue(folder: Path, text: str = CATALOGUE) -> Catalogue:
 def adding(folder: Path, system: System) -> dict[str, float]:
     """Orders of growth of what is not replayed."""
     start = prepared(Campaign.of(system, measure(system)), catalogue(folder), resolve, same_unit_only)
-    (condition,) = start.laboratory.conditions
-    return ComponentReplay(start.laboratory, 0, [condition.matrix(r, start.laboratory.channels) for r in condition.runs]).adding
+    return ComponentReplay.of(start.laboratory, 0).adding
 
 
 @pytest.mark.parametrize("order", [0.5, 1.0, 2.0])
@@ -192,3 +192,12 @@ def test_the_answer_says_what_was_not_replayed_and_blames_nobody_for_it(tmp_path
     assert result["not_replayed"].startswith("not replayed alone: carriage.x: driven with measured inputs, small errors add up there")
     assert [r["output"] for r in result["replay"]] == ["scale.shown"]
     assert not any(w["component"] in ("controller", "scale") for w in result["where"])
+
+
+def test_a_condition_is_replayed_once_for_all_who_ask(tmp_path: Path) -> None:
+    """Where the gap is and what form it has are asked of the same replays, as long as the measured runs are the same."""
+    laboratory = prepared(Campaign.of(SYSTEM, measure(SYSTEM)), catalogue(tmp_path), resolve, same_unit_only).laboratory
+    first = ComponentReplay.of(laboratory, 0)
+    assert ComponentReplay.of(laboratory.shown_in([0]), 0) is first
+    laboratory.conditions = [replace(c) for c in laboratory.conditions]
+    assert ComponentReplay.of(laboratory, 0) is not first

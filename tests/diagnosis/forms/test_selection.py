@@ -121,3 +121,46 @@ def test_a_term_that_closes_little_is_not_taken(monkeypatch: pytest.MonkeyPatch)
     assert "x^2" not in {NAMES[i] for i in choose(rows(y, X)).terms}
     monkeypatch.setattr(selection, "MATERIAL", 0.5 * MATERIAL)
     assert "x^2" in {NAMES[i] for i in choose(rows(y, X)).terms}
+
+
+def test_what_is_left_beside_terms_is_what_a_fit_to_the_other_folds_leaves() -> None:
+    """Kept directions say the same as a fit of its own for each term, for any residual, and where a fold is left out."""
+    rng = np.random.default_rng(8)
+    X = terms(rng)
+    whole = rows(X @ rng.normal(size=X.shape[1]) + rng.normal(size=N), X)
+    products = Products(whole, whole.parts(6))
+    taken, further = [2, 0, 7], [1, 3, 5, 8]
+    for without in (None, 4):
+        here = whole.parts(6) != (-1 if without is None else without)
+        part = Products(rows(whole.y[here], X[here]), whole.parts(6)[here])
+        expected = [part.errors([*taken, j]).sum() for j in further]
+        left = products.left_beside(taken, without)
+        assert left[further, 0] == pytest.approx(expected, rel=np.sqrt(ROUNDOFF))
+        both = np.stack([products.right, 2.0 * products.right], axis=-1), np.stack([products.square, 4.0 * products.square], axis=-1)
+        assert products.left_beside(taken, without, *both)[further] == pytest.approx(np.outer(expected, [1.0, 4.0]), rel=np.sqrt(ROUNDOFF))
+        assert np.isinf(left[taken]).all()
+
+
+def test_of_terms_that_differ_by_roundoff_the_first_is_taken() -> None:
+    """The signs of two variables may be one column: then which of them is taken is not for roundoff to say."""
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        X = terms(rng)
+        X = np.column_stack([X, -X[:, 2] / 3.0, 7.0 * X[:, 2]])
+        whole = rows(X[:, 2] + X[:, 1] + 0.1 * rng.normal(size=N), X)
+        assert set(Products(whole, whole.parts(6)).path(2)) == {1, 2}
+
+
+def test_products_are_made_once_for_each_memory_of_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    class Counted(Products):
+        def __init__(self, whole: Rows, parts: selection.Labels) -> None:
+            made.append(whole.X.shape)
+            super().__init__(whole, parts)
+
+    monkeypatch.setattr(selection, "Products", Counted)
+    rng = np.random.default_rng(3)
+    X = terms(rng)
+    assert choose(rows(X[:, 2] + 0.3 * noise(rng, 0.0), X)).pairs == 0
+    assert len(made) == 2  # without a memory, as it is for the closure too, and with that of what is left
