@@ -61,7 +61,7 @@ class Store:
 
 def _plain(value: Any, folder: Path) -> Any:
     if isinstance(value, System):
-        parts = [[c.name, _source(c.source), c.parameters, c.inputs, c.isolate, c.rate, c.every] for c in value.components]
+        parts = [[c.name, _source(c.source), c.parameters, c.inputs, c.isolate, c.rate, c.every, c.correction] for c in value.components]
         wires = [str(c) + " delayed" * c.delayed for c in value.connections]
         how = [value.step, value.algorithm, value.stop_when, value.check_ranges, str(value.iteration)]
         return _plain([parts, wires, how], value.folder)

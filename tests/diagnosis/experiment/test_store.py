@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import pytest
 
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.store import Store
+from robomill.orchestration.system.definition import Component
 from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
 
 STIFF = {"masses": {"stiffness_error[2]": -0.08}}
@@ -99,3 +100,29 @@ def test_a_text_of_any_length_can_be_in_a_key(tmp_path: Path) -> None:
     texts = ["table", "chair", *("x" * n for n in (300, 3000, 5000))]
     keys = {Store(tmp_path).key(system.with_parameters("force", {"table": text})) for text in texts}
     assert len(keys) == len(texts)
+
+
+OTHER: dict[str, Any] = {
+    "source": "other",
+    "parameters": {"damping": 2.2},
+    "isolate": True,
+    "rate": 2,
+    "every": 2,
+    "inputs": {"f": 1.0},
+    "correction": "form.json",
+}
+"""A component that does something else."""
+SAME = {"name", "line", "time_limit"}
+"""What a component is called, where that stands, and how long one waits for it: nothing that a simulation depends on."""
+
+
+def test_all_that_a_simulation_depends_on_is_in_a_key(tmp_path: Path) -> None:
+    """Of a form that is put into the loop, too, what is in its file."""
+    assert {f.name for f in fields(Component)} == OTHER.keys() | SAME
+    store, one = Store(tmp_path, "program 1"), SYSTEM.components[0]
+    keys = [store.key(replace(SYSTEM, components=(replace(one, **{name: value}),))) for name, value in OTHER.items()]
+    form = tmp_path / "form.json"
+    for text in ("one", "two"):
+        form.write_text(text)
+        keys.append(store.key(SYSTEM.with_correction(one.name, str(form))))
+    assert len({*keys, store.key(SYSTEM)}) == len(keys) + 1
