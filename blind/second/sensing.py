@@ -111,6 +111,8 @@ def felt(c: Sensor, s: SensorState, q: FloatArray, f_B: FloatArray, m_B: FloatAr
     p_S = p_T + R @ (SENSOR - c.p_FT)
     down = np.array([0.0, 0.0, -GRAVITY])
     centre = p_S + R @ c.cog
+    if s.first[0] != 0.0:  # it has stood there before
+        s.place[1], s.place[2], s.first[1:] = centre, centre, 0.0
     s.place[0], s.place[1], s.place[2] = s.place[1].copy(), s.place[2].copy(), centre
     if s.first[0] == 0.0:
         now = (s.place[2] - 2.0 * s.place[1] + s.place[0]) / CYCLE**2

@@ -70,6 +70,17 @@ def test_arms_of_any_inertia_show_the_same_tip():
     assert away[3] > 15e-6  # one and a half teeth: logged every 4 ms, they show one phase of them
 
 
+def test_the_load_of_the_sensor_has_stood_before_the_run_begins():
+    """It has no acceleration as if it came from the origin of the base, 1.5 m in a cycle: that would be 1e5 m/s2."""
+    heavy, light = (
+        column(generate.run(generate.Machine((1,), some, tolerances=False), AIR)[1], "sensor.f_S_raw")
+        for some in ((true("sensor.inertia", 0.4),), ())
+    )
+    away = np.abs(heavy - light).max(axis=1)
+    assert away[0] < 1e-2
+    assert 1.0 < away.max() < 200.0  # 0.4 of 20 kg or so at 20 m/s2: axes jump across their gaps, 0.1 mm at the tool in a cycle
+
+
 class TestNominal:
     @pytest.mark.slow
     @pytest.mark.parametrize("c", [SHORT, AIR, PUSH, POSES], ids=lambda c: c.name)
