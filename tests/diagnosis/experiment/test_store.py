@@ -117,7 +117,7 @@ SAME = {"name", "line", "time_limit"}
 
 
 def test_all_that_a_simulation_depends_on_is_in_a_key(tmp_path: Path) -> None:
-    """Of a form that is put into the loop, too, what is in its file."""
+    """A form that is put into the loop counts by what is in its file."""
     assert {f.name for f in fields(Component)} == OTHER.keys() | SAME
     store, one = Store(tmp_path, "program 1"), SYSTEM.components[0]
     keys = [store.key(replace(SYSTEM, components=(replace(one, **{name: value}),))) for name, value in OTHER.items()]
