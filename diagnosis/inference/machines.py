@@ -7,7 +7,7 @@ from scipy.special import logsumexp
 
 from robomill.diagnosis.inference.adequacy import LEVEL, SPREAD
 from robomill.diagnosis.inference.priors import log_priors
-from robomill.diagnosis.inference.search import Search, addresses
+from robomill.diagnosis.inference.search import Search, addresses_of
 from robomill.orchestration.slaves.protocol import FloatArray
 
 MACHINES = 2000
@@ -20,7 +20,7 @@ def p_none(search: Search, log_odds: float, seed: int = 0) -> float:
     Of a machine with whitened residual y, only the products with the sensitivities V count: <V, y>. Where noise and tolerances are what the
     space takes them for these are N(0, <V, V>), whatever the number of samples. The rank is (1 + those above) / (1 + MACHINES).
     """
-    columns = {a: i for i, a in enumerate(addresses(search.candidates))}
+    columns = {a: i for i, a in enumerate(addresses_of(search.candidates))}
     gram = search.evidence.space.within(search.together[1], range(len(columns)))
     values, vectors = np.linalg.eigh(gram)
     random = np.random.default_rng(seed)

@@ -66,7 +66,7 @@ class Search:
 
         To be asked for when the search is over: its candidates and their sensitivities are what they are then.
         """
-        columns = np.stack([per_scale(self.evidence, self.starts, a) for a in addresses(self.candidates)], axis=1)
+        columns = np.stack([per_scale(self.evidence, self.starts, a) for a in addresses_of(self.candidates)], axis=1)
         return columns, self.evidence.space.gram(columns)
 
     def nominal(self) -> Fit:
@@ -94,7 +94,7 @@ class Search:
         variants of a candidate the best one; all of them where they are not proportional to their size: sensitivities say too little.
         """
         space = self.evidence.space
-        place = {a: i for i, a in enumerate(addresses(self.candidates))}
+        place = {a: i for i, a in enumerate(addresses_of(self.candidates))}
         stacked = np.stack([self.evidence.sensitivities[a] for a in place], axis=1)
         known, count = space.gram(stacked), len(place)
         found: dict[frozenset[Candidate], Fit] = {}
@@ -408,7 +408,7 @@ def likely_count(catalogue: Catalogue, nuisances: Sequence[Nuisance], conditions
     return conditions * (NOMINAL + len(addresses) + 2 * SINGLES + POLISH * POLISHED)
 
 
-def addresses(candidates: Sequence[Candidate]) -> list[Address]:
+def addresses_of(candidates: Sequence[Candidate]) -> list[Address]:
     """The parameters of all these candidates, each once."""
     return list(dict.fromkeys(a for c in candidates for a in c.addresses))
 
