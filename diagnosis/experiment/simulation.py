@@ -29,6 +29,9 @@ deviation comes of them (cost)."""
 Setting = tuple[tuple[Address, float], ...]
 """What is changed against the nominal system: address and value [unit of the parameter], sorted."""
 
+FINER: Address = ("", "finer step")
+"""The change of a system to a smaller communication step (`refined`), by 1; without a refinement in the catalogue it does nothing."""
+
 Report = Callable[[str, int, int], object]
 """(what is done, how many are done, how many there are)."""
 
@@ -61,8 +64,8 @@ class Laboratory:
     """The channels, as the system has them."""
     _logged: tuple[tuple[int, Setting], FloatArray | None] | None = field(default=None, init=False, repr=False)
     """The simulation to which faults of the log were last applied."""
-    _rigs: dict[tuple[int, int], tuple[Condition, Rig]] = field(default_factory=dict, init=False, repr=False)
-    """(thread, index of a condition) -> that condition, and its system opened with the channels that say anything there."""
+    _rigs: dict[tuple[int, int, bool], tuple[Condition, Rig]] = field(default_factory=dict, init=False, repr=False)
+    """(thread, index of a condition, whether at a smaller step) -> that condition, and its system opened with the channels that say anything there."""
     replays: dict[int, tuple[Condition, Any]] = field(default_factory=dict, init=False, repr=False)
     """Index of a condition -> that condition, and its replay with the measured runs (`ComponentReplay.of`)."""
 
@@ -107,6 +110,8 @@ class Laboratory:
 
     def _is_there(self, index: int, address: Address) -> bool:
         condition, (component, parameter) = self.conditions[index], address
+        if address == FINER:
+            return self.refinement is not None
         if component == LOGGING:
             pattern = parameter.partition(" ")[2]
             return condition.channels is None or any(selects(pattern, c) for c in condition.channels)
@@ -116,10 +121,10 @@ class Laboratory:
 
     def signature(self, index: int) -> tuple[Any, ...]:
         """All that a simulation of condition `index` depends on, except for the changes."""
-        sampled = self.refinement.sampled if self.refinement is not None else ()
+        step = (self.refinement.divide, self.refinement.sampled) if self.refinement is not None else ()
         c = self.conditions[index]
         channels = [name for name in self.channels if c.has(name)]
-        return (self.configured(index), c.grid, self.channels, channels, self.nominal_of(index), self.factor(index), sampled)
+        return (self.configured(index), c.grid, self.channels, channels, self.nominal_of(index), self.factor(index), step)
 
     def configured(self, index: int) -> System:
         """The nominal system of condition `index`, without noise."""
@@ -163,7 +168,7 @@ class Laboratory:
         """All samples of the channels, [n, channels]."""
         condition = self.conditions[index]
         try:
-            result = self._rig(index).run(self.values(index, changes), float(condition.grid[-1]))
+            result = self._rig(index, (FINER, 1.0) in changes).run(self.values(index, changes), float(condition.grid[-1]))
         except OrchestrationError:
             if not changes:
                 raise
@@ -176,17 +181,20 @@ class Laboratory:
         """What the parameters of condition `index` are with these changes: component -> parameter -> value [unit of the parameter]."""
         nominal = self.nominal_of(index)
         found: dict[str, dict[str, float]] = {}
-        for (component, parameter), value in physical(dict(self.effective(index, changes))).items():
+        for (component, parameter), value in physical({a: v for a, v in self.effective(index, changes) if a != FINER}).items():
             found.setdefault(component, {})[parameter] = value + nominal.get((component, parameter), 0.0)
         return found
 
-    def _rig(self, index: int) -> Rig:
-        """The system of condition `index`, opened; a thread has its own."""
-        condition, key = self.conditions[index], (threading.get_ident(), index)
+    def _rig(self, index: int, finer: bool) -> Rig:
+        """The system of condition `index`, opened; a thread has its own. `finer`: at a smaller communication step."""
+        condition, key = self.conditions[index], (threading.get_ident(), index, finer)
         known, rig = self._rigs.get(key, (None, None))
         if rig is None or known is not condition:  # the conditions of a laboratory may be replaced
             shown = [name for name in self.channels if condition.has(name)]
-            rig = Rig(self.configured(index), self.resolver, self.convert, shown)
+            system = self.configured(index)
+            if finer and self.refinement is not None:
+                system = refined(system, self.refinement.divide, self.refinement.sampled)
+            rig = Rig(system, self.resolver, self.convert, shown)
             self._rigs[key] = condition, rig
         return rig
 

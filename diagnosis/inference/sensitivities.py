@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
-from robomill.diagnosis.experiment.simulation import Simulator, setting
+from robomill.diagnosis.experiment.simulation import FINER, Simulator, setting
 from robomill.diagnosis.inference.estimation import Space
 from robomill.diagnosis.inference.evidence import Evidence, gather
 from robomill.diagnosis.inference.isolability import CONFUSABLE
@@ -300,18 +300,21 @@ def interplay(
     nominals: Sequence[Sequence[FloatArray]],
     doing: str = "effects",
 ) -> list[list[FloatArray]]:
-    """What calibrated numbers do together beyond the sum of what they do alone: all a deviation up, and all a deviation down.
+    """What no calibrated number does alone: what all do together beyond the sum, a deviation up and a deviation down, and a smaller step.
 
     Each per condition, [samples, channels]; without what cannot run. An axis that the nominal program leaves at rest moves a little up or
-    down on a real machine, and stands on this or that side of its known gap, however little it is that moves it.
+    down on a real machine, and stands on this or that side of its known gap, however little it is that moves it. A real machine has no
+    communication step: what the `refinement` of the catalogue changes is error of the simulation.
     """
     seen = {a: s for a, s in tolerances.items() if a in changes}
-    ways = [simulator.seeded(setting({a: sign * s for a, s in seen.items()})) for sign in (1.0, -1.0)] if seen else []
-    results = iter(simulator.many([(i, way) for way in ways for i in conditions], doing))
+    ways = [{a: sign * s for a, s in seen.items()} for sign in (1.0, -1.0)] if seen else []
+    if simulator.laboratory.refinement is not None:
+        ways.append({FINER: 1.0})
+    results = iter(simulator.many([(i, simulator.seeded(setting(way))) for way in ways for i in conditions], doing))
     found = []
-    for sign in (1.0, -1.0)[: len(ways)]:
+    for way in ways:
         there = [next(results) for _ in conditions]
-        alone = [sum((sign * s / sizes[a] * changes[a][k] for a, s in seen.items()), np.zeros(())) for k in range(len(conditions))]
+        alone = [sum((s / sizes[a] * changes[a][k] for a, s in way.items() if a in seen), np.zeros(())) for k in range(len(conditions))]
         ran = [r - group[0] - each for r, group, each in zip(there, nominals, alone, strict=True) if r is not None]
         if len(ran) == len(conditions):
             found.append(ran)

@@ -132,6 +132,7 @@ def _push(s: Record) -> int:
         radius,
         ux,
         uy,
+        0.0,
         low,
         BINS,
         s.bin_sine,

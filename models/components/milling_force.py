@@ -136,6 +136,15 @@ VARIABLES = (
         minimum=1,
         maximum=10000,
     ),
+    _parameter(
+        "spring_back_loss",
+        "how much of its chips an edge loses that moves back from what the tool has just cut: "
+        "0 none within two cells of the workpiece, 1 all of them",
+        "1",
+        0.0,
+        -1.0,
+        1.0,
+    ),
     _parameter("size_reference", "chip thickness at which the size effect changes nothing", "m", _CUT.size_reference, 1e-7),
     Variable(
         "actual_feed",
@@ -364,6 +373,7 @@ def _force(s: Record, turn: float, h: float) -> int:
             radius,
             ux,
             uy,
+            s.spring_back_loss,
             low,
             BINS,
             s.bin_sine,

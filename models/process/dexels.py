@@ -450,6 +450,7 @@ def engagement(
     radius: float,
     ux: float,
     uy: float,
+    loss: float,
     low: float,
     bins: int,
     sines: FloatArray,
@@ -462,11 +463,12 @@ def engagement(
 
     (ux, uy) is the feed direction; `sines`, `cosines` belong to the middle of the bins, clockwise from the left of the feed.
     Material is read where the edge is, from the field and the trail of `follow`: walls are right to a fraction of a cell,
-    what the tool itself has cut lately to CLEAR cells: a tool that swings sideways by less has the whole arc, as the chip comes from
-    the commanded feed and would not damp it. Edges outside the block meet nothing.
+    what the tool itself has cut lately to (1 - `loss`) CLEAR cells. Without loss a tool that swings sideways by less has the whole arc,
+    as the chip comes from the commanded feed and would not damp it. With a loss of 1 an edge that has moved back meets nothing.
+    Edges outside the block meet nothing.
     """
     spacing = dx if dx > dy else dy
-    within = max(radius - CLEAR * spacing, 0.0)
+    within = max(radius - (1.0 - loss) * CLEAR * spacing, 0.0)
     # a whole cell from the side faces the footprint is 1
     inside = abs(x) + radius + spacing <= 0.5 * nx * dx and abs(y) + radius + spacing <= 0.5 * ny * dy
     for b in range(bins):

@@ -75,7 +75,7 @@ class Block:
         """Cut a polyline as the component does, step after step."""
         return sum(self.cut(a, b, i > 0) for i, (a, b) in enumerate(itertools.pairwise(points)))
 
-    def engagement(self, position: Any, direction: Any) -> np.ndarray:
+    def engagement(self, position: Any, direction: Any, loss: float = 0.0) -> np.ndarray:
         """Height of material before the edges in every bin, m."""
         depth = np.zeros(BINS)
         largest = _engagement(
@@ -86,6 +86,7 @@ class Block:
             *map(float, position),
             RADIUS,
             *map(float, direction),
+            loss,
             0.0,
             BINS,
             SINES,
@@ -298,6 +299,17 @@ def test_a_tool_that_swings_sideways_by_less_than_the_clear_cells_has_the_whole_
     for side in (-1.0, 1.0):
         depth = block.engagement(tips[-1] + [1e-4, side * swing * workpiece.CLEAR * 1e-4, 0.0], (1.0, 0.0))
         assert bool(np.all(depth > 0.009)) is whole  # the outermost edge may read a cell that is partly cut
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.5, 1.0])
+def test_an_edge_that_has_moved_back_loses_its_chips_by_the_loss(loss: float) -> None:
+    """The tool moves to its left: the outermost edge at its right is free once it has left what it has cut by its share of the clear cells."""
+    block = Block()
+    x = np.arange(-0.02, 1e-5, 1e-4)
+    block.along(np.column_stack([x, 0.0 * x, np.full(len(x), -0.01)]))
+    kept = (1.0 - loss) * workpiece.CLEAR * 2e-4
+    for shift, free in ((kept, False), (kept + 3e-4, True)):  # 0.2 mm: the nearest cut is 1.5 mm behind
+        assert bool(block.engagement((5e-4, shift, -0.01), (1.0, 0.0), loss)[-1] == 0.0) is free
 
 
 def test_what_was_noted_is_cut_when_the_tool_leaves() -> None:
