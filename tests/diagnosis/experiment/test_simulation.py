@@ -14,7 +14,8 @@ import pytest
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
 from robomill.diagnosis.experiment.measured import Condition
-from robomill.diagnosis.experiment.simulation import Laboratory, Setting, setting
+from robomill.diagnosis.catalogue import Refinement
+from robomill.diagnosis.experiment.simulation import FINER, Laboratory, Setting, refined, setting
 from robomill.files import FILES
 from robomill.orchestration.assembly import run
 
@@ -76,6 +77,25 @@ def test_a_condition_that_is_replaced_gets_a_system_of_its_own(laboratory: Labor
     assert after is not None
     assert before.tobytes() != after.tobytes()
     assert after.tobytes() == anew(laboratory, 0, ()).tobytes()
+
+
+def test_a_finer_step_is_that_of_the_catalogue_beside_any_other_change(laboratory: Laboratory) -> None:
+    fine, c = Refinement(2, ("drive", "sensor", "controller")), laboratory.conditions[1]
+    other = SETTINGS[1]
+    assert laboratory.effective(1, setting({FINER: 1.0})) == (), "no refinement, no finer step"
+    laboratory.refinement = fine
+    for changes in (), other, ():
+        system = refined(laboratory.configured(1), fine.divide, fine.sampled)
+        for (component, parameter), value in changes:
+            nominal = (c.nominal or {}).get((component, parameter), 0.0)
+            system = system.with_parameters(component, {parameter: value + nominal})
+        result = run(system, None, stop=float(c.grid[-1]), resolver=resolve, convert=convert)
+        assert result.t[1] == pytest.approx(0.5 * CELL.step)
+        expected = np.stack([np.interp(c.grid, result.t, result.columns[name]) for name in CHANNELS], axis=1)
+        found, usual = (laboratory.simulate(1, setting({**dict(changes), FINER: on})) for on in (1.0, 0.0))
+        assert found is not None
+        assert usual is not None
+        assert found.tobytes() == expected.tobytes() != usual.tobytes()
 
 
 def test_another_process_opens_systems_of_its_own(laboratory: Laboratory) -> None:

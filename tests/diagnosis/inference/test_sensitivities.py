@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
-from robomill.diagnosis.experiment.simulation import Simulator, setting
+from robomill.diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance, Refinement
+from robomill.diagnosis.experiment.simulation import FINER, Simulator, setting
 from robomill.diagnosis.inference import sensitivities
 from robomill.diagnosis.inference.adequacy import LEVEL, SPREAD
 from robomill.diagnosis.inference.evidence import DEPENDENCE, INTERPLAY
@@ -203,6 +203,24 @@ class TestInterplay:
         changes = changed(simulator, [0], sizes, nominals)
         (left,) = interplay(simulator, [0], {n.address: n.scale for n in self.NUMBERS}, sizes, changes, nominals)
         assert left[0] == pytest.approx(np.full((ROWS, 1), -0.3 if fails > 0.0 else 0.0), abs=SAME)
+
+    def test_what_a_finer_step_changes_is_a_nuisance_too(self) -> None:
+        """Only where the catalogue says how the system is run at one; calibrated numbers are not in it."""
+
+        def formula(_: int, values: Mapping[Address, float]) -> FloatArray:
+            return (np.cos(T) + values.get(("a", "up"), 0.0) * ONE + 0.3 * values.get(FINER, 0.0) * OTHER)[:, None]
+
+        laboratory = Calculated(formula, ROWS)
+        numbers, nominals = {("a", "up"): 0.2}, [[formula(0, {})]]
+        sizes = {a: TOLERANCES * s for a, s in numbers.items()}
+        for refinement, finer in ((None, []), (Refinement(2), [0.3 * OTHER[:, None]])):
+            laboratory.refinement = refinement
+            simulator = Simulator(laboratory)
+            changes = changed(simulator, [0], sizes, nominals)
+            found = [way for (way,) in interplay(simulator, [0], numbers, sizes, changes, nominals)]
+            assert len(found) == 2 + len(finer)
+            assert np.stack(found[2:] or [np.zeros((ROWS, 1))]) == pytest.approx(np.stack(finer or [np.zeros((ROWS, 1))]), abs=SAME)
+            assert np.abs(found[:2]).max() < SAME
 
     def test_without_calibrated_numbers_there_is_none(self) -> None:
         simulator = Simulator(Calculated(on_one_side, ROWS))
