@@ -139,7 +139,9 @@ def _walk(
         if length > 0.0 and z < 0.0 and abs(x) <= 0.5 * nx * dx + r and abs(y) <= 0.5 * ny * dy + r:
             ux, uy = (xb - xa) / length, (yb - ya) / length
             low = bottom - z if bottom > z else 0.0
-            workpiece.engagement(lagging, nx, ny, dx, dy, trail, places, x, y, z, r, ux, uy, 0.0, low, len(sines), sines, cosines, depth[k - 1])
+            workpiece.engagement(
+                lagging, nx, ny, dx, dy, trail, places, x, y, z, r, ux, uy, 0.0, low, len(sines), sines, cosines, depth[k - 1]
+            )
         removed[k - 1] = workpiece.cut(height, nx, ny, dx, dy, 0.0, bottom, xa, ya, za, xb, yb, zb, r, False)
         if zb < 0.0:
             places = workpiece.follow(lagging, nx, ny, dx, dy, 0.0, bottom, trail, places, xb, yb, zb, r)

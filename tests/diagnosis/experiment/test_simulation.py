@@ -13,8 +13,8 @@ import pytest
 
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
-from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.catalogue import Refinement
+from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import FINER, Laboratory, Setting, refined, setting
 from robomill.files import FILES
 from robomill.orchestration.assembly import run
