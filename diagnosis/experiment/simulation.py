@@ -65,7 +65,7 @@ class Laboratory:
     _logged: tuple[tuple[int, Setting], FloatArray | None] | None = field(default=None, init=False, repr=False)
     """The simulation to which faults of the log were last applied."""
     _rigs: dict[tuple[int, int, bool], tuple[Condition, Rig]] = field(default_factory=dict, init=False, repr=False)
-    """(thread, index of a condition, whether at a finer step) -> that condition, and its system with the channels that say anything there."""
+    """(thread, index of a condition, whether at a finer step) -> that condition, and its system with the channels that it has."""
     replays: dict[int, tuple[Condition, Any]] = field(default_factory=dict, init=False, repr=False)
     """Index of a condition -> that condition, and its replay with the measured runs (`ComponentReplay.of`)."""
 

@@ -303,7 +303,7 @@ def test_a_tool_that_swings_sideways_by_less_than_the_clear_cells_has_the_whole_
 
 @pytest.mark.parametrize("loss", [0.0, 0.5, 1.0])
 def test_an_edge_that_has_moved_back_loses_its_chips_by_the_loss(loss: float) -> None:
-    """The tool moves to its left: the outermost edge at its right is free once it has left what it has cut by its share of the clear cells."""
+    """The tool moves to its left: the outermost edge at its right is free once it has left its last cut by its share of the clear cells."""
     block = Block()
     x = np.arange(-0.02, 1e-5, 1e-4)
     block.along(np.column_stack([x, 0.0 * x, np.full(len(x), -0.01)]))
