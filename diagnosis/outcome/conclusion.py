@@ -107,19 +107,19 @@ class Conclusion:
         odds = float(np.log(max(1.0 - self.nothing, 1e-300)) - np.log(max(self.nothing, 1e-300)))
         tests = tested(search, nominal, self.best, self.nothing, p_none(search, odds), moved, self.false_alarm)
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
-        faulty = any(believed[c] >= IDENTIFIED for c in clocks) and not self.repair
+        faulty = any(believed[c] >= IDENTIFIED for c in clocks) and not self.repair and self.mostly(clocks)
         verdict = judged(search, tests, nominal, self.best, lambda: self.other, believed, faulty)
         # with repeats, noise is known, and what a model leaves says whether it is right
         tried = verdict in ("identified", "ambiguous") and search.evidence.once
         instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if tried else Laws()
         if instead.found:
             verdict = "unknown"
-        for c in clocks if faulty or self.repair else []:
+        for c in clocks if faulty or verdict in ("identified", "ambiguous") else []:
             value, (kind, _, pattern) = self.best.values[c.addresses[0]], c.parameters[0].partition(" ")
             text = SAID[kind].format(
                 place=c.location, value=1e3 * value if c.unit == "s" else value, unit="ms" if c.unit == "s" else c.unit
             )
-            self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, not self.repair, self.repair))
+            self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, faulty, not faulty))
         pairs = isolability.pairs(self.fits, [c for c, p in marginal.items() if p >= LISTED], self.search.evidence.space)
         gap = Gap(
             before,
@@ -166,6 +166,12 @@ class Conclusion:
             changes_with_time = self.other is not None and changes(search, self.best, self.other)
             answer = self.described(answer, found, instead, self.other if changes_with_time else None)
         return answer, adopted
+
+    def mostly(self, members: Sequence[Candidate]) -> bool:
+        """Whether these effects of the best model have more of its signature s than all others: the sum of <s, s_c> / <s, s>."""
+        parts, space = signatures(self.best), self.search.evidence.space
+        total: FloatArray = np.sum(list(parts.values()), axis=0)
+        return 2.0 * sum(float(space.dot(total, parts[c])) for c in members) > float(space.dot(total, total))
 
     def transfer(self) -> Transfer | None:
         """What the best model is worth in held-out conditions.

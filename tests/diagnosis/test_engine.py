@@ -272,6 +272,12 @@ class TestGate:
         assert (result["verdict"], result["which"][0]["effect"]) == ("identified", "range")
         assert result["which"][0]["parameters"]["range_lost"]["value"] == pytest.approx(lost, rel=WELL)
 
+    def test_a_range_that_is_too_small_and_in_no_catalogue_is_unknown(self, tmp_path: Path) -> None:
+        """The channel has all of a gap that nothing explains, and stands still; but it comes back to where it stood."""
+        result = answer(tmp_path, changed(measure(), "sensors.y[2]", lambda t, y: np.clip(y, -0.1 * y.max(), 0.1 * y.max()))).result
+        assert result["verdict"] == "unknown"
+        assert result["gate"]["usable"]
+
     def test_a_lost_range_is_found_beside_another_effect_though_the_most_of_it_looks_like_a_tolerance(self, tmp_path: Path) -> None:
         """A sensor without any range differs from a sound one as a wrong scale does; one with a tenth of it does not."""
         scale = '[[nuisance]]\ncomponent = "sensors"\nparameters = ["scale_error"]\nabsolute = 0.05\nsource = "made up"\n'
