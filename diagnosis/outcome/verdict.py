@@ -17,7 +17,18 @@ import numpy as np
 from scipy.special import expit
 
 from robomill.diagnosis.catalogue import LOGGING, Candidate
-from robomill.diagnosis.inference.adequacy import CONDITIONS, LEVEL, MISFIT, SPREAD, agreement, in_common, kept, left_by, misfit, unexplained
+from robomill.diagnosis.inference.adequacy import (
+    CONDITIONS,
+    LEVEL,
+    MISFIT,
+    SPREAD,
+    agreement,
+    in_common,
+    kept,
+    left_by,
+    misfit,
+    unexplained,
+)
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search

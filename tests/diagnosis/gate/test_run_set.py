@@ -43,9 +43,9 @@ class TestClock:
             wrong = replace(measured, t=factor * measured.t[::every], columns={k: v[::every] for k, v in measured.columns.items()})
             with pytest.raises(DataError) as caught:
                 check_clock(wrong, ends, resolve, same_unit_only)
-            assert str(caught.value).startswith(
-                f"run0: the log lasts {wrong.t[-1]:.6g} s, with a sample each {0.01 * every * factor:.3g} s; expected about 8 s, as 'springs' takes"
-            )
+            lasts, between = f"{wrong.t[-1]:.6g}", f"{0.01 * every * factor:.3g}"
+            said = f"run0: the log lasts {lasts} s, with a sample each {between} s; expected about 8 s, as 'springs' takes"
+            assert str(caught.value).startswith(said)
             assert f"as if the time were in a unit of {unit} s; give the unit of the time" in str(caught.value)
 
     def test_a_slow_logger_and_a_system_without_an_end_are_let_pass(self) -> None:
