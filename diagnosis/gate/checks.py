@@ -62,7 +62,7 @@ class Finding:
     fatal: bool = True
     """Whether it makes the log a bad one."""
     repaired: bool = False
-    """Whether it was corrected: a clock by `--repair`, or beside effects that do more; or because a repeat was left out."""
+    """Whether it was corrected: a clock by `--repair`, or beside effects of the machine; or because a repeat was left out."""
     run: str = ""
     """Folder of the run that it is about; empty where that is not one alone."""
 
