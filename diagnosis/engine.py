@@ -19,7 +19,7 @@ from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.gate import log_faults, phases
 from robomill.diagnosis.gate.checks import Finding, stopped
 from robomill.diagnosis.gate.gate import Gate
-from robomill.diagnosis.inference.adequacy import left_by
+from robomill.diagnosis.inference.adequacy import left_by, unexplained
 from robomill.diagnosis.inference.dormant import searched_beside
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import probabilities
@@ -122,7 +122,7 @@ def diagnose_campaign(
                     findings = told + gate.findings(setting(best.values))
                 faults = [f for f in findings if f.fatal and f.kind in log_faults.KINDS]
                 tried = log_faults.together(faults)
-                right = next((some for some in tried if _explained(catalogue, search, fits, gate.without(some), nuisances)), ())
+                right = next((some for some in tried if _explained(catalogue, search, fits, gate.without(some), nuisances, some)), ())
                 kept = "; without that, the log is explained no better: it is kept"
                 findings = [replace(f, text=f.text + kept, fatal=False) if f in faults and f not in right else f for f in findings]
                 fatal = [f for f in findings if f.fatal]
@@ -184,15 +184,25 @@ def _wrong_channel(
 
 
 def _explained(
-    catalogue: Catalogue, search: Search, fits: Sequence[Fit], groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
+    catalogue: Catalogue,
+    search: Search,
+    fits: Sequence[Fit],
+    groups: Sequence[Sequence[FloatArray]],
+    nuisances: Sequence[Nuisance],
+    faults: Sequence[Finding] = (),
 ) -> Fit | None:
-    """The best model of the log without a fault (`groups`), if it explains that, and better than the best of the log as it is (`search`).
+    """The best model of the log without `faults` (`groups`), if it explains that, and better than the best of the log as it is (`search`).
 
-    It does where it leaves no gap, or LITTLE of one.
+    It does where it leaves no gap, or LITTLE of one. Faults that keep the size of a signal (`log_faults.KEEPING`) have a gap of their own,
+    that of the log as it is: LITTLE of that may be left, too. A unit that is undone divides whatever is left, so that it has none.
     """
     other, found = searched(catalogue, search.simulator, groups, nuisances)
     best = _best(other, found)
-    return best if _little(other, found, best) and over_noise(other, best) < over_noise(search, _best(search, fits)) else None
+    left = over_noise(other, best)
+    little = _little(other, found, best)
+    if faults and all(f.kind in log_faults.KEEPING for f in faults):
+        little = little or unexplained(over_noise(search, fits[0]), left) < LITTLE
+    return best if little and left < over_noise(search, _best(search, fits)) else None
 
 
 def _rest(search: Search, best: Fit, groups: Sequence[Sequence[FloatArray]], name: str) -> float:

@@ -55,6 +55,9 @@ class _Settable:
 def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None, convert: Convert) -> Prepared:
     """The laboratory of a campaign. DataError where the runs do not fit their systems, CatalogueError for units that differ."""
     run_set.check_each(campaign.runs, campaign.held_out)
+    for part in campaign.parts:
+        for measured in (*part.runs, *part.held_out):
+            run_set.check_clock(measured, part.system, resolver, convert)
     conditions, short = run_set.complete(campaign.conditions())
     system, n = campaign.system, sum(not c.held_out for c in conditions)
     bare = Laboratory(system, conditions, (), resolver, convert)

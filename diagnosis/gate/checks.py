@@ -62,7 +62,7 @@ class Finding:
     fatal: bool = True
     """Whether it makes the log a bad one."""
     repaired: bool = False
-    """Whether it was corrected: by `--repair`, or because a repeat was left out."""
+    """Whether it was corrected: a clock by `--repair`, or beside effects of the machine; or because a repeat was left out."""
     run: str = ""
     """Folder of the run that it is about; empty where that is not one alone."""
 
@@ -115,7 +115,8 @@ def raw(run: Run, channels: Sequence[str], ranges: Mapping[str, tuple[float | No
 def standstill(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], step: float, noise: FloatArray) -> list[Finding]:
     """Channels of a measured run [samples, channels] that rest beside their simulation; `step` [s] between samples, `noise` [unit].
 
-    At rest at zero, or where the simulation goes as far or further, is what a dead band or a limit makes of an output, too.
+    At rest at zero is what a dead band makes of an output, too. At rest where the simulation goes as far or further, or at an extreme to
+    which the channel comes back after it has left it, is what a limit does.
     """
     found: list[Finding] = []
     for i, name in enumerate(channels):
@@ -126,8 +127,10 @@ def standstill(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], 
             text = f"does not change, but it should by {spread:.3g} {unit}; see whether it was connected"
             found.append(Finding(name, "constant", float(x[0, i]), unit, text))
             continue
-        over, under = s[:, i] >= x[:, i].max() - LIMIT * spread, s[:, i] <= x[:, i].min() + LIMIT * spread
-        limited = ((x[:, i] == x[:, i].max()) & over) | ((x[:, i] == x[:, i].min()) & under)
+        high, low = float(x[:, i].max()), float(x[:, i].min())
+        over = (s[:, i] >= high - LIMIT * spread) | _again(x[:, i], high)
+        under = (s[:, i] <= low + LIMIT * spread) | _again(x[:, i], low)
+        limited = ((x[:, i] == high) & over) | ((x[:, i] == low) & under)
         moving = (x[:, i] != 0.0) & ~limited
         single = SINGLE * float(np.abs(s[:, i]).max())  # a log in single precision stands still where a simulation creeps
         stretch = _still(x[moving, i])
@@ -141,9 +144,20 @@ def standstill(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], 
 
 
 def stopped(x: FloatArray, s: FloatArray, step: float, noise: float) -> float:
-    """How long [s] a measured channel stands still, wherever that is, while its simulation moves; 0.0 if it does not."""
+    """How long [s] a measured channel stands still while its simulation moves; 0.0 if it does not, or if that is at a limit (`_again`)."""
     stretch = _still(x)
+    if stretch and x[stretch[0]] in (x.max(), x.min()) and _again(x, float(x[stretch[0]])):
+        return 0.0
     return len(stretch) * step if len(stretch) > REST * len(x) and np.ptp(s[stretch]) > MOVED * noise else 0.0
+
+
+def _again(x: FloatArray, extreme: float) -> bool:
+    """Whether a channel rests at its own extreme value more than once.
+
+    A limit is left and met again, always at one value that is never exceeded. What is broken keeps the value that it had by chance.
+    """
+    rests = np.append(x == extreme, False) & np.append(False, x == extreme)
+    return int(np.count_nonzero(np.diff(rests.astype(int)) > 0)) > 1
 
 
 def _still(x: FloatArray, tolerance: float = 0.0) -> range:

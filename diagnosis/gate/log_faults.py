@@ -42,7 +42,9 @@ FACTORS = {
     1 / 4.4482216: "pound-force for newtons",
 }
 """Usual mistakes in units: measured over simulated."""
-KINDS = ("sign", "unit", "axes", "rotation")
+KEEPING = ("sign", "axes", "rotation")
+"""Kinds of faults that keep the size of a signal: orthogonal operators."""
+KINDS = (*KEEPING, "unit")
 """Kinds of findings that are faults of this sort."""
 XYZ = "xyz"
 """An array with an element for each may be a vector in another frame."""

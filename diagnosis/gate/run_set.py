@@ -7,21 +7,56 @@ that was diagnosed confirms any answer.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from robomill.diagnosis.catalogue import LOGGING, Candidate
-from robomill.diagnosis.experiment.measured import Condition, DataError, common_grid
+from robomill.diagnosis.experiment.measured import Condition, DataError, common_grid, known_parameters
 from robomill.diagnosis.experiment.segments import by_array
 from robomill.diagnosis.gate.checks import BREAK, PART, SINGLE, Finding
+from robomill.orchestration.assembly import MEASURED, Resolver
+from robomill.orchestration.assembly import run as simulate
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
+from robomill.orchestration.system.definition import System
+from robomill.orchestration.system.parameters import Convert
 
 OTHER = 0.01
 """Squares of what a recorded program differs from the one that is played, over those of its motion: a tenth in amplitude, where the same
 program recorded late differs by the rounding of the log."""
+
+
+def check_clock(run: Run, system: System, resolver: Resolver | None, convert: Convert) -> None:
+    """DataError for stamps in another unit than seconds: milliseconds taken for seconds, or the reverse.
+
+    The system is simulated to its own end if the log has a sample each thousand, or each thousandth, of its communication steps, or about
+    that: a logger may be slow or fast. Beside that end the log must be about as many times too long or too short. A system without an
+    end, or one that plays what was measured, says nothing of how long a log should be.
+    """
+    lasts, between = float(np.ptp(run.t)), float(np.median(np.diff(run.t))) if len(run) > 1 else 0.0
+    power = _thousands(between / system.step) if between > 0.0 else 0
+    if not power or (system.stop is None and system.stop_when is None) or any(c.source == MEASURED for c in system.components):
+        return
+    factor = 1e3**power
+    for component, values in known_parameters(run, system).items():
+        system = system.with_parameters(component, values)
+    longest = system.step * round(lasts / factor * math.sqrt(1e3) / system.step)  # beyond that it is no matter of this unit
+    ends = float(simulate(system, stop=min(system.stop or longest, longest), resolver=resolver, convert=convert).t[-1])
+    if ends > longest - system.step or _thousands(lasts / ends) != power:
+        return
+    raise DataError(
+        f"{run.folder}: the log lasts {lasts:.6g} s, with a sample each {between:.3g} s; expected about {ends:.6g} s, as {system.name!r} "
+        f"takes with these parameters, in steps of {system.step:g} s: as if the time were in a unit of {1.0 / factor:g} s; "
+        'give the unit of the time when the log is imported (unit = "ms" or another in its table [clock]), and import it anew'
+    )
+
+
+def _thousands(ratio: float) -> int:
+    """The nearest power of a thousand: from s to ms, or to us."""
+    return round(math.log10(ratio) / 3.0)
 
 
 def check_each(runs: Sequence[Run], held_out: Sequence[Run]) -> None:

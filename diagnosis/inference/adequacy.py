@@ -60,6 +60,18 @@ def kept(odds: float) -> float:
     return -float(np.logaddexp(math.log(HOLDS), math.log(1.0 - HOLDS) - odds))
 
 
+def in_common(values: FloatArray, deviations: FloatArray, scale: float) -> float:
+    """Log Bayes factor for one number that all these [k] are estimates of, against one each; both N(0, scale^2) before the data.
+
+    An estimate is off by its deviation, and by FORM of itself: a law is never quite the one that is fitted.
+    """
+    own = deviations**2 + (FORM * values) ** 2
+    together = np.diag(own) + scale * scale
+    apart = own + scale * scale
+    one = values @ np.linalg.solve(together, values) + np.linalg.slogdet(together)[1]
+    return 0.5 * float((values**2 / apart + np.log(apart)).sum() - one)
+
+
 def unexplained(before: float, after: float) -> float:
     """Share of chi2 beyond that of a machine without effects that a model leaves: (after - LEVEL) / (before - LEVEL).
 

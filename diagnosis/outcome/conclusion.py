@@ -85,14 +85,17 @@ class Conclusion:
         return changing(self.search)
 
     def marginal(self) -> dict[Candidate, float]:
-        """Probability of each candidate, largest first: the sum of those of all models that it is in, if the best model is right."""
+        """Probability of each candidate, largest first: the sum of those of all models that it is in, if the best model is right.
+
+        Of those that are as probable the faults of the log come first: the rest holds only with them corrected.
+        """
         total: dict[Candidate, float] = {}
         shown = {c.name: c for c in self.best.model}  # of all variants of an effect one is named
         for f, p in sorted(zip(self.fits, self.weights, strict=True), key=lambda pair: -pair[1]):
             for c in f.model:
                 named = shown.setdefault(c.name, c)
                 total[named] = total.get(named, 0.0) + float(p)
-        return dict(sorted(total.items(), key=lambda item: -item[1]))
+        return dict(sorted(total.items(), key=lambda item: (-item[1], item[0].component != LOGGING)))
 
     def answer(self) -> tuple[Answer, dict[Address, float]]:
         """Verdict, where, which, how far, next run; and the values that are adopted [unit]."""
@@ -107,19 +110,21 @@ class Conclusion:
         odds = float(np.log(max(1.0 - self.nothing, 1e-300)) - np.log(max(self.nothing, 1e-300)))
         tests = tested(search, nominal, self.best, self.nothing, p_none(search, odds), moved, self.false_alarm)
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
-        faulty = any(believed[c] >= IDENTIFIED for c in clocks) and not self.repair
+        sure = {c.component == LOGGING for c in self.best.model if believed[c] >= IDENTIFIED}
+        faulty = sure == {True} and not self.repair  # beside effects of the machine a fault of the log is corrected, and said
         verdict = judged(search, tests, nominal, self.best, lambda: self.other, believed, faulty)
         # with repeats, noise is known, and what a model leaves says whether it is right
         tried = verdict in ("identified", "ambiguous") and search.evidence.once
         instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if tried else Laws()
         if instead.found:
             verdict = "unknown"
-        for c in clocks if faulty or self.repair else []:
+        said = [c for c in clocks if self.repair or (believed[c] >= IDENTIFIED and verdict != "unknown")]
+        for c in said if verdict != "none" else []:
             value, (kind, _, pattern) = self.best.values[c.addresses[0]], c.parameters[0].partition(" ")
             text = SAID[kind].format(
                 place=c.location, value=1e3 * value if c.unit == "s" else value, unit="ms" if c.unit == "s" else c.unit
             )
-            self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, not self.repair, self.repair))
+            self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, faulty, not faulty))
         pairs = isolability.pairs(self.fits, [c for c, p in marginal.items() if p >= LISTED], self.search.evidence.space)
         gap = Gap(
             before,

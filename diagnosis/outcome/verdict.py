@@ -7,6 +7,7 @@ in new conditions.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,8 +16,19 @@ from typing import Literal
 import numpy as np
 from scipy.special import expit
 
-from robomill.diagnosis.catalogue import Candidate
-from robomill.diagnosis.inference.adequacy import CONDITIONS, LEVEL, MISFIT, SPREAD, agreement, kept, left_by, misfit, unexplained
+from robomill.diagnosis.catalogue import LOGGING, Candidate
+from robomill.diagnosis.inference.adequacy import (
+    CONDITIONS,
+    LEVEL,
+    MISFIT,
+    SPREAD,
+    agreement,
+    in_common,
+    kept,
+    left_by,
+    misfit,
+    unexplained,
+)
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
@@ -86,7 +98,34 @@ def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: floa
         holds += moved.promise
         fits += moved.left
     fits += kept(holds)
+    # a lag of the machine leaves what the clocks leave, and does what they do in new conditions
+    fits = -float(np.logaddexp(-fits, common_lag(search, best) + math.log(UNLISTED) - math.log(1.0 - UNLISTED)))
     return Tests(alpha, p_none, float(expit(fits)), float(expit(-odds)))
+
+
+def common_lag(search: Search, fit: Fit) -> float:
+    """Log Bayes factor for a lag of the machine, against several sources of the log that are late: how alike these times are (`in_common`).
+
+    A clock belongs to one source. What several of them have in common, and not all, is a property of the machine; what all have is one of
+    the log as a whole. -inf where no more than one is late.
+    """
+    late = {_source(c): c for c in fit.model if _is_late(c)}
+    found = [-math.inf]
+    for count in range(2, len(late) + 1):
+        for members in itertools.combinations(late.values(), count):
+            if {_source(c) for c in search.candidates if _is_late(c)} - {_source(c) for c in members}:
+                values, deviations = (np.array([of[c.addresses[0]] for c in members]) for of in (fit.values, fit.deviations))
+                found.append(in_common(values, deviations, members[0].prior.scale))
+    return max(found)
+
+
+def _is_late(c: Candidate) -> bool:
+    return c.component == LOGGING and c.parameters[0].startswith("lag ")
+
+
+def _source(c: Candidate) -> str:
+    """The component whose channels a fault of the log is in."""
+    return c.parameters[0].partition(" ")[2].partition(".")[0]
 
 
 def held_together(search: Search, fit: Fit) -> float:

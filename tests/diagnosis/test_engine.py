@@ -241,6 +241,12 @@ class TestGate:
         assert "newtons for kilogram-force" in finding["text"]
         assert finding["text"].endswith("; without that, the log is explained no better: it is kept")
 
+    def test_a_wrong_sign_stops_the_log_though_something_else_is_in_no_catalogue(self, tmp_path: Path) -> None:
+        """What is left of the log with the sign put right is a part in four hundred of the gap with the wrong one."""
+        result = answer(tmp_path, changed(measure(), "sensors.y[2]", lambda t, y: -(y + 0.1 * np.abs(y)))).result
+        assert result["verdict"] == "bad_log"
+        assert [(f["kind"], f["channel"]) for f in result["gate"]["findings"] if f["fatal"]] == [("sign", "sensors.y[2]")]
+
     def test_a_channel_that_rests_at_an_extreme_and_has_all_of_a_gap_that_nothing_explains_is_stopped(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -271,6 +277,12 @@ class TestGate:
         assert result["gate"]["findings"] == []
         assert (result["verdict"], result["which"][0]["effect"]) == ("identified", "range")
         assert result["which"][0]["parameters"]["range_lost"]["value"] == pytest.approx(lost, rel=WELL)
+
+    def test_a_range_that_is_too_small_and_in_no_catalogue_is_unknown(self, tmp_path: Path) -> None:
+        """The channel has all of a gap that nothing explains, and stands still; but it comes back to where it stood."""
+        result = answer(tmp_path, changed(measure(), "sensors.y[2]", lambda t, y: np.clip(y, -0.1 * y.max(), 0.1 * y.max()))).result
+        assert result["verdict"] == "unknown"
+        assert result["gate"]["usable"]
 
     def test_a_lost_range_is_found_beside_another_effect_though_the_most_of_it_looks_like_a_tolerance(self, tmp_path: Path) -> None:
         """A sensor without any range differs from a sound one as a wrong scale does; one with a tenth of it does not."""
@@ -313,6 +325,18 @@ class TestGate:
         assert result["which"][0]["component"] == "logging"
         (finding,) = (f for f in result["gate"]["findings"] if f["kind"] == "lag")
         assert finding["value"] == pytest.approx(lag, rel=WELL)
+
+    @pytest.mark.parametrize("lag", [0.002, 0.05])
+    def test_a_late_clock_beside_an_effect_of_the_machine_is_corrected_and_named_first(self, tmp_path: Path, lag: float) -> None:
+        def late(t: Any, y: Any) -> Any:
+            return np.interp(t - lag, t, y)
+
+        result = answer(tmp_path, changed(changed(measure(STIFF), "sensors.y[1]", late), "sensors.y[2]", late)).result
+        assert result["verdict"] == "identified"
+        (finding,) = result["gate"]["findings"]
+        assert finding["value"] == pytest.approx(lag, rel=0.05)
+        assert (finding["kind"], finding["fatal"], finding["repaired"]) == ("lag", False, True)
+        assert [w["effect"] for w in result["which"] if w["probability"] > 0.8] == ["clock", "stiffness"]
 
     def test_repair_goes_on_with_the_clock_corrected(self, tmp_path: Path) -> None:
         def late(t: Any, y: Any) -> Any:

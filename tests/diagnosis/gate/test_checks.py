@@ -55,6 +55,22 @@ class TestByItself:
             assert [f.kind for f in found] == kinds  # SINGLE
 
 
+class TestLimit:
+    """A limit is met again, at a value that is never exceeded; what is broken keeps the value that it had."""
+
+    def test_rest_at_one_extreme_again_and_again_is_a_limit_whatever_the_simulation_does(self) -> None:
+        for clipped in (np.minimum(SINE, 0.3), np.maximum(SINE, -0.3), np.clip(SINE, -0.3, 0.3)):
+            assert beside([clipped], [0.2 * np.cos(2.0 * np.pi * T)]) == []
+            assert checks.stopped(np.where(T > 5.0, clipped, 0.1 * SINE), np.sin(T), STEP, 1e-12) == 0.0
+
+    def test_what_rests_once_or_within_its_range_is_broken(self) -> None:
+        once = np.where(T > 6.25, 1.0, SINE)
+        within = np.where((T % 4.0 > 1.125) & (T % 4.0 < 3.125), SINE[112], SINE)  # again and again, but other values are larger
+        for stuck in (once, within):
+            assert beside([stuck], [0.2 * np.cos(2.0 * np.pi * T)]) == ["constant"]
+            assert checks.stopped(stuck, np.sin(T), STEP, 1e-12) > 1.9
+
+
 class TestSpikes:
     """On a ramp that goes up and down by 1 per sample, so that this is what is usual."""
 

@@ -12,9 +12,10 @@ import pytest
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
-from robomill.diagnosis.gate.run_set import check_each, complete, latest_clock, other_program
+from robomill.diagnosis.gate.run_set import check_clock, check_each, complete, latest_clock, other_program
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system.parameters import same_unit_only
 from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
 from tests.tolerances import ROUNDOFF
 
@@ -29,6 +30,34 @@ def refused(folder: Path, runs: list[Run], held_out: list[Run] | None = None) ->
 
 def cut(r: Run, n: int) -> Run:
     return replace(r, t=r.t[:n], columns={k: v[:n] for k, v in r.columns.items()})
+
+
+class TestClock:
+    """Stamps in another unit than the program has."""
+
+    @pytest.mark.parametrize(("factor", "unit"), [(1e3, "0.001"), (1e-3, "1000"), (1e6, "1e-06")])
+    def test_milliseconds_taken_for_seconds_or_the_reverse_are_said_with_both_durations(self, factor: float, unit: str) -> None:
+        ends = replace(SYSTEM, stop=8.0)
+        (measured, *_) = measure(repeats=1)
+        for every in (1, 5):  # the logger may be slower than the system
+            wrong = replace(measured, t=factor * measured.t[::every], columns={k: v[::every] for k, v in measured.columns.items()})
+            with pytest.raises(DataError) as caught:
+                check_clock(wrong, ends, resolve, same_unit_only)
+            lasts, between = f"{wrong.t[-1]:.6g}", f"{0.01 * every * factor:.3g}"
+            said = f"run0: the log lasts {lasts} s, with a sample each {between} s; expected about 8 s, as 'springs' takes"
+            assert str(caught.value).startswith(said)
+            assert f"as if the time were in a unit of {unit} s; give the unit of the time" in str(caught.value)
+
+    def test_a_slow_logger_and_a_system_without_an_end_are_let_pass(self) -> None:
+        (measured, *_) = measure(repeats=1, seconds=80.0)
+        slow = replace(measured, t=measured.t[::1000], columns={k: v[::1000] for k, v in measured.columns.items()})
+        check_clock(slow, replace(SYSTEM, stop=80.0), resolve, same_unit_only)
+        check_clock(replace(measured, t=1e3 * measured.t), SYSTEM, resolve, same_unit_only)
+
+    def test_the_diagnosis_says_it(self, tmp_path: Path) -> None:
+        wrong = [replace(r, t=1e-3 * r.t) for r in measure()]
+        with pytest.raises(DataError, match="expected about 8 s"):
+            diagnose(replace(SYSTEM, stop=8.0), wrong, catalogue(tmp_path), resolver=resolve)
 
 
 class TestEach:

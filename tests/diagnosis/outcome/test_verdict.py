@@ -20,6 +20,7 @@ from robomill.diagnosis.inference.transfer import Transfer
 from robomill.diagnosis.outcome import verdict
 from robomill.diagnosis.outcome.verdict import FALSE_ALARM, UNKNOWN, UNLISTED, believed, changes, judged
 from tests.diagnosis.demo import catalogue
+from tests.diagnosis.formula import candidate
 from tests.diagnosis.inference.test_adequacy import QUADRATURE
 from tests.tolerances import ROUNDOFF
 
@@ -191,3 +192,35 @@ def test_what_changes_with_time_must_be_likelier_and_a_good_part_of_what_is_left
 
 def test_the_rate_that_is_used_unless_the_user_says_otherwise() -> None:
     assert FALSE_ALARM == 0.02
+
+
+def late(source: str, scale: float = 0.03) -> Candidate:
+    """A clock of the log."""
+    clock = candidate("lag", scale=scale)
+    return replace(clock, effect="clock", component=LOGGING, location=source, parameters=(f"lag {source}.*",))
+
+
+@pytest.mark.parametrize(
+    ("lags", "sources", "says"),
+    [
+        ((2.40e-3, 2.39e-3), 3, True),  # what the drive does is in all that is behind it
+        ((2.4e-3, 8.0e-3), 3, False),  # two clocks
+        ((2.4e-3,), 3, False),
+        ((2.4e-3, 8.0e-3, 2.39e-3), 4, True),
+        ((2.40e-3, 2.39e-3), 2, False),  # all that was measured: the log as a whole
+    ],
+)
+def test_a_lag_that_several_sources_have_in_common_is_the_machine_s(lags: tuple[float, ...], sources: int, says: bool) -> None:
+    clocks = [late(f"source {k}") for k in range(sources)]
+    model = tuple(clocks[: len(lags)])
+    values = {c.addresses[0]: lag for c, lag in zip(model, lags, strict=True)}
+    best = replace(fit(1.0, model), values=values, deviations=dict.fromkeys(values, 3e-5))
+    looked = search()
+    looked.candidates = clocks
+    assert (verdict.common_lag(looked, best) > 4.0) == says
+    assert verdict.common_lag(looked, best) > 4.0 or verdict.common_lag(looked, best) < -4.0
+    found = verdict.tested(looked, fit(9.0), best, 0.001, 0.001, None, 0.02)
+    alone = verdict.tested(looked, fit(9.0), replace(best, model=model[:1]), 0.001, 0.001, None, 0.02)
+    assert alone.p_fit > 0.9
+    assert (found.p_fit < 0.02) == says
+    assert says or found.p_fit > 0.9
