@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import expit
 
 from robomill.diagnosis.catalogue import Candidate
-from robomill.diagnosis.inference.adequacy import CONDITIONS, LEVEL, MISFIT, SPREAD, agreement, kept, left_by, misfit, unexplained
+from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT, SPREAD, agreement, kept, left_by, misfit, together, unexplained, worsened
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
@@ -76,9 +76,13 @@ def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: floa
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
     kinds = max(len({c.effect for c in best.model}), 1)
     fits = math.log(1.0 - UNLISTED) - math.log(UNLISTED)
-    conditions = (len(search.evidence.space.blocks), CONDITIONS)  # the first look is at the worst one, the second at all together
-    seen = sorted(zip(looks(search, nominal), looks(search, best), conditions, strict=True))
-    other, larger = (left_by(before, after, misfit(best.model), kinds, n) for before, after, n in seen)
+    evidence, shape = search.evidence, (misfit(best.model), kinds)
+    assert best.signature is not None
+    channels, catalogue = zip(looks(search, nominal), looks(search, best), strict=True)
+    # the first look is at the worst condition, the second at all together
+    worst = left_by(*channels, *shape, len(evidence.space.blocks))
+    worst = together(worst, worsened(evidence, evidence.space.y - best.signature, best.signature))
+    (_, other), (_, larger) = sorted([(channels[0], worst), (catalogue[0], left_by(*catalogue, *shape))])
     fits += larger + min(other, 0.0)  # where the gap is larger it is seen whether it closes; the other look may refute that
     holds = held_together(search, best)
     if moved is not None:
