@@ -109,6 +109,8 @@ class Evidence:
     """Whether each sample of a condition is a measurement of its own."""
     decimation: int
     """Communication steps that a sample is the mean over."""
+    discrepancy: FloatArray
+    """Standard deviation of what two formulations leave, of each active channel [its unit]."""
 
     @property
     def once(self) -> bool:
@@ -326,6 +328,7 @@ def gather(
         halves,
         independent,
         laboratory.decimation,
+        size,
     )
 
 

@@ -120,7 +120,7 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     seen = float(wide.dot(signature, signature)) + 1e-300
     amplitude = float(wide.dot(signature, space.y)) / seen
     levels, gain = (e.level(space.y), e.level(rest)), 0.5 * (before - after)
-    worse = worsened(e, rest, signature)
+    worse = worsened(e, space.y, rest, signature)
     return Transfer(*levels, gain, 0.5 * size, doubt, amplitude, seen**-0.5, misfit(fit.model), len(every), worse)
 
 
