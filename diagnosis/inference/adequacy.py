@@ -93,9 +93,11 @@ def left_by(before: float, after: float, misfit: float = MISFIT, kinds: int = 1,
 def worsened(evidence: Evidence, nominal: FloatArray, left: FloatArray, signature: FloatArray) -> float:
     """Log Bayes factor for a right model against a stand-in [nats], from the channel that the model makes worse by most.
 
-    `nominal`, `left` [n]: what the nominal system and the model leave; `signature` [n]: what the model does. A law that is a little off leaves a share of what it does in a
-    channel, of mean MISFIT. Where the nominal system has no gap that is all that is there. A stand-in may do there whatever it must do to
-    explain the other channels. What both leave is no part of it, so that a gap that two formulations leave does not count.
+    `nominal`, `left` [n]: what the nominal system and the model leave; `signature` [n]: what the model does.
+
+    A law that is a little off leaves a share of what it does in a channel, of mean MISFIT. Where the nominal system has no gap, that is all
+    that is there. A stand-in may do there whatever it must do to explain the other channels. What both leave is no part of it: a gap
+    between two formulations does not count.
     """
     more = evidence.levels(left) - np.maximum(evidence.levels(nominal), LEVEL)
     worst = float(np.max(more, initial=0.0))

@@ -7,10 +7,12 @@ finds at another angle, is seen where something changes, and in all arrays behin
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from robomill.diagnosis.inference.noise import SPELL
 from robomill.diagnosis.inference.search import Search
@@ -42,13 +44,13 @@ def spell(search: Search) -> Spell | None:
     names = [c for c, on in zip(laboratory.channels, e.active, strict=True) if on]
     found: Spell | None = None
     for i, (condition, runs) in enumerate(zip(e.space.blocks, search.groups, strict=True)):
-        if e.independent[i] or min(len(runs), len(e.nominals[i])) < 2:
+        if e.independent[i] or min(len(runs), len(e.nominals[i])) <= 1:
             continue
         rows = max(1, round(SPELL / e.decimation))
         edges = np.linspace(0, len(runs[0]), max(1, len(runs[0]) // rows) + 1).astype(int)
         over = excess([x[:, e.active] for x in runs], e.nominals[i], e.discrepancy, edges) * (e.judged & e.there[i])
         arrays = np.stack([over[:, e.arrays == a].max(axis=1) for a in np.unique(e.arrays)], axis=1)
-        if arrays.shape[1] < 2:
+        if arrays.shape[1] <= 1:
             continue
         second = np.sort(arrays, axis=1)[:, -2]
         k = int(second.argmax())
@@ -59,7 +61,7 @@ def spell(search: Search) -> Spell | None:
     return found
 
 
-def excess(runs: Sequence[FloatArray], simulated: Sequence[FloatArray], discrepancy: FloatArray, edges: FloatArray) -> FloatArray:
+def excess(runs: Sequence[FloatArray], simulated: Sequence[FloatArray], discrepancy: FloatArray, edges: npt.NDArray[np.int_]) -> FloatArray:
     """Variance of repeats over what it may be, by spell and channel: [spells, channels].
 
     `runs`, `simulated`: [samples, channels] each; `edges`: first samples of the spells, and the end of the last one. It may be that of the
@@ -70,7 +72,7 @@ def excess(runs: Sequence[FloatArray], simulated: Sequence[FloatArray], discrepa
     return np.asarray(measured / (np.median(measured, axis=0) + known + discrepancy**2 + 1e-300))
 
 
-def _variance(runs: Sequence[FloatArray], edges: FloatArray) -> FloatArray:
+def _variance(runs: Sequence[FloatArray], edges: npt.NDArray[np.int_]) -> FloatArray:
     """Variance of repeats in each spell, [spells, channels]."""
     variance = np.stack(runs).var(axis=0, ddof=1)
-    return np.stack([variance[a:b].mean(axis=0) for a, b in zip(edges, edges[1:], strict=False)])
+    return np.stack([variance[a:b].mean(axis=0) for a, b in itertools.pairwise(edges)])

@@ -325,9 +325,7 @@ class Conclusion:
             first = where[0]
             unknown = replace(unknown, component=first.component, direction=first.direction, regime=first.regime)
         if (x := self.differs) is not None and not self.best.model:
-            unknown = replace(
-                unknown, component=x.channel.partition(".")[0], direction=direction_of(x.channel), regime=[list(x.span)]
-            )
+            unknown = replace(unknown, component=x.channel.partition(".")[0], direction=direction_of(x.channel), regime=[list(x.span)])
         if other is not None:
             unknown = replace(unknown, changes=other)
             also, named = other.candidate.component, {c for w in found.where for c in (w.component, *(w.alternatives or ()))}

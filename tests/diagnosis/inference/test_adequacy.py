@@ -161,7 +161,8 @@ def test_a_model_that_makes_a_channel_worse_by_little_of_what_it_does_there_is_n
 
 
 @pytest.mark.parametrize(
-    ("overall", "worse", "both"), [(2.9, 0.0, 2.9), (2.9, 1.0, 2.9), (2.9, -3.0, -0.1), (-0.5, -3.0, -3.0), (-3.0, -0.5, -3.0), (0.0, 2.0, 0.0)]
+    ("overall", "worse", "both"),
+    [(2.9, 0.0, 2.9), (2.9, 1.0, 2.9), (2.9, -3.0, -0.1), (-0.5, -3.0, -3.0), (-3.0, -0.5, -3.0), (0.0, 2.0, 0.0)],
 )
 def test_what_is_made_worse_may_only_refute_and_counts_once(overall: float, worse: float, both: float) -> None:
     assert together(overall, worse) == pytest.approx(both, rel=ROUNDOFF)

@@ -83,9 +83,7 @@ class TestTested:
         two.evidence.level = lambda left: float(left.max())
         two.evidence.levels = lambda left: left[None]
         two.evidence.does = lambda signature: np.full((1, 2), 30.0)
-        before, after = (
-            replace(fit(0.0, m), signature=-np.array(left)) for m, left in (((), (60.0, 1.0)), (effect, (1.0, LEVEL + made)))
-        )
+        before, after = (replace(fit(0.0, m), signature=-np.array(left)) for m, left in (((), (60.0, 1.0)), (effect, (1.0, LEVEL + made))))
         found = verdict.tested(two, before, after, 0.001, 0.001, None, 0.02)
         odds = math.log((1.0 - UNLISTED) / UNLISTED)
         odds += together(left_by(60.0, LEVEL + made, conditions=1), left_by(30.0, LEVEL + made, conditions=1))
