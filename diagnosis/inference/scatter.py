@@ -37,14 +37,15 @@ class Spell:
 def spell(search: Search) -> Spell | None:
     """The while in which two arrays scatter most over what they may, if that is SHOWS times it or more; None where there is none.
 
-    Only of conditions that were repeated, as time series, and simulated with different noise. What is judged is the second array: what one
-    device does alone is its noise.
+    Only of conditions that were measured three times or more, as time series, and simulated with different noise: what two runs differ by
+    is one number, which chance makes large in some spell. What is judged is the second array: what one device does alone is its noise.
     """
     e, laboratory = search.evidence, search.simulator.laboratory
     names = [c for c, on in zip(laboratory.channels, e.active, strict=True) if on]
     found: Spell | None = None
     for i, (condition, runs) in enumerate(zip(e.space.blocks, search.groups, strict=True)):
-        if e.independent[i] or min(len(runs), len(e.nominals[i])) <= 1:
+        freedom = min(len(runs), len(e.nominals[i])) - 1
+        if e.independent[i] or freedom <= 1:
             continue
         rows = max(1, round(SPELL / e.decimation))
         edges = np.linspace(0, len(runs[0]), max(1, len(runs[0]) // rows) + 1).astype(int)
