@@ -52,7 +52,7 @@ class Finding:
     channel: str
     """Channel, array, or `t`."""
     kind: str
-    """`time`, `missing`, `range`, `constant`, `spike`, `axes`, `unit`, `sign`, `rotation`, `repeat`, `lag`, `filter`, ..."""
+    """`time`, `missing`, `range`, `constant`, `spike`, `axes`, `unit`, `sign`, `rotation`, `repeat`, `lag`, `filter`, `scatter`, ..."""
     value: float
     """How much, in `unit`."""
     unit: str

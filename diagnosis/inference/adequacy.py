@@ -9,7 +9,7 @@ from scipy.special import log_ndtr, logsumexp
 
 from robomill.diagnosis.catalogue import LOGGING
 from robomill.diagnosis.inference.estimation import Model
-from robomill.diagnosis.inference.evidence import FORM
+from robomill.diagnosis.inference.evidence import FORM, Evidence
 from robomill.orchestration.slaves.protocol import FloatArray
 
 LEVEL, SPREAD, CONDITIONS = 1.3, 0.3, 2
@@ -100,3 +100,28 @@ def left_by(before: float, after: float, misfit: float = MISFIT, kinds: int = 1,
     right = math.log(b) + (b - 1.0) * np.log(np.maximum(1.0 - u, 1e-300))
     other = math.log(kinds) + (kinds - 1.0) * np.log(np.maximum(1.0 - u, 1e-300))
     return float(logsumexp(log_likelihood + right + step) - logsumexp(log_likelihood + other + step))
+
+
+def worsened(evidence: Evidence, nominal: FloatArray, left: FloatArray, signature: FloatArray) -> float:
+    """Log Bayes factor for a right model against a stand-in [nats], from the channel that the model makes worse by most.
+
+    `nominal`, `left` [n]: what the nominal system and the model leave; `signature` [n]: what the model does.
+
+    A law that is a little off leaves a share of what it does in a channel, of mean MISFIT. Where the nominal system has no gap, that is all
+    that is there. A stand-in may do there whatever it must do to explain the other channels. What both leave is no part of it: a gap
+    between two formulations does not count.
+    """
+    more = evidence.levels(left) - np.maximum(evidence.levels(nominal), LEVEL)
+    worst = float(np.max(more, initial=0.0))
+    if worst <= 0.0:
+        return 0.0
+    does = float(evidence.does(signature)[np.unravel_index(int(more.argmax()), more.shape)])
+    return left_by(does, LEVEL + worst, conditions=len(evidence.space.blocks))
+
+
+def together(overall: float, worse: float) -> float:
+    """Log Bayes factor [nats] from what is left over all and from what is made worse: the latter may only refute.
+
+    A gap that is closed is one thing, another that is made is a second one; what is left of it, where it is that, counts once.
+    """
+    return max(overall, 0.0) + min(overall, worse, 0.0)

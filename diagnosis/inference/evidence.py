@@ -109,6 +109,8 @@ class Evidence:
     """Whether each sample of a condition is a measurement of its own."""
     decimation: int
     """Communication steps that a sample is the mean over."""
+    discrepancy: FloatArray
+    """Standard deviation of what two formulations leave, of each active channel [its unit]."""
 
     @property
     def once(self) -> bool:
@@ -129,17 +131,32 @@ class Evidence:
         return float(self.expected.sum()) * self.guess
 
     def level(self, left: FloatArray) -> float:
-        """chi2 of a residual [n] over what noise and discrepancy leave: that of the worst channel in the worst condition.
+        """chi2 of a residual [n] over what noise and discrepancy leave: that of the worst channel in the worst condition."""
+        return float(np.max(self.levels(left), initial=0.0))
+
+    def levels(self, left: FloatArray) -> FloatArray:
+        """chi2 of a residual [n] over what noise and discrepancy leave, of each judged channel in each condition: [conditions, judged].
 
         With b = (I + B'B)^-1 B' u, <u, u> = u'(u - B b) = |u - B b|^2 + |b|^2: the part of a channel in it has what nuisances leave there,
         and what it costs to move them so far. Both have one sample more, as expected: without noise less than that says nothing.
         """
         rest = left * (left - self.space.explained(left))
-        worst = 0.0
+        return self._over([rest[block].reshape(-1, len(self.arrays)).sum(axis=0) for block in self.space.blocks.values()])
+
+    def does(self, signature: FloatArray) -> FloatArray:
+        """What a signature s [n] does to each judged channel in each condition, as `levels`: <s, s> of that part of it alone."""
+        chi2, k = [], len(self.arrays)
         for block in self.space.blocks.values():
-            chi2, allowed = (x[block].reshape(-1, len(self.arrays)).sum(axis=0)[self.judged] for x in (rest, self.allowed))
-            worst = max(worst, float(np.max((chi2 / self.guess + 1.0) / (allowed + 1.0), initial=0.0)))
-        return worst
+            parts = np.zeros((signature.size, k))
+            parts[block] = (signature[block].reshape(-1, k, 1) * np.eye(k)).reshape(-1, k)
+            chi2.append(self.space.chi2_of(parts))
+        return self._over(chi2)
+
+    def _over(self, chi2: Sequence[FloatArray]) -> FloatArray:
+        """chi2 of each channel, [channels] by condition, over what noise and discrepancy leave: [conditions, judged]."""
+        allowed = [self.allowed[block].reshape(-1, len(self.arrays)).sum(axis=0) for block in self.space.blocks.values()]
+        over = (np.stack(chi2) / self.guess + 1.0) / (np.stack(allowed) + 1.0)
+        return np.asarray(over[:, self.judged])
 
     def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
         """Whitened change [n] of simulations of all conditions, [samples, all channels] each, against the nominal ones.
@@ -311,6 +328,7 @@ def gather(
         halves,
         independent,
         laboratory.decimation,
+        size,
     )
 
 

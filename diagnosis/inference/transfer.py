@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robomill.diagnosis.experiment.simulation import setting
-from robomill.diagnosis.inference.adequacy import CONDITIONS, KEEPS, MISFIT, kept, left_by, misfit
+from robomill.diagnosis.inference.adequacy import CONDITIONS, KEEPS, MISFIT, kept, left_by, misfit, together, worsened
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.evidence import gather
 from robomill.diagnosis.inference.search import POLISH, Search
@@ -48,6 +48,8 @@ class Transfer:
     """Mean share that the model leaves where it is right."""
     conditions: int = CONDITIONS
     """How many new conditions there are: `before` and `after` are of the worst one."""
+    worse: float = 0.0
+    """Log Bayes factor for a right model against a stand-in [nats], from the channel that the model makes worse there (`worsened`)."""
 
     @property
     def worth(self) -> float:
@@ -57,7 +59,7 @@ class Transfer:
     @property
     def left(self) -> float:
         """Log Bayes factor for a right model against a stand-in, from what is left in new conditions."""
-        return left_by(self.before, self.after, self.misfit, conditions=self.conditions)
+        return together(left_by(self.before, self.after, self.misfit, conditions=self.conditions), self.worse)
 
     @property
     def promise(self) -> float:
@@ -118,7 +120,8 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     seen = float(wide.dot(signature, signature)) + 1e-300
     amplitude = float(wide.dot(signature, space.y)) / seen
     levels, gain = (e.level(space.y), e.level(rest)), 0.5 * (before - after)
-    return Transfer(*levels, gain, 0.5 * size, doubt, amplitude, seen**-0.5, misfit(fit.model), len(every))
+    worse = worsened(e, space.y, rest, signature)
+    return Transfer(*levels, gain, 0.5 * size, doubt, amplitude, seen**-0.5, misfit(fit.model), len(every), worse)
 
 
 def _chi2(space: Space, left: FloatArray, unsure: FloatArray | None) -> float:

@@ -19,6 +19,7 @@ from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.intervals import Known, by_least_squares
 from robomill.diagnosis.inference.machines import p_none
 from robomill.diagnosis.inference.priors import probabilities
+from robomill.diagnosis.inference.scatter import Spell, spell
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.sets import weighed
 from robomill.diagnosis.inference.time_varying import Changing, changing
@@ -84,6 +85,11 @@ class Conclusion:
         """The likeliest effect that changes with time."""
         return changing(self.search)
 
+    @cached_property
+    def differs(self) -> Spell | None:
+        """When something differs from run to run."""
+        return spell(self.search)
+
     def marginal(self) -> dict[Candidate, float]:
         """Probability of each candidate, largest first: the sum of those of all models that it is in, if the best model is right.
 
@@ -106,13 +112,14 @@ class Conclusion:
         marginal = self.marginal()
         # what a dead time of the machine explains nearly as well is no reason to refuse the log
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] >= IDENTIFIED]
-        moved = self.transfer() if self.best.model and not clocks else None
+        alone = clocks and all(c.component == LOGGING for c in self.best.model)  # of a log that is refused nothing else is asked
+        moved = self.transfer() if self.best.model and not alone else None
         odds = float(np.log(max(1.0 - self.nothing, 1e-300)) - np.log(max(self.nothing, 1e-300)))
         tests = tested(search, nominal, self.best, self.nothing, p_none(search, odds), moved, self.false_alarm)
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
         sure = {c.component == LOGGING for c in self.best.model if believed[c] >= IDENTIFIED}
         faulty = sure == {True} and not self.repair  # beside effects of the machine a fault of the log is corrected, and said
-        verdict = judged(search, tests, nominal, self.best, lambda: self.other, believed, faulty)
+        verdict = judged(search, tests, nominal, self.best, lambda: self.other, believed, faulty, self.differs is not None)
         # with repeats, noise is known, and what a model leaves says whether it is right
         tried = verdict in ("identified", "ambiguous") and search.evidence.once
         instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if tried else Laws()
@@ -125,6 +132,10 @@ class Conclusion:
                 place=c.location, value=1e3 * value if c.unit == "s" else value, unit="ms" if c.unit == "s" else c.unit
             )
             self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, faulty, not faulty))
+        if (x := self.differs) is not None:
+            text = f"differs from run to run: {x.times:.0f} times what good machines scatter, in another array, too"
+            text += f" ({x.condition}, {x.span[0]:.1f} to {x.span[1]:.1f} s)"
+            self.findings.append(gate.Finding(x.channel, "scatter", x.times, "1", text, fatal=False))
         pairs = isolability.pairs(self.fits, [c for c, p in marginal.items() if p >= LISTED], self.search.evidence.space)
         gap = Gap(
             before,
@@ -319,6 +330,8 @@ class Conclusion:
         if found.where:
             first = where[0]
             unknown = replace(unknown, component=first.component, direction=first.direction, regime=first.regime)
+        if (x := self.differs) is not None and not self.best.model:
+            unknown = replace(unknown, component=x.channel.partition(".")[0], direction=direction_of(x.channel), regime=[list(x.span)])
         if other is not None:
             unknown = replace(unknown, changes=other)
             also, named = other.candidate.component, {c for w in found.where for c in (w.component, *(w.alternatives or ()))}

@@ -18,7 +18,6 @@ from scipy.special import expit
 
 from robomill.diagnosis.catalogue import LOGGING, Candidate
 from robomill.diagnosis.inference.adequacy import (
-    CONDITIONS,
     LEVEL,
     MISFIT,
     SPREAD,
@@ -27,7 +26,9 @@ from robomill.diagnosis.inference.adequacy import (
     kept,
     left_by,
     misfit,
+    together,
     unexplained,
+    worsened,
 )
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import log_priors
@@ -88,9 +89,15 @@ def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: floa
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
     kinds = max(len({c.effect for c in best.model}), 1)
     fits = math.log(1.0 - UNLISTED) - math.log(UNLISTED)
-    conditions = (len(search.evidence.space.blocks), CONDITIONS)  # the first look is at the worst one, the second at all together
-    seen = sorted(zip(looks(search, nominal), looks(search, best), conditions, strict=True))
-    other, larger = (left_by(before, after, misfit(best.model), kinds, n) for before, after, n in seen)
+    evidence, shape = search.evidence, (misfit(best.model), kinds)
+    assert nominal.signature is not None
+    assert best.signature is not None
+    before, after = (evidence.space.y - x for x in (nominal.signature, best.signature))
+    channels, catalogue = zip(looks(search, nominal), looks(search, best), strict=True)
+    # the first look is at the worst condition, the second at all together
+    worst = left_by(*channels, *shape, len(evidence.space.blocks))
+    worst = together(worst, worsened(evidence, before, after, best.signature))
+    (_, other), (_, larger) = sorted([(channels[0], worst), (catalogue[0], left_by(*catalogue, *shape))])
     fits += larger + min(other, 0.0)  # where the gap is larger it is seen whether it closes; the other look may refute that
     holds = held_together(search, best)
     if moved is not None:
@@ -148,17 +155,18 @@ def judged(
     changing: Callable[[], Changing | None],
     probabilities: Mapping[Candidate, float],
     faulty: bool,
+    differs: bool = False,
 ) -> Verdict:
     """The verdict; `probabilities`: of each candidate, `p_fit` included; `changing`: finds an effect that changes with time, if asked.
 
-    `faulty`: a fault of the log is part of the best model.
+    `faulty`: a fault of the log is part of the best model. `differs`: something differs from run to run (`scatter`).
     """
     refuted = tests.p_fit < 1.0 - tests.p_fit or at_bound(best)
     gap = over_noise(search, nominal) > UNKNOWN
     guess = search.evidence.guess > 1.0  # of noise: nobody knows how slow it is, and an effect within it may be that
     none = not best.model or not believed(tests) or refuted or (guess and not gap)
     if none or ((other := changing()) is not None and changes(search, best, other)):
-        return "unknown" if gap else "none"  # nothing is there, if machines without effects leave as much
+        return "unknown" if gap or differs else "none"  # nothing is there, if machines without effects leave and scatter as much
     if faulty:
         return "bad_log"
     return "identified" if all(probabilities[c] >= IDENTIFIED for c in best.model) else "ambiguous"

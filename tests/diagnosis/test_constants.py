@@ -21,7 +21,7 @@ from robomill.diagnosis.experiment.simulation import Setting
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.gate import phases
 from robomill.diagnosis.gate.checks import Finding
-from robomill.diagnosis.inference import adequacy, evidence, machines, priors, search, transfer
+from robomill.diagnosis.inference import adequacy, evidence, machines, priors, scatter, search, transfer
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.noise import fast, own_noise
 from robomill.diagnosis.outcome import verdict
@@ -30,6 +30,7 @@ from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import measure
 from tests.diagnosis.formula import candidate
 from tests.diagnosis.inference.test_machines import Known
+from tests.diagnosis.inference.test_scatter import unsteady
 from tests.tolerances import ROUNDOFF
 
 STEP = 0.01
@@ -217,7 +218,13 @@ EFFECT, CLOCK = candidate("p"), replace(candidate("lag a.*"), component=LOGGING)
 NOTHING_SEEN = Space(np.zeros(1), {"all": slice(0, 1)}, np.zeros((1, 0)))
 AROUND_NOISE: Any = SimpleNamespace(
     candidates=(EFFECT,),
-    evidence=SimpleNamespace(noise=1000.0, space=NOTHING_SEEN, level=lambda left: float(left[0]), guess=1.0),
+    evidence=SimpleNamespace(
+        noise=1000.0,
+        space=NOTHING_SEEN,
+        level=lambda left: float(left[0]),
+        levels=lambda left: np.array([[left[0]]]),
+        guess=1.0,
+    ),
     explainable=lambda left: 0.0,
 )
 
@@ -281,6 +288,7 @@ NOTICED: list[tuple[Any, str, float, Callable[[], Any], Any, Any]] = [
     (transfer, "KEEPS", 2.0, lambda: transfer.Transfer(5.0, 1.1, 1.0, 1.0, 0.0, 0.8, 0.1).promise > 0.0, False, True),
     (adequacy, "HOLDS", 0.5, lambda: round(adequacy.kept(50.0), 6), round(math.log(2.0), 6), round(math.log(4.0), 6)),
     (verdict, "UNLISTED", 2.0, lambda: fits(1.0, 1.0, EFFECT) > 0.5, True, False),
+    (scatter, "SHOWS", 2.0, lambda: scatter.spell(unsteady(7.0)) is not None, True, False),
     (verdict, "UNKNOWN", 2.0, lambda: judged(3.5, 0.9, 0.5), "unknown", "none"),
     (verdict, "IDENTIFIED", 1.2, lambda: judged(9.0, 0.9, 0.001), "identified", "ambiguous"),
 ]

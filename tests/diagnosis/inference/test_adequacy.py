@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,22 @@ from scipy.integrate import trapezoid
 from scipy.stats import beta, norm
 
 from robomill.diagnosis.catalogue import LOGGING
-from robomill.diagnosis.inference.adequacy import CONDITIONS, EXACT, HOLDS, LEVEL, MISFIT, SPREAD, kept, left_by, misfit, unexplained
+from robomill.diagnosis.inference.adequacy import (
+    CONDITIONS,
+    EXACT,
+    HOLDS,
+    LEVEL,
+    MISFIT,
+    SPREAD,
+    kept,
+    left_by,
+    misfit,
+    together,
+    unexplained,
+    worsened,
+)
+from robomill.diagnosis.inference.estimation import Space
+from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.inference.test_estimation import candidate
 from tests.tolerances import ROUNDOFF
 
@@ -113,3 +130,39 @@ def test_however_well_a_model_holds_it_is_no_surer_than_that_stand_ins_do() -> N
     assert kept(50.0) == pytest.approx(-math.log(HOLDS), rel=ROUNDOFF)
     assert kept(0.0) == pytest.approx(0.0, abs=ROUNDOFF)
     assert kept(-50.0) < -49.0
+
+
+def seen(nominal: FloatArray, left: FloatArray, does: FloatArray) -> float:
+    """What `worsened` says of these levels [conditions, channels]."""
+    of = {1.0: nominal, 2.0: left}
+    space = Space(np.ones(1), {str(i): slice(0, 1) for i in range(len(nominal))}, np.zeros((1, 0)))
+    evidence: Any = SimpleNamespace(space=space, levels=lambda x: of[float(x[0])], does=lambda _: does)
+    return worsened(evidence, np.ones(1), np.full(1, 2.0), np.ones(1))
+
+
+def test_what_is_made_worse_is_a_share_of_what_the_model_does_in_that_channel() -> None:
+    nominal, does = np.array([[200.0, 1.0], [0.5, -6.0]]), np.array([[180.0, 5.0], [20.0, 138.0]])
+    left = np.array([[9.0, 1.4], [2.0, 37.5]])
+    assert seen(nominal, left, does) == left_by(138.0, 37.5)
+    assert seen(nominal, left, does) < 0.0 < left_by(200.0, 37.5 - 10.0)
+
+
+def test_what_both_leave_and_what_good_machines_leave_is_not_made_worse() -> None:
+    does = np.full((1, 2), 50.0)
+    assert seen(np.array([[60.0, 8.0]]), np.array([[1.0, 8.0]]), does) == 0.0
+    assert seen(np.array([[60.0, 0.1]]), np.array([[1.0, LEVEL]]), does) == 0.0
+
+
+def test_a_model_that_makes_a_channel_worse_by_little_of_what_it_does_there_is_not_refuted() -> None:
+    """A fifth of the amplitude, as MISFIT says."""
+    does = np.full((1, 1), 1e3)
+    assert seen(np.zeros((1, 1)), np.array([[LEVEL + MISFIT * 1e3]]), does) > 0.0
+    assert seen(np.zeros((1, 1)), np.array([[LEVEL + 0.5 * 1e3]]), does) < -5.0
+
+
+@pytest.mark.parametrize(
+    ("overall", "worse", "both"),
+    [(2.9, 0.0, 2.9), (2.9, 1.0, 2.9), (2.9, -3.0, -0.1), (-0.5, -3.0, -3.0), (-3.0, -0.5, -3.0), (0.0, 2.0, 0.0)],
+)
+def test_what_is_made_worse_may_only_refute_and_counts_once(overall: float, worse: float, both: float) -> None:
+    assert together(overall, worse) == pytest.approx(both, rel=ROUNDOFF)

@@ -312,6 +312,24 @@ class TestDiscrepancy:
         left[second] *= 0.0
         assert found.level(left) == pytest.approx(((0.25 * square / guess + 1.0) / (allowed + 1.0)).max(), rel=RIDGE)
 
+    def test_what_a_signature_does_to_a_channel_is_that_of_this_part_alone(self) -> None:
+        """Alternating in every channel: nuisances take none of it. What is steady a tolerance takes, in each channel by itself."""
+        found = self.evidence()
+        sizes = np.array([3.0, 1.0, 2.0])
+        left = self.left(found, (3.0, 1.0, 2.0))
+        allowed = ROWS * self.part(2, self.OFF) / DEPENDENCE
+        levels = ((ROWS - BEGINNING - 1) * sizes**2 + 1.0) / (allowed + 1.0)
+        assert found.levels(left) == pytest.approx(np.tile(levels, (2, 1)), rel=RIDGE)
+        assert found.does(left) == pytest.approx(np.tile(levels, (2, 1)), rel=RIDGE)
+        steady = found.space.nuisances.toarray()[:, found.space.names.index(self.FIRST)]
+        does, whole = found.does(steady), float(found.space.dot(steady, steady))
+        for i, block in enumerate(found.space.blocks.values()):
+            for k in range(3):
+                alone = np.zeros_like(steady)
+                alone[block][k::3] = steady[block][k::3]
+                assert does[i, k] == pytest.approx((float(found.space.dot(alone, alone)) + 1.0) / (allowed[k] + 1.0), rel=RIDGE)
+        assert whole < 1.0
+
     def test_what_nuisances_explain_counts_what_it_costs(self) -> None:
         """A deviation of a tolerance, whose own column takes s / (1 + s) of it, s its square: <b, b> = s / (1 + s), below one."""
         found = self.evidence(second=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -88,6 +89,7 @@ class TestPromise:
         other = math.hypot(right, KEEPS)
         assert found.promise == pytest.approx(norm.logpdf(amplitude, 1.0, right) - norm.logpdf(amplitude, 1.0, other), rel=1e2 * ROUNDOFF)
         assert found.worth == kept(found.promise) + left_by(2.0, 1.1)
+        assert replace(found, worse=-3.0).worth == found.worth - 3.0
 
     def test_an_amplitude_that_is_hardly_seen_says_nothing(self) -> None:
         for amplitude in (-3.0, 1.0, 5.0):

@@ -64,6 +64,7 @@ def test_numbers_that_there_are_none_of_are_null() -> None:
         "deviation",
         "misfit",
         "conditions",
+        "worse",
         "promise",
         "worth",
     ]

@@ -13,12 +13,12 @@ import pytest
 from scipy.special import expit
 
 from robomill.diagnosis.catalogue import LOGGING, Candidate
-from robomill.diagnosis.inference.adequacy import EXACT, LEVEL, MISFIT, kept, left_by
+from robomill.diagnosis.inference.adequacy import EXACT, LEVEL, MISFIT, kept, left_by, together
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
 from robomill.diagnosis.outcome import verdict
-from robomill.diagnosis.outcome.verdict import FALSE_ALARM, UNKNOWN, UNLISTED, believed, changes, judged
+from robomill.diagnosis.outcome.verdict import FALSE_ALARM, IDENTIFIED, UNKNOWN, UNLISTED, believed, changes, judged
 from tests.diagnosis.demo import catalogue
 from tests.diagnosis.formula import candidate
 from tests.diagnosis.inference.test_adequacy import QUADRATURE
@@ -34,6 +34,7 @@ def search(candidates: tuple[Candidate, ...] = (), explainable: float = 0.0, gue
         noise=EXPECTED,
         space=Space(np.zeros(1), {"all": slice(0, 1)}, np.zeros((1, 0))),
         level=lambda left: float(left[0]),
+        levels=lambda left: np.array([[left[0]]]),
         guess=guess,
     )
     return cast(Any, SimpleNamespace(candidates=candidates, evidence=evidence, explainable=lambda left: explainable))
@@ -73,6 +74,22 @@ class TestTested:
         found = verdict.tested(several, before, after, 0.001, 0.001, None, 0.02)
         odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(9.0, 2.0, conditions=7)
         assert found.p_fit == pytest.approx(expit(odds + kept(verdict.held_together(several, after))), rel=1e2 * ROUNDOFF)
+
+    @pytest.mark.parametrize("made", [0.0, 1.0, 9.0])
+    def test_what_a_model_makes_worse_elsewhere_speaks_against_it(self, tmp_path: Path, made: float) -> None:
+        """Two channels: the gap of one is closed, in the other there was none, and the model does 30 times there what noise does."""
+        effect = catalogue(tmp_path).candidates[:1]
+        two = search()
+        two.evidence.space = Space(np.zeros(2), {"all": slice(0, 2)}, np.zeros((2, 0)))
+        two.evidence.level = lambda left: float(left.max())
+        two.evidence.levels = lambda left: left[None]
+        two.evidence.does = lambda signature: np.full((1, 2), 30.0)
+        before, after = (replace(fit(0.0, m), signature=-np.array(left)) for m, left in (((), (60.0, 1.0)), (effect, (1.0, LEVEL + made))))
+        found = verdict.tested(two, before, after, 0.001, 0.001, None, 0.02)
+        odds = math.log((1.0 - UNLISTED) / UNLISTED)
+        odds += together(left_by(60.0, LEVEL + made, conditions=1), left_by(30.0, LEVEL + made, conditions=1))
+        assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
+        assert (found.p_fit > IDENTIFIED) is (made < 9.0)
 
     def test_a_fault_of_the_log_must_leave_less(self, tmp_path: Path) -> None:
         clock = tuple(c for c in catalogue(tmp_path).candidates if c.component == LOGGING)[:1]
@@ -143,6 +160,12 @@ class TestJudged:
             assert self.judged(tests, 1.01 * UNKNOWN, folder=tmp_path) == "unknown"
         assert judged(search(), SURE, fit(1.0), fit(1.0), steady, {}, False) == "none"
         assert judged(search(), SURE, fit(1.1 * UNKNOWN), fit(1.1 * UNKNOWN), steady, {}, False) == "unknown"
+
+    def test_where_something_differs_from_run_to_run_it_is_not_none(self, tmp_path: Path) -> None:
+        model = catalogue(tmp_path).candidates[:1]
+        for differs, says in ((False, "none"), (True, "unknown")):
+            assert judged(search(), SURE, fit(1.0), fit(1.0), steady, {}, False, differs) == says
+            assert judged(search(), SURE, fit(9.0), fit(1.1, model), steady, {model[0]: 0.95}, False, differs) == "identified"
 
     def test_where_noise_is_a_guess_an_effect_within_it_is_none(self, tmp_path: Path) -> None:
         model = catalogue(tmp_path).candidates[:2]

@@ -1,0 +1,86 @@
+"""What differs from run to run: on repeats of which the scatter is known."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robomill.diagnosis.inference.noise import SPELL
+from robomill.diagnosis.inference.scatter import excess, spell
+from robomill.diagnosis.inference.visibility import SHOWS
+from robomill.orchestration.slaves.protocol import FloatArray
+from tests.tolerances import ROUNDOFF
+
+ROWS, STEP = 8 * SPELL, 0.01
+CHANNELS = ("a.x[1]", "a.x[2]", "b.y", "c.z")
+ARRAYS = np.array([0, 0, 1, 2])
+SIGNS = (1.0, -1.0, 0.0)
+"""Three runs, two of them on both sides of their mean: the variance is the square of the deviation."""
+
+
+def repeats(deviations: FloatArray) -> list[FloatArray]:
+    """Runs [samples, channels] with these deviations [spells, channels] from their mean."""
+    return [1.0 + sign * np.repeat(deviations, SPELL, axis=0) for sign in SIGNS]
+
+
+def unsteady(
+    times: float, channels: tuple[int, ...] = (0, 2), simulated: float = 0.0, runs: int = 3, independent: bool = False, judged: int = 4
+) -> Any:
+    """Repeats that scatter by 1 everywhere, and in the sixth spell by so much in some channels."""
+    deviations, known = np.ones((8, 4)), np.zeros((8, 4))
+    deviations[5, list(channels)] = times
+    known[5] = simulated
+    evidence = SimpleNamespace(
+        space=SimpleNamespace(blocks={"there": slice(0, 1)}),
+        active=np.ones(4, dtype=np.bool_),
+        arrays=ARRAYS,
+        nominals=[repeats(known)],
+        discrepancy=np.zeros(4),
+        judged=np.arange(4) < judged,
+        there=[np.ones(4, dtype=np.bool_)],
+        independent=[independent],
+        decimation=1,
+    )
+    laboratory = SimpleNamespace(
+        channels=CHANNELS, system=SimpleNamespace(step=STEP), conditions=[SimpleNamespace(grid=STEP * np.arange(ROWS))]
+    )
+    return SimpleNamespace(evidence=evidence, groups=[repeats(deviations)[:runs]], simulator=SimpleNamespace(laboratory=laboratory))
+
+
+def test_excess_is_over_usual_scatter_that_of_simulated_repeats_and_discrepancy() -> None:
+    deviations, known = np.ones((4, 1)), np.zeros((4, 1))
+    deviations[2], known[2] = 6.0, 2.0
+    found = excess(repeats(deviations), repeats(known), np.array([3.0]), SPELL * np.arange(5))
+    assert found[:, 0] == pytest.approx([1 / 10, 1 / 10, 36 / (1 + 4 + 9), 1 / 10], rel=ROUNDOFF)
+
+
+def test_what_scatters_in_two_arrays_for_a_while_is_found() -> None:
+    found = spell(unsteady(2.0 * SHOWS))
+    assert found is not None
+    assert (found.channel, found.condition) == ("a.x[1]", "there")
+    assert found.span == pytest.approx((5 * SPELL * STEP, 6 * SPELL * STEP), rel=ROUNDOFF)
+    assert found.times == pytest.approx(2.0 * SHOWS, rel=ROUNDOFF)
+
+
+@pytest.mark.parametrize(("times", "there"), [(0.99 * SHOWS, False), (1.01 * SHOWS, True)])
+def test_it_shows_from_as_many_deviations_as_an_effect_does(times: float, there: bool) -> None:
+    assert (spell(unsteady(times)) is not None) is there
+
+
+def test_one_array_alone_is_the_noise_of_a_device() -> None:
+    assert spell(unsteady(1e3, channels=(0, 1))) is None
+    assert spell(unsteady(1e3, channels=(0, 3), judged=3)) is None  # what no tolerance changes is not judged
+
+
+def test_what_simulated_repeats_scatter_too_is_no_finding() -> None:
+    assert spell(unsteady(50.0, simulated=1.0)) is not None
+    assert spell(unsteady(50.0, simulated=50.0)) is None
+
+
+def test_of_two_runs_and_of_independent_samples_nothing_is_said() -> None:
+    for runs in (1, 2):
+        assert spell(unsteady(1e3, runs=runs)) is None
+    assert spell(unsteady(1e3, independent=True)) is None
