@@ -334,7 +334,7 @@ class TestGate:
         result = answer(tmp_path, changed(changed(measure(STIFF), "sensors.y[1]", late), "sensors.y[2]", late)).result
         assert result["verdict"] == "identified"
         (finding,) = result["gate"]["findings"]
-        assert finding["value"] == pytest.approx(lag, rel=0.05)
+        assert finding["value"] == pytest.approx(lag, rel=WELL)
         assert (finding["kind"], finding["fatal"], finding["repaired"]) == ("lag", False, True)
         assert [w["effect"] for w in result["which"] if w["probability"] > 0.8] == ["clock", "stiffness"]
 

@@ -18,6 +18,7 @@ from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import FINER, Laboratory, Setting, refined, setting
 from robomill.files import FILES
 from robomill.orchestration.assembly import run
+from tests.tolerances import ROUNDOFF
 
 CELL = load_system(FILES / "scenarios" / "milling_cell.toml")
 STIFF = CELL.with_parameters("compliance", {"stiffness_error[2]": 0.1})
@@ -90,7 +91,7 @@ def test_a_finer_step_is_that_of_the_catalogue_beside_any_other_change(laborator
             nominal = (c.nominal or {}).get((component, parameter), 0.0)
             system = system.with_parameters(component, {parameter: value + nominal})
         result = run(system, None, stop=float(c.grid[-1]), resolver=resolve, convert=convert)
-        assert result.t[1] == pytest.approx(0.5 * CELL.step)
+        assert result.t[1] == pytest.approx(0.5 * CELL.step, rel=ROUNDOFF)
         expected = np.stack([np.interp(c.grid, result.t, result.columns[name]) for name in CHANNELS], axis=1)
         found, usual = (laboratory.simulate(1, setting({**dict(changes), FINER: on})) for on in (1.0, 0.0))
         assert found is not None
