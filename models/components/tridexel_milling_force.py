@@ -47,7 +47,9 @@ _OWN = (
     "spindle_start_angle",
     "cutting_length",
 )
-_SHARED = tuple(v for v in MILLING.variables if v.causality != "state" and v.name not in _OWN)
+_WITHOUT = ("spring_back_loss",)
+"""What the tri-dexels have no use for: edges read the material itself."""
+_SHARED = tuple(v for v in MILLING.variables if v.causality != "state" and v.name not in (*_OWN, *_WITHOUT))
 
 VARIABLES = (
     *_SHARED,
