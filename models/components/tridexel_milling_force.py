@@ -48,7 +48,7 @@ _OWN = (
     "cutting_length",
 )
 _WITHOUT = ("spring_back_loss",)
-"""What the tri-dexels have no use for: edges read the material itself."""
+"""What belongs to the lagging height field, which the tri-dexels do not have."""
 _SHARED = tuple(v for v in MILLING.variables if v.causality != "state" and v.name not in (*_OWN, *_WITHOUT))
 
 VARIABLES = (
