@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from robomill.diagnosis.experiment.simulation import decimate
-from robomill.diagnosis.forms.library import Term
+from robomill.diagnosis.forms.library import SLIDES, Term
 from robomill.diagnosis.forms.ports import Problem
 from robomill.diagnosis.forms.selection import MOST, Labels, Products, Rows, fitted, worse
 from robomill.diagnosis.forms.signals import Variable
@@ -19,15 +19,17 @@ Place = tuple[str, Variable]
 
 
 def grid(x: Sequence[FloatArray], decimation: int) -> FloatArray:
-    """Values of k from half a wave in the range of x to four samples a wave (at the 95th percentile of the speed).
+    """Values of k from half a wave in the range of x to four samples a wave at the usual speed; four on the width of a peak, 2 pi / range.
 
-    Four of them on the width of a peak, 2 pi / range.
+    The usual speed is the median of a condition while it moves (SLIDES), in the slowest one: a wave is seen where the motion is slow. That it
+    goes by too fast elsewhere makes it no other wave, since what it does is known at each sample as it was logged.
     """
     way = max(float(np.ptp(v)) for v in x)
-    fastest = max(float(np.quantile(np.abs(np.diff(v[::decimation])), 0.95)) for v in x)
-    if way <= 0.0 or fastest <= 0.0:
+    steps = [np.abs(np.diff(v[::decimation])) for v in x]
+    usual = min((float(np.median(s[s > SLIDES * s.max()])) for s in steps if s.max() > 0.0), default=0.0)
+    if way <= 0.0 or usual <= 0.0:
         return np.zeros(0)
-    return np.asarray(np.arange(np.pi / way, 0.5 * np.pi / fastest, 0.5 * np.pi / way))
+    return np.asarray(np.arange(np.pi / way, 0.5 * np.pi / usual, 0.5 * np.pi / way))
 
 
 def _waves(problem: Problem, place: Place, ks: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
