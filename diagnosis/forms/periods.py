@@ -21,8 +21,8 @@ Place = tuple[str, Variable]
 def grid(x: Sequence[FloatArray], decimation: int) -> FloatArray:
     """Values of k from half a wave in the range of x to four samples a wave at the usual speed; four on the width of a peak, 2 pi / range.
 
-    The usual speed is the median of a condition while it moves (SLIDES), in the slowest one: a wave is seen where the motion is slow. That it
-    goes by too fast elsewhere makes it no other wave, since what it does is known at each sample as it was logged.
+    The usual speed is the median of a condition while it moves (SLIDES), in the slowest one: a wave is seen where the motion is slow.
+    That it goes by too fast elsewhere makes it no other wave: the angle is known at each sample that was logged.
     """
     way = max(float(np.ptp(v)) for v in x)
     steps = [np.abs(np.diff(v[::decimation])) for v in x]

@@ -1,0 +1,56 @@
+"""Periods of a law in an angle: found where the motion is slow, whatever it is elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from robomill.diagnosis.forms.periods import grid, with_periods
+from robomill.diagnosis.forms.ports import Problem, Seen
+from robomill.diagnosis.forms.signals import Host, Variable
+from robomill.orchestration.slaves.protocol import FloatArray
+
+STEP = 0.004
+"""s"""
+SLOW, FAST = 0.02, 1.0
+"""rad/s"""
+WAVES = 1917.0
+"""1/rad: eight poles on a motor with a gear ratio of about 240."""
+ANGLE = Variable("q[1]", False, "rad", 1)
+
+
+def turned(fast: float = 0.1) -> FloatArray:
+    """Angle [n] of an axis that approaches for a part of the time, and goes slowly to and fro for the rest."""
+    t = np.arange(0.0, 6.0, STEP)
+    speed = np.where(t < fast * t[-1], FAST, SLOW * np.sign(np.sin(2.0 * t)))
+    return np.asarray(np.cumsum(speed) * STEP)
+
+
+def problem(angles: Sequence[FloatArray], waves: float) -> Problem:
+    """A port whose gap is a wave of the angle, and noise of a tenth of it."""
+    random = np.random.default_rng(0)
+    host = Host("drive", {}, {}, {})
+    gap = [(np.sin(waves * q + 0.7) + 0.1 * random.normal(size=len(q)))[:, None] for q in angles]
+    known = [{ANGLE: q} for q in angles]
+    t: list[FloatArray] = [STEP * np.arange(len(q), dtype=np.float64) for q in angles]
+    effect = [{"torque[1]": np.ones((len(q), 1))} for q in angles]
+    return Problem(Seen(host, "output", known, t), ("drive.torque",), [], gap, effect, 3, STEP)
+
+
+def test_a_wave_that_is_seen_where_the_motion_is_slow_is_found_although_it_goes_by_too_fast_elsewhere() -> None:
+    angles = [turned(), turned() + 0.3]
+    found = with_periods(problem(angles, WAVES), [], 0.0, [("torque[1]", ANGLE)])
+    (sine, cosine) = (term.factors[0] for _, term in found)
+    width = float(np.diff(grid(angles, 3))[0])
+    assert (sine.kind, cosine.kind, sine.shape) == ("sine", "cosine", cosine.shape)
+    assert abs(sine.shape - WAVES) < width
+
+
+def test_no_wave_is_looked_for_that_is_not_seen_at_the_usual_speed() -> None:
+    ks = grid([turned()], 3)
+    assert abs(ks[-1] - 0.5 * np.pi / (SLOW * 3.0 * STEP)) < 2.0 * float(np.diff(ks)[0])
+
+
+def test_where_nothing_moves_there_is_no_period() -> None:
+    assert len(grid([np.full(1000, 0.3)], 3)) == 0
