@@ -19,8 +19,9 @@ Place = tuple[str, Variable]
 
 
 def grid(x: Sequence[FloatArray], decimation: int) -> FloatArray:
-    """Values of k from half a wave in the range of x to four samples a wave at the usual speed; four on the width of a peak, 2 pi / range.
+    """Values of k from half a wave in the range of x to two samples a wave (Nyquist) at the usual speed.
 
+    Four of them are on the width of a peak, 2 pi / range.
     The usual speed is the median of a condition while it moves (SLIDES), in the slowest one: a wave is seen where the motion is slow.
     That it goes by too fast elsewhere makes it no other wave: the angle is known at each sample that was logged.
     """
@@ -29,7 +30,7 @@ def grid(x: Sequence[FloatArray], decimation: int) -> FloatArray:
     usual = min((float(np.median(s[s > SLIDES * s.max()])) for s in steps if s.max() > 0.0), default=0.0)
     if way <= 0.0 or usual <= 0.0:
         return np.zeros(0)
-    return np.asarray(np.arange(np.pi / way, 0.5 * np.pi / usual, 0.5 * np.pi / way))
+    return np.asarray(np.arange(np.pi / way, np.pi / usual, 0.5 * np.pi / way))
 
 
 def _waves(problem: Problem, place: Place, ks: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
