@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from robomill.cell.binding import convert, resolve, with_fmus
-from robomill.cell.equipment import load_system
+from robomill.cell.equipment import load_system, ports_of
 from robomill.cell.equipment_keys import EquippedKeys
 from robomill.cell.milling import Progress, notes_of, own_tool, read_program, with_parameters
 from robomill.cell.plan_checks import check_plan
@@ -37,6 +37,8 @@ from robomill.orchestration.system.written import merged
 
 PATH, LOAD = "segments.npy", "profile.npy"
 """Tables in the folder of a run: the planned program, the applied load."""
+SEED, APART = "seed", 1_000_000
+"""Parameter of a component that has noise, and how far apart those of two components are: more than all repeats of an experiment."""
 GRAVITY = 9.81
 """m/s2, as in the models."""
 LOAD_ROW = ("s", "N", "N", "N")
@@ -300,8 +302,8 @@ def run_condition(
         check_vacant([folder])
     system = load_system(experiment.system, experiment.equipment)
     planned, known = prepare(experiment, c, system, folder)
-    seed = {"sensor": {"seed": 1000 * (1 + experiment.conditions.index(c)) + repeat}}
-    configured = with_parameters(with_parameters(with_parameters(system, seed), experiment.machine), in_folder(known, folder))
+    seeds = _seeds(system, 1000 * (1 + experiment.conditions.index(c)) + repeat)
+    configured = with_parameters(with_parameters(with_parameters(system, seeds), experiment.machine), in_folder(known, folder))
     recording = replace(configured.recording, csv=csv, columns=experiment.columns or configured.recording.columns)
     configured = replace(configured, name=experiment.name, recording=recording)
     if fmus is not None:
@@ -319,6 +321,12 @@ def run_condition(
     info["parameters"] = known
     (folder / RUN).write_text(dump(info), encoding="utf-8")
     return Run.load(folder)
+
+
+def _seeds(system: System, number: int) -> dict[str, dict[str, int]]:
+    """Another noise for each component that has some: `number` seeds that of the sensor."""
+    noisy = [c.name for c in system.components if any(p.name == SEED for p in ports_of(system, c.name))]
+    return {name: {SEED: number + APART * k} for k, name in enumerate(sorted(noisy, key=lambda name: name != "sensor"))}
 
 
 def _place(folder: Path, c: ExperimentCondition, repeat: int) -> Path:

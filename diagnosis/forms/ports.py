@@ -127,10 +127,10 @@ def direct(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
         element = column.partition(".")[2]
         if element not in seen.host.ports:
             continue
-        at = replays[0].channels.index(column)
-        gap = [np.mean(r.residuals, axis=0)[:, [at]] for r in replays]
-        size = float(np.sqrt(np.mean(np.concatenate(gap) ** 2)))
-        if size <= 0.0:
+        at = [replays[0].channels.index(column)]
+        gap = [np.mean(r.residuals, axis=0)[:, at] for r in replays]
+        size = _rms(replays, gap, at)
+        if size == 0.0:
             continue
         effect = [{element: np.full((len(g), 1), 1.0 / size)} for g in gap]
         terms = [(element, t) for t in seen.library(element, alone=True)]
@@ -151,7 +151,8 @@ def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
         elements = [p for p in seen.host.ports if base_name(p) == base]
         at = [replays[0].channels.index(c) for c in channels]
         gap = [np.mean(r.residuals, axis=0)[:, at] for r in replays]
-        sizes = {a: _rms(gap, [base_name(c) == a for c in channels]) for a in map(base_name, channels)}
+        of = {a: [k for k, c in enumerate(channels) if base_name(c) == a] for a in map(base_name, channels)}
+        sizes = {a: _rms(replays, [g[:, some] for g in gap], [at[k] for k in some]) for a, some in of.items()}
         scale = np.array([sizes[base_name(c)] or 1.0 for c in channels])
         effect: list[dict[str, FloatArray]] = []
         for r in replays:
@@ -178,7 +179,8 @@ def into(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: 
     channels = replays[0].channels
     gap = [r.mean - r.nominal for r in replays]
     arrays = list(map(base_name, channels))
-    sizes = {a: _rms(gap, [x == a for x in arrays]) or 1.0 for a in arrays}
+    of = {a: [k for k, x in enumerate(arrays) if x == a] for a in arrays}
+    sizes = {a: _rms(replays, [g[:, some] for g in gap], some) or 1.0 for a, some in of.items()}
     scale = np.array([sizes[a] for a in arrays])
     terms, extra = [], {}
     for element, (column, _) in seen.host.sources.items():
@@ -198,5 +200,7 @@ def into(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: 
     return [Problem(seen, tuple(dict.fromkeys(arrays)), terms, scaled, [], laboratory.decimation, step, extra)] if terms else []
 
 
-def _rms(gap: Sequence[FloatArray], on: Sequence[bool]) -> float:
-    return float(np.sqrt(np.mean(np.concatenate(gap)[:, list(on)] ** 2)))
+def _rms(replays: Sequence[ComponentReplay], gap: Sequence[FloatArray], channels: Sequence[int]) -> float:
+    """Root mean square of the gap in these channels, [n, channels] by replay; 0 where it is roundoff of what was measured there."""
+    size, signal = (float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for x in (gap, [r.mean[:, channels] for r in replays]))
+    return size if size > np.sqrt(np.finfo(np.float64).eps) * signal else 0.0

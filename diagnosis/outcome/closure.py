@@ -40,6 +40,8 @@ class Products:
     """Noise that is a guess: it was taken off `before`, `after` and `floor`, and stays in what is said of them."""
     samples: FloatArray
     """Samples in the block."""
+    roundoff: FloatArray
+    """What the arithmetic of the simulations may make of the measured values: half of their digits are trusted."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,9 @@ def products(
     lengths = np.diff(edges).astype(np.float64)
     noise = lengths * float(variance.sum())
     kept = noise if guessed and n == 1 else np.zeros_like(noise)
-    return Products(pairs(*before, 0.0), pairs(*after, 0.0), noise, floor, regressed, kept, lengths)
+    squares = np.finfo(np.float64).eps * (stack**2).mean(axis=0).sum(axis=1)
+    roundoff = np.array([squares[i:j].sum() for i, j in itertools.pairwise(edges)])
+    return Products(pairs(*before, 0.0), pairs(*after, 0.0), noise, floor, regressed, kept, lengths, roundoff)
 
 
 def figures(parts: Sequence[Products], metric: str = "", channel: str = "", unit: str = "1", on: str = "") -> HowFar:
@@ -134,13 +138,14 @@ def figures(parts: Sequence[Products], metric: str = "", channel: str = "", unit
     closure = 1 - sum of `after` / sum of `before`, ceiling = 1 - sum of `floor` / sum of `before`, over all blocks; the interval (90 %)
     is that of blocks drawn anew.
     """
-    before, after, floor, samples, noise, kept = (
-        np.concatenate([getattr(p, name) for p in parts]) for name in ("before", "after", "floor", "samples", "noise", "kept")
+    before, after, floor, samples, noise, kept, roundoff = (
+        np.concatenate([getattr(p, name) for p in parts]) for name in ("before", "after", "floor", "samples", "noise", "kept", "roundoff")
     )
     rng = np.random.default_rng(0)
     choice = rng.integers(0, len(before), (RESAMPLES, len(before)))
     least = [float(np.quantile(x[choice].sum(axis=1), 0.05)) for x in (before, after)]
-    measurable = bool(least[0] > 0.0 and before.sum() > 0.05 * noise.sum() / max(np.sqrt(len(before)), 1.0))
+    over = max(0.05 * noise.sum() / max(np.sqrt(len(before)), 1.0), roundoff.sum())
+    measurable = bool(least[0] > 0.0 and before.sum() > over)
     before, after, floor = before + kept, after + kept, floor + kept
     rms, left, size = (float(np.sqrt(max(x.sum(), 0.0) / samples.sum())) for x in (before, after, noise))
     common = (metric, channel, unit, on, rms, left, size)
