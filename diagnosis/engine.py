@@ -111,7 +111,7 @@ def diagnose_campaign(
     conditions, groups = laboratory.conditions, laboratory.measured()
     with Simulator(laboratory, workers, report, store, scheduler) as simulator:
         simulator.expected = likely_count(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
-        gate = Gate(laboratory, simulator, groups, n, catalogue.candidates)
+        gate = Gate(laboratory, simulator, groups, n, catalogue.candidates, nuisances)
         findings = told + gate.findings()
         fatal = [f for f in findings if f.fatal]
         if all(f.kind in EXPLAINABLE for f in fatal):

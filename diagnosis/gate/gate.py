@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.catalogue import Candidate, Nuisance
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.segments import playing
-from robomill.diagnosis.experiment.simulation import Laboratory, Setting, Simulator
+from robomill.diagnosis.experiment.simulation import Laboratory, Setting, Simulator, setting
 from robomill.diagnosis.gate import checks, log_faults, repeats, run_set
 from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.inference.sensitivities import NOMINAL
@@ -33,6 +33,8 @@ class Gate:
     """The first `n` conditions are diagnosed; of the others only the program is looked at."""
     candidates: Sequence[Candidate]
     """Effects of the catalogue: what one of them can change is no program, and no clock is later than theirs."""
+    nuisances: Sequence[Nuisance]
+    """Calibrated numbers: a program that is off as they may be is no other one."""
 
     def findings(self, changes: Setting = ()) -> list[Finding]:
         """What is wrong with the log where the system has these changes; nothing where that cannot run."""
@@ -80,14 +82,24 @@ class Gate:
         latest = run_set.latest_clock(self.candidates)
         found: list[Finding] = []
         simulated = self.simulator.repeated(range(len(self.groups)), (), NOMINAL, SIMULATIONS)
-        for condition, group, models, played in zip(self.laboratory.conditions, self.groups, simulated, plays, strict=True):
+        for i, (condition, group, models, played) in enumerate(zip(self.laboratory.conditions, self.groups, simulated, plays, strict=True)):
             if models is None:
                 continue
             at = self._shown(condition)
             channels, mean, step = [self.laboratory.channels[i] for i in at], np.mean(models, axis=0)[:, at], _step(condition, models[0])
+            told = (channels, played, step, latest)
             for r, x in zip(condition.runs, group, strict=True):
-                found += run_set.other_program(r, x[:, at], mean, channels, played, step, latest)
+                if other := run_set.other_program(r, x[:, at], mean, *told):
+                    changes = [c[:, at] for c in self._within_tolerance(i, played)]
+                    other = run_set.other_program(r, x[:, at], mean, *told, changes)
+                found += other
         return found
+
+    def _within_tolerance(self, i: int, played: Collection[str]) -> list[FloatArray]:
+        """What three standard deviations of each calibrated number of these components change in condition `i`, [samples, channels]."""
+        far = [setting({u.address: 3.0 * u.scale}) for u in self.nuisances if u.address[0] in played]
+        nominal, *other = self.simulator.many([(i, changes) for changes in ((), *far)], SIMULATIONS)
+        return [x - nominal for x in other if x is not None] if nominal is not None else []
 
     def _shown(self, condition: Condition) -> list[int]:
         """Places of the channels that say anything in a condition."""

@@ -125,11 +125,19 @@ def complete(conditions: Sequence[Condition]) -> tuple[list[Condition], list[Fin
 
 
 def other_program(
-    run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], played: Collection[str], step: float, latest: float
+    run: Run,
+    x: FloatArray,
+    s: FloatArray,
+    channels: Sequence[str],
+    played: Collection[str],
+    step: float,
+    latest: float,
+    changes: Sequence[FloatArray] = (),
 ) -> list[Finding]:
     """Channels of components that nothing goes into (`played`) which are not what they play; measured `x` and simulated `s`, [n, channels].
 
-    A program that is recorded late by up to `latest` [s] (and a sample) is the same; `step` [s] is between the samples.
+    A program that is recorded late by up to `latest` [s] (and a sample) is the same; `step` [s] is between the samples. So is one that is
+    off by no more than its calibrated numbers may be: `changes` are what three standard deviations of each do, [n, channels].
     """
     found = []
     for name, members in by_array(channels).items():
@@ -141,7 +149,7 @@ def other_program(
             motion = size
         reach = min(int(latest / step) + 1, len(a) // 2)
         off = min(_apart(a, b, k) for k in range(-reach, reach + 1))
-        if off > OTHER * motion:
+        if off > OTHER * motion + sum(float((c[:, members] ** 2).sum()) for c in changes):
             unit = run.ports[channels[members[0]]].unit or ""
             largest = float(np.abs(a - b).max())
             text = (

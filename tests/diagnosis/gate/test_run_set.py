@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
 from robomill.diagnosis.gate.run_set import check_clock, check_each, complete, latest_clock, other_program
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import FloatArray
 from robomill.orchestration.system.parameters import same_unit_only
 from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
 from tests.tolerances import ROUNDOFF
@@ -151,11 +153,11 @@ class TestProgram:
 
     T = 0.01 * np.arange(800)
 
-    def found(self, measured: object, simulated: object, latest: float = 0.3) -> list[str]:
+    def found(self, measured: object, simulated: object, latest: float = 0.3, changes: Sequence[FloatArray] = ()) -> list[str]:
         x, s = np.stack([measured, self.T], axis=1), np.stack([simulated, self.T], axis=1)
         r = replace(measure(repeats=1)[0], folder=Path("r1"))
         ports = {"path.x": r.ports["sensors.y[1]"], "drive.y": r.ports["sensors.y[1]"]}
-        return [f.text for f in other_program(replace(r, ports=ports), x, s, list(ports), {"path"}, 0.01, latest)]
+        return [f.text for f in other_program(replace(r, ports=ports), x, s, list(ports), {"path"}, 0.01, latest, changes)]
 
     def test_the_same_late_and_rounded_is_the_same(self) -> None:
         s = np.sin(self.T)
@@ -171,6 +173,14 @@ class TestProgram:
         assert len(self.found(1.15 * s, s)) == 1
         moving = s + 1e-3 * np.sin(self.T)  # what moves by more than that moves
         assert len(self.found(s, moving)) == 1
+
+    def test_what_calibrated_numbers_may_change_is_the_same(self) -> None:
+        """A program that hardly moves, with another tool frame: what is off is larger than the motion."""
+        s = 1.0 + 1e-5 * np.sin(self.T)
+        tolerance = np.stack([np.full(800, 3e-5), np.zeros(800)], axis=1)
+        assert len(self.found(s + 2e-5, s)) == 1
+        assert self.found(s + 2e-5, s, changes=[tolerance]) == []
+        assert len(self.found(s + 4e-5, s, changes=[tolerance])) == 1
 
     def test_another_amplitude_place_or_time_is_another(self) -> None:
         s = np.sin(self.T)
