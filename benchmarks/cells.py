@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from robomill.blind.world import measure
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system, ports_of
 from robomill.cell.experiments import Experiment, load_experiment, run_condition
@@ -23,6 +24,11 @@ from robomill.files import FILES
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import base_name
 from robomill.orchestration.system.definition import System
+
+ALSO = ("sensor.bridge", "current.current")
+"""Measured arrays, beside those of the blind benchmark."""
+OTHER = 100
+"""Repeats that a machine has behind it: no simulation has the same noise."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +74,9 @@ class Cell:
         for condition in experiment.conditions:
             for repeat in range(1, repeats + 1):
                 place = folder / f"{condition.name}-{repeat}"
-                # the machine has another noise than any simulation of it
-                found[condition.held_out].append(run_condition(experiment, condition, 100 + repeat, place, overwrite=True))
+                made = run_condition(experiment, condition, OTHER + repeat, place, overwrite=True)
+                also = {name: x for name, x in made.columns.items() if base_name(name) in ALSO}
+                found[condition.held_out].append(replace(made, columns=measure(made.columns, "T1", rng) | also))
         return found
 
     def _experiment(self) -> Experiment:

@@ -1,8 +1,8 @@
 """The diagnosis on systems that are no milling cells: `python -m benchmarks.elsewhere [--seed 1] [--count 2] [--out FILE.json]`.
 
-The examples `servo_axis` and `heated_rod` bring a model, a catalogue, a mapping, and another formulation that plays the machine. Cases are
+The examples `servo_axis` and `heated_rod` bring a model, a catalogue, a mapping, and another formulation that plays the machine: each case
+goes the way of a user, from the logs to the answer. Beside them are the cells of papers 001, 003 and 004 (`benchmarks.cells`). Cases are
 drawn by the seed: nulls, singles, doubles, singles of which the catalogue knows nothing (withheld), and singles that were recorded once.
-Each goes the way of a user, from the logs to the answer.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.cells import CELLS, Cell
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
 from robomill.diagnosis.catalogue import Catalogue
@@ -29,6 +30,7 @@ from robomill.diagnosis.engine import diagnose
 from robomill.files import FILES
 from robomill.logs.importing import import_log
 from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system.definition import System
 
 KINDS = ("null", "single", "double", "withheld", "once")
 NAMED = 0.8
@@ -54,6 +56,32 @@ class Example:
         """Where it is."""
         return FILES / "examples" / self.name
 
+    def catalogue(self) -> Catalogue:
+        """What may be wrong with it."""
+        return Catalogue.load(self.folder / "catalogue.toml")
+
+    def system(self) -> System:
+        """The nominal one."""
+        return load_system(self.folder / "system.toml")
+
+    @property
+    def usual(self) -> Mapping[str, float]:
+        """Effect of machine.py -> size that is usual [SI]; a negative one may have either sign."""
+        usual: Mapping[str, float] = self.machine().USUAL
+        return usual
+
+    def runs(self, effects: Mapping[str, float], seed: int, repeats: int, folder: Path) -> tuple[list[Run], list[Run]]:
+        """Diagnosed and held-out runs of a machine with these effects, imported from its logs."""
+        machine, found = self.machine(), ([], [])
+        for condition, into in zip((self.diagnosed, self.held_out), found, strict=True):
+            mapping = self.folder / ("map.toml" if condition == self.diagnosed else f"map_{condition}.toml")
+            for repeat in range(1, repeats + 1):
+                log, run = folder / f"{condition}-{repeat}.csv", folder / f"{condition}-{repeat}"
+                machine.write(log, machine.measure(effects, seed, condition, repeat))
+                import_log(mapping, log, run, overwrite=True, labels={"repeat": repeat})
+                into.append(Run.load(run))
+        return found
+
     def machine(self) -> ModuleType:
         """Its machine.py."""
         spec = importlib.util.spec_from_file_location(f"{self.name}_machine", self.folder / "machine.py")
@@ -63,11 +91,11 @@ class Example:
         spec.loader.exec_module(module)
         return module
 
-    def parameter(self, effect: str, catalogue: Catalogue) -> str:
+    def parameter(self, effect: str) -> str:
         """`component.parameter` of an effect of machine.py."""
         if effect in self.parameters:
             return self.parameters[effect]
-        (found,) = {f"{c.component}.{c.named[0]}" for c in catalogue.candidates if c.named[0] == effect}
+        (found,) = {f"{c.component}.{c.named[0]}" for c in self.catalogue().candidates if c.named[0] == effect}
         return found
 
 
@@ -84,6 +112,8 @@ EXAMPLES = (
         },
     ),
 )
+SUBJECTS: tuple[Example | Cell, ...] = (*EXAMPLES, *CELLS)
+"""All systems that there are cases of."""
 
 
 @dataclass(frozen=True)
@@ -106,40 +136,26 @@ class Result:
     seconds: float
 
 
-def drawn(example: Example, machine: ModuleType, kind: str, seed: int) -> dict[str, float]:
+def drawn(subject: Example | Cell, kind: str, seed: int) -> dict[str, float]:
     """Effects of a case: sizes are log-normal about the usual ones; the sign is free where the usual one is negative."""
-    rng = np.random.default_rng([seed, KINDS.index(kind), len(example.name)])
+    rng, usual = np.random.default_rng([seed, KINDS.index(kind), len(subject.name)]), subject.usual
     count = {"null": 0, "double": 2}.get(kind, 1)
-    names = rng.choice(sorted(machine.USUAL), count, replace=False)
-    sign = {n: rng.choice([-1.0, 1.0]) if machine.USUAL[n] < 0.0 else 1.0 for n in names}
-    return {str(n): float(sign[n] * abs(machine.USUAL[n]) * np.exp(SPREAD * rng.normal())) for n in names}
+    names = rng.choice(sorted(usual), count, replace=False)
+    sign = {n: rng.choice([-1.0, 1.0]) if usual[n] < 0.0 else 1.0 for n in names}
+    return {str(n): float(sign[n] * abs(usual[n]) * np.exp(SPREAD * rng.normal())) for n in names}
 
 
-def diagnosed(example: Example, machine: ModuleType, kind: str, seed: int, folder: Path) -> Result:
+def diagnosed(subject: Example | Cell, kind: str, seed: int, folder: Path) -> Result:
     """One case, from the logs to its score."""
     began = time.process_time()
-    effects = drawn(example, machine, kind, seed)
-    catalogue = Catalogue.load(example.folder / "catalogue.toml")
-    truth = {example.parameter(e, catalogue): value for e, value in effects.items()}
+    effects = drawn(subject, kind, seed)
+    catalogue = subject.catalogue()
+    truth = {subject.parameter(e): value for e, value in effects.items()}
     if kind == "withheld":
         kept = tuple(c for c in catalogue.candidates if f"{c.component}.{c.named[0]}" not in truth)
         catalogue = replace(catalogue, candidates=kept)
-    runs: dict[str, list[Run]] = {}
-    for condition in (example.diagnosed, example.held_out):
-        mapping = example.folder / ("map.toml" if condition == example.diagnosed else f"map_{condition}.toml")
-        for repeat in range(1, 2 if kind == "once" else REPEATS + 1):
-            log, run = folder / f"{condition}-{repeat}.csv", folder / f"{condition}-{repeat}"
-            machine.write(log, machine.measure(effects, seed, condition, repeat))
-            import_log(mapping, log, run, overwrite=True, labels={"repeat": repeat})
-            runs.setdefault(condition, []).append(Run.load(run))
-    answer = diagnose(
-        load_system(example.folder / "system.toml"),
-        runs[example.diagnosed],
-        catalogue,
-        held_out=runs[example.held_out],
-        resolver=resolve,
-        convert=convert,
-    ).answer
+    runs, held_out = subject.runs(effects, seed, 1 if kind == "once" else REPEATS, folder)
+    answer = diagnose(subject.system(), runs, catalogue, held_out=held_out, resolver=resolve, convert=convert).answer
     named = {
         f"{w.component}.{next(iter(w.parameters))}": [(p := next(iter(w.parameters.values()))).value, *p.interval]
         for w in answer.which
@@ -148,7 +164,7 @@ def diagnosed(example: Example, machine: ModuleType, kind: str, seed: int, folde
     listed = {f"{w.component}.{next(iter(w.parameters))}" for w in answer.which}
     closures = [h.closure for h in answer.how_far if h.on == "held-out condition" and h.unit != "1" and h.closure is not None]
     return Result(
-        example.name,
+        subject.name,
         kind,
         seed,
         truth,
@@ -183,14 +199,13 @@ def score(kind: str, verdict: str, truth: set[str], named: set[str], listed: set
     return "part" if named and named < truth else "wrong"
 
 
-def cases(kinds: Sequence[str], count: int, seed: int, systems: Sequence[str]) -> Iterator[tuple[Example, ModuleType, str, int]]:
+def cases(kinds: Sequence[str], count: int, seed: int, systems: Sequence[str]) -> Iterator[tuple[Example | Cell, str, int]]:
     """`count` cases of each kind and system."""
-    for example in EXAMPLES:
-        if example.name in systems:
-            machine = example.machine()
+    for subject in SUBJECTS:
+        if subject.name in systems:
             for kind in kinds:
                 for i in range(count):
-                    yield example, machine, kind, 1000 * seed + i
+                    yield subject, kind, 1000 * seed + i
 
 
 def table(results: Sequence[Result]) -> str:
@@ -221,7 +236,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=2, help="cases of each kind and system")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
-    parser.add_argument("--systems", nargs="+", choices=[e.name for e in EXAMPLES], default=[e.name for e in EXAMPLES])
+    parser.add_argument("--systems", nargs="+", choices=[s.name for s in SUBJECTS], default=[s.name for s in SUBJECTS])
     parser.add_argument("--out", type=Path)
     options = parser.parse_args(arguments)
     results = []

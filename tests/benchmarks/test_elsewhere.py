@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from benchmarks.elsewhere import EXAMPLES, drawn, score
-from robomill.diagnosis.catalogue import Catalogue
+from benchmarks.cells import CELLS, Cell
+from benchmarks.elsewhere import SUBJECTS, Example, drawn, score
+from tests.tolerances import chance
 
 A, B, CLOCK = "axis.coulomb", "axis.backlash", "logging.lag encoder.*"
 
@@ -36,22 +39,33 @@ def test_the_worth_of_an_answer(kind: str, verdict: str, truth: set[str], named:
     assert score(kind, verdict, truth, named, listed) == worth
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda e: e.name)
-def test_every_effect_of_a_machine_is_in_the_catalogue_of_its_example(example) -> None:
-    machine, catalogue = example.machine(), Catalogue.load(example.folder / "catalogue.toml")
-    known = {f"{c.component}.{c.named[0]}": c for c in catalogue.candidates}
-    for effect, usual in machine.USUAL.items():
-        candidate = known[example.parameter(effect, catalogue)]
+@pytest.mark.parametrize("subject", SUBJECTS, ids=lambda s: s.name)
+def test_every_effect_of_a_machine_is_in_the_catalogue_of_its_system(subject: Example | Cell) -> None:
+    known = {f"{c.component}.{c.named[0]}": c for c in subject.catalogue().candidates}
+    for effect, usual in subject.usual.items():
+        candidate = known[subject.parameter(effect)]
         assert candidate.minimum < abs(usual) < candidate.maximum
         assert candidate.both_signs or usual > 0.0
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda e: e.name)
-def test_cases_are_drawn_by_their_seed(example) -> None:
-    machine = example.machine()
-    assert drawn(example, machine, "null", 1) == {}
-    assert len(drawn(example, machine, "double", 1)) == 2
-    ((name, value),) = drawn(example, machine, "single", 1).items()
-    assert drawn(example, machine, "single", 1) == {name: value}
-    assert math.log(abs(value / machine.USUAL[name])) != 0.0
-    assert len({tuple(drawn(example, machine, "single", s)) for s in range(20)}) > 5
+@pytest.mark.parametrize("subject", SUBJECTS, ids=lambda s: s.name)
+def test_cases_are_drawn_by_their_seed(subject: Example | Cell) -> None:
+    assert drawn(subject, "null", 1) == {}
+    assert len(drawn(subject, "double", 1)) == 2
+    ((name, value),) = drawn(subject, "single", 1).items()
+    assert drawn(subject, "single", 1) == {name: value}
+    assert math.log(abs(value / subject.usual[name])) != 0.0
+    assert len({tuple(drawn(subject, "single", s)) for s in range(20)}) > 5
+
+
+def test_the_machine_of_a_cell_is_as_its_seed_and_its_effects_say(tmp_path: Path) -> None:
+    """Its numbers are off within the tolerances of the catalogue, and the effect comes on top: a bridge of the holder that shows more."""
+    (cell,) = (c for c in CELLS if c.name == "kr500")
+    (one, _), (other, held) = (cell.runs({}, 1, 2, tmp_path / "one"), cell.runs({}, 2, 1, tmp_path / "two"))
+    (changed, _) = cell.runs({"sensor.bridge_gain_error[2]": 0.1}, 1, 1, tmp_path / "changed")
+    bridge = [r["sensor.bridge"][:, 1] for r in (one[0], one[1], other[0], changed[0])]
+    scatter, machines, effect = (float(np.sqrt(np.mean((x - bridge[0]) ** 2))) for x in bridge[1:])
+    size = float(np.sqrt(np.mean(bridge[0] ** 2)))
+    assert 0.0 < scatter < machines < effect
+    assert abs(effect / size - 0.1) < chance(scatter / size)
+    assert [r.folder.name for r in (*other, *held)] == ["slot-1", "elsewhere-1"]

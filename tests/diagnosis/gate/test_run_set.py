@@ -153,7 +153,7 @@ class TestProgram:
 
     T = 0.01 * np.arange(800)
 
-    def found(self, measured: object, simulated: object, latest: float = 0.3, changes: Sequence[FloatArray] = ()) -> list[str]:
+    def found(self, measured: FloatArray, simulated: FloatArray, latest: float = 0.3, changes: Sequence[FloatArray] = ()) -> list[str]:
         x, s = np.stack([measured, self.T], axis=1), np.stack([simulated, self.T], axis=1)
         r = replace(measure(repeats=1)[0], folder=Path("r1"))
         ports = {"path.x": r.ports["sensors.y[1]"], "drive.y": r.ports["sensors.y[1]"]}
