@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from robomill.diagnosis.catalogue import LOGGING
-from robomill.diagnosis.inference.estimation import Model
+from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.evidence import FORM, Evidence
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -26,13 +26,18 @@ HOLDS = 0.5
 """Probability [1] that a stand-in does in all conditions what the right effect does, more or less by no more than a law is off. Fitted to
 the withheld effects of two development seeds: of nine stand-ins with a known amplitude in new conditions five kept it (decision 85)."""
 EXACT = 0.005
-"""Mean share [1] of a gap that a right model leaves where a fault of the log is part of it: what a late clock does to a log is no law that
-could be wrong."""
+"""Mean share [1] that a right model leaves of what a fault of the log does: that a clock is late is no law that could be wrong."""
 
 
-def misfit(model: Model) -> float:
-    """Mean share [1] of a gap that this model leaves where it is right."""
-    return EXACT if any(c.component == LOGGING for c in model) else MISFIT
+def misfit(fit: Fit) -> float:
+    """Mean share [1] of a gap that this model leaves where it is right: EXACT of what its faults of the log do, MISFIT of the rest.
+
+    What an effect does is the square of its part of the signature (`Fit.signatures`); parts that are not known do alike.
+    """
+    does = {c: float(part @ part) for c, part in fit.signatures().items()} or dict.fromkeys(fit.model, 1.0)
+    total = sum(does.values())
+    share = sum(x for c, x in does.items() if c.component == LOGGING) / total if total > 0.0 else 0.0
+    return EXACT * share + MISFIT * (1.0 - share)
 
 
 def agreement(amplitudes: FloatArray, precisions: FloatArray) -> float:

@@ -63,6 +63,20 @@ class Fit:
         """What is on: `backlash @ joint 2 + gain @ x`, or `nominal`."""
         return " + ".join(c.name for c in self.model) or "nominal"
 
+    def signatures(self) -> dict[Candidate, FloatArray]:
+        """What each effect adds to the whitened residual, [n]: sensitivities at the fitted values, times these.
+
+        Empty where the sensitivities are not known.
+        """
+        if self.sensitivities is None:
+            return {}
+        found, at = {}, 0
+        for c in self.model:
+            x = np.array([self.values[a] / c.prior.scale for a in c.addresses])
+            found[c] = np.asarray(self.sensitivities[:, at : at + len(x)] @ x)
+            at += len(x)
+        return found
+
     def large_enough(self) -> bool:
         """Whether each effect has a number that counts as a finding: `minimum` of the catalogue or more."""
         return all(c.large_enough(self.values) for c in self.model)

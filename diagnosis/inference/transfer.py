@@ -121,7 +121,7 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     amplitude = float(wide.dot(signature, space.y)) / seen
     levels, gain = (e.level(space.y), e.level(rest)), 0.5 * (before - after)
     worse = worsened(e, space.y, rest, signature)
-    return Transfer(*levels, gain, 0.5 * size, doubt, amplitude, seen**-0.5, misfit(fit.model), len(every), worse)
+    return Transfer(*levels, gain, 0.5 * size, doubt, amplitude, seen**-0.5, misfit(fit), len(every), worse)
 
 
 def _chi2(space: Space, left: FloatArray, unsure: FloatArray | None) -> float:

@@ -32,7 +32,7 @@ from robomill.diagnosis.outcome import next_run
 from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Menu, Unknown, Visible, Which, curves_of, titles_of
 from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, Closing, metrics
-from robomill.diagnosis.outcome.steps import signatures, steps
+from robomill.diagnosis.outcome.steps import steps
 from robomill.diagnosis.outcome.verdict import IDENTIFIED, UNKNOWN, changes, judged, over_noise, share_left, tested
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -190,7 +190,7 @@ class Conclusion:
         / <s, s>: what an effect does that is hardly known and does little hardly matters. At most 1.
         """
         fit, doubt = self.best, BIAS
-        parts = signatures(fit)
+        parts = fit.signatures()
         total: FloatArray = np.sum(list(parts.values()), axis=0)
         space = self.search.evidence.space
         for c, part in parts.items():

@@ -13,7 +13,6 @@ import numpy as np
 
 from robomill.diagnosis.catalogue import Candidate
 from robomill.diagnosis.inference.estimation import Fit, Space
-from robomill.diagnosis.outcome.steps import signatures
 from robomill.orchestration.slaves.protocol import FloatArray
 
 CORRELATED = 0.95
@@ -41,7 +40,7 @@ def families(fits: Sequence[Fit], weights: Sequence[float] | FloatArray, space: 
     likely = dict.fromkeys((c.name for c in candidates), 0.0)
     shown: dict[str, tuple[float, Candidate, FloatArray]] = {}
     for f, p in zip(fits, weights, strict=True):
-        for c, signature in signatures(f).items():
+        for c, signature in f.signatures().items():
             likely[c.name] = likely.get(c.name, 0.0) + float(p)
             # alone an effect shows what it is like; beside others, only what is left to it
             rank = float(p) + (1.0 if len(f.model) == 1 else 0.0)

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from robomill.diagnosis.catalogue import Address, Candidate, physical
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.outcome.how_far import Closing
-from robomill.orchestration.slaves.protocol import FloatArray
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,7 @@ def ranked(fit: Fit, space: Space) -> list[Candidate]:
 
     What an effect explains is its part of the signature, sensitivity times size: <y - s, y - s> of the sum s is what is left.
     """
-    parts = signatures(fit)
+    parts = fit.signatures()
     left, rest, order = space.y, list(parts), []
     while rest:
         best = min(rest, key=lambda c: float(space.dot(left - parts[c], left - parts[c])))
@@ -67,18 +64,3 @@ def ranked(fit: Fit, space: Space) -> list[Candidate]:
         left = left - parts[best]
         order.append(best)
     return order
-
-
-def signatures(fit: Fit) -> dict[Candidate, FloatArray]:
-    """What each effect of a model adds to the whitened residual, [n]: sensitivities at the fitted values, times these.
-
-    Empty where the sensitivities are not known.
-    """
-    if fit.sensitivities is None:
-        return {}
-    found, at = {}, 0
-    for c in fit.model:
-        x = np.array([fit.values[a] / c.prior.scale for a in c.addresses])
-        found[c] = np.asarray(fit.sensitivities[:, at : at + len(x)] @ x)
-        at += len(x)
-    return found

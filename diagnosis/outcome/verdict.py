@@ -89,7 +89,7 @@ def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: floa
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
     kinds = max(len({c.effect for c in best.model}), 1)
     fits = math.log(1.0 - UNLISTED) - math.log(UNLISTED)
-    evidence, shape = search.evidence, (misfit(best.model), kinds)
+    evidence, shape = search.evidence, (misfit(best), kinds)
     assert nominal.signature is not None
     assert best.signature is not None
     before, after = (evidence.space.y - x for x in (nominal.signature, best.signature))

@@ -28,7 +28,7 @@ from robomill.diagnosis.inference.adequacy import (
     unexplained,
     worsened,
 )
-from robomill.diagnosis.inference.estimation import Space
+from robomill.diagnosis.inference.estimation import Fit, Model, Space
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.inference.test_estimation import candidate
 from tests.tolerances import ROUNDOFF
@@ -36,6 +36,11 @@ from tests.tolerances import ROUNDOFF
 QUADRATURE = 0.05
 """nats: a factor 1.05 on odds, of which none that decides is known so well."""
 GAPS = (LEVEL + SPREAD, 2.0, 5.0, 50.0, 5000.0)
+
+
+def fitted(model: Model) -> Fit:
+    """A model whose effects are as large as is usual; what they do is not known."""
+    return Fit(model, {a: c.prior.scale for c in model for a in c.addresses}, {}, 0.0, 0.0)
 
 
 def integrated(before: float, after: float, share: float, kinds: int = 1, levels: float = 1.0) -> float:
@@ -108,8 +113,18 @@ def test_a_model_that_leaves_nothing_of_a_large_gap_gains_at_most_the_odds_of_th
 
 def test_a_fault_of_the_log_is_exact_and_an_effect_is_not() -> None:
     effect, clock = candidate("p"), replace(candidate("lag a.*"), component=LOGGING)
-    assert [misfit(m) for m in ((), (effect,), (clock,), (effect, clock))] == [MISFIT, MISFIT, EXACT, EXACT]
-    assert left_by(50.0, 4.0, misfit((clock,))) < left_by(50.0, 4.0, misfit((effect,)))
+    nothing, one, other, half = (fitted(m) for m in ((), (effect,), (clock,), (effect, clock)))
+    assert [misfit(f) for f in (nothing, one, other, half)] == [MISFIT, MISFIT, EXACT, 0.5 * (EXACT + MISFIT)]
+    assert left_by(50.0, 4.0, misfit(other)) < left_by(50.0, 4.0, misfit(one))
+
+
+def test_a_fault_of_the_log_makes_exact_what_it_does_and_no_more() -> None:
+    """The effect does nine times what the clock does, in squares."""
+    effect, clock = candidate("p"), replace(candidate("lag a.*"), component=LOGGING)
+    sensitivities = np.stack([np.full(4, 3.0), np.array([1.0, -1.0, 1.0, 1.0])], axis=1)
+    values = {c.addresses[0]: c.prior.scale for c in (effect, clock)}
+    both = replace(fitted((effect, clock)), values=values, sensitivities=sensitivities)
+    assert misfit(both) == pytest.approx(0.1 * EXACT + 0.9 * MISFIT, rel=ROUNDOFF)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.inference.estimation import Fit, Space
-from robomill.diagnosis.outcome.steps import ranked, signatures
+from robomill.diagnosis.outcome.steps import ranked
 from tests.diagnosis.demo import CATALOGUE, SYSTEM, measure, resolve
 from tests.diagnosis.formula import candidate
 from tests.tolerances import ROUNDOFF
@@ -43,6 +43,6 @@ def test_the_order_is_by_what_is_explained_of_what_is_left() -> None:
     fit = Fit((other, twin, one), values, {}, 0.0, 0.0, y, parts[:, ::-1])
     space = Space(y, {"run": slice(0, 3)}, np.zeros((3, 0)))
     assert [c.effect for c in ranked(fit, space)] == ["a", "b", "c"]
-    assert np.array_equal(signatures(fit)[twin], parts[:, 1])
+    assert np.array_equal(fit.signatures()[twin], parts[:, 1])
     alone = Space(np.array([3.0, 0.0, 1.0]), {"run": slice(0, 3)}, np.zeros((3, 0)))
     assert [c.effect for c in ranked(fit, alone)] == ["a", "c", "b"]
