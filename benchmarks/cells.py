@@ -7,7 +7,7 @@ controllers and robots, not whether it is right on machines that are formulated 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,8 @@ class Cell:
     experiment: str
     usual: Mapping[str, float]
     """`component.parameter` of the catalogue -> size that is usual [SI]; a negative one may have either sign."""
+    same: Mapping[str, str] = field(default_factory=dict)
+    """`component.parameter` -> another one that does the same."""
 
     @property
     def folder(self) -> Path:
@@ -109,6 +111,7 @@ CELLS = (
             **{f"sensor.attack_point[{i}]": -0.01 for i in range(1, 4)},
             "sensor.cross_talk": -0.04,
         },
+        {f"sensor.dead_channel[{i}]": f"sensor.bridge_gain_error[{i}]" for i in range(1, 7)},
     ),
     Cell(
         "irb6400",

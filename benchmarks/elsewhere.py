@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
@@ -50,6 +50,8 @@ class Example:
     held_out: str
     parameters: Mapping[str, str] = field(default_factory=dict)
     """Effect of machine.py -> `component.parameter` of the catalogue, where that is not the only one with its name."""
+    same: Mapping[str, str] = field(default_factory=dict)
+    """`component.parameter` -> another one that does the same."""
 
     @property
     def folder(self) -> Path:
@@ -170,17 +172,17 @@ def diagnosed(subject: Example | Cell, kind: str, seed: int, folder: Path) -> Re
         truth,
         answer.verdict,
         named,
-        score(kind, answer.verdict, set(truth), set(named), listed),
+        score(kind, answer.verdict, set(truth), set(named), listed, {e for t in truth if (e := subject.same.get(t))}),
         {p: named[p][1] <= value <= named[p][2] for p, value in truth.items() if p in named},
         min(closures, default=None),
         round(time.process_time() - began, 1),
     )
 
 
-def score(kind: str, verdict: str, truth: set[str], named: set[str], listed: set[str]) -> str:
+def score(kind: str, verdict: str, truth: set[str], named: set[str], listed: set[str], same: Collection[str] = ()) -> str:
     """`right`, `wrong` (a name that is none, or a missing one that was claimed), `extra`, `part`, `set`, or the verdict.
 
-    A late clock is right as `bad_log`, which names it.
+    A late clock is right as `bad_log`, which names it. What does the `same` as a withheld effect is a right name for it.
     """
     if verdict == "bad_log":
         return "right" if any(p.startswith("logging.") for p in truth) and kind != "withheld" else "wrong"
@@ -188,6 +190,8 @@ def score(kind: str, verdict: str, truth: set[str], named: set[str], listed: set
         return "right" if kind == "null" else "none"
     if verdict == "unknown":
         return "right" if kind == "withheld" else "unknown"
+    if kind == "withheld" and named and named <= set(same):
+        return "right"
     if kind in ("null", "withheld"):
         return "wrong" if named else "set"
     if verdict == "ambiguous" and truth <= listed and not named - truth:

@@ -39,6 +39,12 @@ def test_the_worth_of_an_answer(kind: str, verdict: str, truth: set[str], named:
     assert score(kind, verdict, truth, named, listed) == worth
 
 
+def test_what_does_the_same_as_a_withheld_effect_is_a_right_name_for_it() -> None:
+    assert score("withheld", "identified", {A}, {B}, {B}, {B}) == "right"
+    assert score("withheld", "identified", {A}, {B, CLOCK}, {B, CLOCK}, {B}) == "wrong"
+    assert score("single", "identified", {A}, {B}, {B}, {B}) == "wrong"
+
+
 @pytest.mark.parametrize("subject", SUBJECTS, ids=lambda s: s.name)
 def test_every_effect_of_a_machine_is_in_the_catalogue_of_its_system(subject: Example | Cell) -> None:
     known = {f"{c.component}.{c.named[0]}": c for c in subject.catalogue().candidates}

@@ -139,7 +139,7 @@ def never_surer(whole: Mapping[str, Any], rest: Mapping[str, Any]) -> None:
 
 
 def test_a_catalogue_without_the_truth_is_never_surer(tmp_path: Path) -> None:
-    """Of this small system the two clocks, the two gains and the other spring do together what a spring does: docs/explanation/limits.md."""
+    """In this small system two clocks, two gains and the other spring do together what a spring does: docs/explanation/limits.md."""
     never_surer(*without_the_truth(tmp_path, "stiffness @ spring 2", None))
 
 
