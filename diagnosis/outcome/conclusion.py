@@ -113,7 +113,8 @@ class Conclusion:
         # what a dead time of the machine explains nearly as well is no reason to refuse the log
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] >= IDENTIFIED]
         alone = clocks and all(c.component == LOGGING for c in self.best.model)  # of a log that is refused nothing else is asked
-        moved = self.transfer() if self.best.model and not alone else None
+        drawn = all(c.effect in search.catalogue.drawn for c in self.best.model)  # what it did in one run says nothing of the next
+        moved = self.transfer() if not drawn and not alone else None
         odds = float(np.log(max(1.0 - self.nothing, 1e-300)) - np.log(max(self.nothing, 1e-300)))
         tests = tested(search, nominal, self.best, self.nothing, p_none(search, odds), moved, self.false_alarm)
         believed = {c: p * tests.p_fit for c, p in marginal.items()}

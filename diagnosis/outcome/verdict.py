@@ -32,6 +32,7 @@ from robomill.diagnosis.inference.adequacy import (
 )
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import log_priors
+from robomill.diagnosis.inference.scatter import levels
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
@@ -97,8 +98,9 @@ def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: floa
     # the first look is at the worst condition, the second at all together
     worst = left_by(*channels, *shape, len(evidence.space.blocks))
     worst = together(worst, worsened(evidence, before, after, best.signature))
-    (_, other), (_, larger) = sorted([(channels[0], worst), (catalogue[0], left_by(*catalogue, *shape))])
-    fits += larger + min(other, 0.0)  # where the gap is larger it is seen whether it closes; the other look may refute that
+    scatter = levels(search, best)
+    seen = sorted([(channels[0], worst), (catalogue[0], left_by(*catalogue, *shape)), (scatter[0], left_by(*scatter, *shape))])
+    fits += seen[-1][1] + sum(min(x, 0.0) for _, x in seen[:-1])  # where the gap is larger it is seen whether it closes; others may refute
     holds = held_together(search, best)
     if moved is not None:
         odds += moved.gain
