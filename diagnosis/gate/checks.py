@@ -52,7 +52,7 @@ class Finding:
     channel: str
     """Channel, array, or `t`."""
     kind: str
-    """`time`, `missing`, `range`, `constant`, `limit`, `spike`, `axes`, `unit`, `sign`, `repeat`, `lag`, `scatter`, ..."""
+    """`time`, `missing`, `range`, `constant`, `spike`, `axes`, `unit`, `sign`, `rotation`, `repeat`, `lag`, `filter`, `scatter`, ..."""
     value: float
     """How much, in `unit`."""
     unit: str
@@ -112,20 +112,11 @@ def raw(run: Run, channels: Sequence[str], ranges: Mapping[str, tuple[float | No
     return found
 
 
-def standstill(
-    run: Run,
-    x: FloatArray,
-    s: FloatArray,
-    channels: Sequence[str],
-    step: float,
-    noise: FloatArray,
-    runs: Sequence[Run] = (),
-) -> list[Finding]:
+def standstill(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], step: float, noise: FloatArray) -> list[Finding]:
     """Channels of a measured run [samples, channels] that rest beside their simulation; `step` [s] between samples, `noise` [unit].
 
     At rest at zero is what a dead band makes of an output, too. At rest where the simulation goes as far or further, or at an extreme to
-    which the channel comes back after it has left it, is what a limit does. So is one value in a run that is met
-    again in another of all `runs` (`limit`).
+    which the channel comes back after it has left it, is what a limit does.
     """
     found: list[Finding] = []
     for i, name in enumerate(channels):
@@ -134,10 +125,7 @@ def standstill(
         if not known.size or (np.ptp(known) == 0.0 and spread > MOVED * noise[i] and spread > UNMOVED):
             unit = run.ports[name].unit or ""
             text = f"does not change, but it should by {spread:.3g} {unit}; see whether it was connected"
-            limited = known.size > 0 and limit(float(known[0]), s[:, i], [r.columns[name] for r in runs if name in r.columns])
-            if limited:
-                text = f"is {known[0]:.6g} {unit} all the time, as in other runs, where its simulation goes further: a limit"
-            found.append(Finding(name, "limit" if limited else "constant", float(x[0, i]), unit, text, fatal=not limited))
+            found.append(Finding(name, "constant", float(x[0, i]), unit, text))
             continue
         high, low = float(x[:, i].max()), float(x[:, i].min())
         over = (s[:, i] >= high - LIMIT * spread) | _again(x[:, i], high)
@@ -170,18 +158,6 @@ def _again(x: FloatArray, extreme: float) -> bool:
     """
     rests = np.append(x == extreme, False) & np.append(False, x == extreme)
     return int(np.count_nonzero(np.diff(rests.astype(int)) > 0)) > 1
-
-
-def limit(value: float, s: FloatArray, runs: Sequence[FloatArray]) -> bool:
-    """Whether a channel that has one value in a run is at a limit: further from zero than that is its simulation `s`, at all times.
-
-    And that value is met again: it is the extreme of all `runs` (samples, this run among them) on that side, in more than one of them. A
-    limit is one for all runs. What is broken has a value of its own in each, or none that a limit could be: zero, or more than is there.
-    """
-    side = float(np.sign(value))
-    beyond = side != 0.0 and bool(np.all(side * s >= abs(value) - LIMIT * float(np.ptp(s))))
-    extremes = [float(np.nanmax(side * x)) for x in runs]
-    return beyond and max(extremes, default=0.0) == abs(value) and extremes.count(abs(value)) > 1
 
 
 def _still(x: FloatArray, tolerance: float = 0.0) -> range:

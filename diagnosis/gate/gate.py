@@ -68,7 +68,7 @@ class Gate:
         found += repeats.copies(measured, simulated, names) or repeats.compared(measured, simulated, channels, names, step)
         for r, x in zip(condition.runs, measured, strict=True):
             found += checks.raw(r, channels, ranges, condition.step)
-            found += beside(r, x, middle, channels, step, noise, [one for c in self.laboratory.conditions[: self.n] for one in c.runs])
+            found += beside(r, x, middle, channels, step, noise)
         return found
 
     def _other_programs(self) -> list[Finding]:
@@ -94,20 +94,9 @@ class Gate:
         return [i for i, name in enumerate(self.laboratory.channels) if condition.has(name)]
 
 
-def beside(
-    run: Run,
-    x: FloatArray,
-    s: FloatArray,
-    channels: Sequence[str],
-    step: float,
-    noise: FloatArray,
-    runs: Sequence[Run] = (),
-) -> list[Finding]:
-    """What a measured run [samples, channels] says beside its simulation; `step` [s] between samples, `noise` [unit] per channel.
-
-    `runs` are all that were measured, this one among them.
-    """
-    still = checks.standstill(run, x, s, channels, step, noise, runs)
+def beside(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], step: float, noise: FloatArray) -> list[Finding]:
+    """What a measured run [samples, channels] says beside its simulation; `step` [s] between samples, `noise` [unit] per channel."""
+    still = checks.standstill(run, x, s, channels, step, noise)
     wrong = {f.channel for f in still}
     return still + log_faults.judged(x, s, channels, noise, frozenset(i for i, c in enumerate(channels) if c in wrong))
 

@@ -79,7 +79,7 @@ class Scattered:
     """Repeats less one."""
     measured: FloatArray
     nominal: FloatArray
-    """Of simulations of the nominal system."""
+    """Those of simulations of the nominal system."""
     discrepancy: FloatArray
     """Square of what two formulations leave, [channels]."""
 

@@ -32,7 +32,6 @@ from robomill.diagnosis.inference.adequacy import (
 )
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import log_priors
-from robomill.diagnosis.inference.scatter import levels
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
@@ -85,8 +84,20 @@ def share_left(search: Search, nominal: Fit, best: Fit) -> float:
     return max(unexplained(before, after) for before, after in seen if before > UNKNOWN or (before, after) == seen[-1])
 
 
-def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: float, moved: Transfer | None, alpha: float) -> Tests:
-    """The tests of an answer; `nothing`: probability of the nominal model by the diagnosed runs, `moved`: new conditions."""
+def tested(
+    search: Search,
+    nominal: Fit,
+    best: Fit,
+    nothing: float,
+    p_none: float,
+    moved: Transfer | None,
+    alpha: float,
+    scatter: tuple[float, float] = (0.0, 0.0),  # noqa: PT028 (no test)
+) -> Tests:
+    """The tests of an answer; `nothing`: probability of the nominal model by the diagnosed runs, `moved`: new conditions.
+
+    `scatter`: that of repeats over the scatter of the nominal system and of the model, where it has any (`scatter.levels`).
+    """
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
     kinds = max(len({c.effect for c in best.model}), 1)
     fits = math.log(1.0 - UNLISTED) - math.log(UNLISTED)
@@ -98,7 +109,6 @@ def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: floa
     # the first look is at the worst condition, the second at all together
     worst = left_by(*channels, *shape, len(evidence.space.blocks))
     worst = together(worst, worsened(evidence, before, after, best.signature))
-    scatter = levels(search, best)
     seen = sorted([(channels[0], worst), (catalogue[0], left_by(*catalogue, *shape)), (scatter[0], left_by(*scatter, *shape))])
     fits += seen[-1][1] + sum(min(x, 0.0) for _, x in seen[:-1])  # where the gap is larger it is seen whether it closes; others may refute
     holds = held_together(search, best)

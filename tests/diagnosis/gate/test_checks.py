@@ -20,9 +20,6 @@ T = STEP * np.arange(1000)
 SINE = np.sin(2.0 * np.pi * T)
 
 
-QUIET = np.array([1e-12])
-
-
 def recorded(*columns: FloatArray) -> Run:
     """A run with one array."""
     one = measure(repeats=1, seconds=STEP)[0]
@@ -72,27 +69,6 @@ class TestLimit:
         for stuck in (once, within):
             assert beside([stuck], [0.2 * np.cos(2.0 * np.pi * T)]) == ["constant"]
             assert checks.stopped(stuck, np.sin(T), STEP, 1e-12) > 1.9
-
-    @pytest.mark.parametrize(
-        ("value", "others", "limited"),
-        [
-            (0.3, [0.3, 0.3], True),
-            (0.3, [np.minimum(SINE, 0.3)], True),  # another run leaves the limit and meets it again
-            (0.3, [], False),  # not met again
-            (0.3, [0.31], False),  # a value of its own
-            (0.3, [0.3, SINE], False),  # exceeded
-            (-0.3, [-0.3], False),  # the simulation is on the other side
-            (1.5, [1.5], False),  # more than is there
-            (0.0, [0.0], False),
-        ],
-    )
-    def test_one_value_all_the_time_is_a_limit_where_it_is_met_again_and_the_simulation_goes_further(
-        self, value: float, others: list[float | FloatArray], limited: bool
-    ) -> None:
-        simulated = 0.8 + 0.4 * SINE
-        runs = [recorded(np.broadcast_to(x, T.shape).copy()) for x in (value, *others)]
-        found = checks.standstill(runs[0], np.full((len(T), 1), value), simulated[:, None], [CHANNEL], STEP, QUIET, runs)
-        assert [(f.kind, f.fatal) for f in found] == [("limit", False) if limited else ("constant", True)]
 
 
 class TestSpikes:
