@@ -262,6 +262,8 @@ class Catalogue:
     quiet: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     seeds: tuple[Address, ...] = ()
     """Parameters that make a simulation another repeat of itself."""
+    drawn: frozenset[str] = frozenset()
+    """Effects that a seed draws: what they do is another matter in each repeat."""
     descriptions: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     """effect -> (description, source)."""
     refinement: Refinement | None = None
@@ -350,6 +352,7 @@ class Catalogue:
             tolerances=(*self.tolerances, *other.tolerances),
             quiet=quiet,
             seeds=tuple(dict.fromkeys((*self.seeds, *other.seeds))),
+            drawn=self.drawn | other.drawn,
             descriptions={**self.descriptions, **other.descriptions},
             refinement=refinement,
             titles={**self.titles, **other.titles},
@@ -472,6 +475,7 @@ class SeedKeys(Keys):
 
     component = required(keys.text(), "component of the system")
     parameter = required(keys.text(), "its parameter")
+    effects = default([], keys.texts(), "effects that it draws: what they do differs from run to run")
 
 
 class RefinementKeys(Keys):
@@ -516,10 +520,22 @@ def _read(top: Entry, file: Path) -> Catalogue:
         _nuisances(k.nuisance.of(top)),
         quiet,
         tuple((SeedKeys.component.of(entry), SeedKeys.parameter.of(entry)) for entry in k.seed.of(top)),
+        _drawn(k.seed.of(top), descriptions),
         descriptions,
         _refinement(top["refinement"]) if "refinement" in top else None,
         dict(k.titles.of(top)),
     )
+
+
+def _drawn(seeds: Sequence[Entry], effects: Collection[str]) -> frozenset[str]:
+    """The effects that seeds draw."""
+    found: set[str] = set()
+    for entry in seeds:
+        names = SeedKeys.effects.of(entry)
+        if missing := sorted(set(names) - set(effects)):
+            raise entry["effects"].fail(f"there is no effect {missing[0]!r}; give the name of one of this catalogue")
+        found.update(names)
+    return frozenset(found)
 
 
 def _effect(entry: Entry) -> list[Candidate]:

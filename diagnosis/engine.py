@@ -23,6 +23,7 @@ from robomill.diagnosis.inference.adequacy import left_by, unexplained
 from robomill.diagnosis.inference.dormant import searched_beside
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import probabilities
+from robomill.diagnosis.inference.scatter import with_chance
 from robomill.diagnosis.inference.search import Search, likely_count, searched
 from robomill.diagnosis.inference.sensitivities import NOMINAL
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, curves_of, effort_of, titles_of
@@ -133,6 +134,7 @@ def diagnose_campaign(
             curves = curves_of(laboratory, groups, simulator.repeated(range(n), (), NOMINAL))
             answer = Answer("bad_log", tuple(findings), effort=effort_of(began, simulator), skipped=tuple(skipped))
             return Diagnosis(answer, {}, (), tuple(channels), curves, ports, titles_of(catalogue.titles, ports))
+        fits = with_chance(search, fits)
         conclusion = Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, false_alarm)
         answer, adopted = conclusion.answer()
         if answer.verdict in ("identified", "ambiguous", "unknown"):

@@ -19,7 +19,7 @@ from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.intervals import Known, by_least_squares
 from robomill.diagnosis.inference.machines import p_none
 from robomill.diagnosis.inference.priors import probabilities
-from robomill.diagnosis.inference.scatter import Spell, spell
+from robomill.diagnosis.inference.scatter import Spell, levels, spell
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.sets import weighed
 from robomill.diagnosis.inference.time_varying import Changing, changing
@@ -113,9 +113,10 @@ class Conclusion:
         # what a dead time of the machine explains nearly as well is no reason to refuse the log
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] >= IDENTIFIED]
         alone = clocks and all(c.component == LOGGING for c in self.best.model)  # of a log that is refused nothing else is asked
-        moved = self.transfer() if self.best.model and not alone else None
+        drawn = all(c.effect in search.catalogue.drawn for c in self.best.model)  # what it did in one run says nothing of the next
+        moved = self.transfer() if not drawn and not alone else None
         odds = float(np.log(max(1.0 - self.nothing, 1e-300)) - np.log(max(self.nothing, 1e-300)))
-        tests = tested(search, nominal, self.best, self.nothing, p_none(search, odds), moved, self.false_alarm)
+        tests = tested(search, nominal, self.best, self.nothing, p_none(search, odds), moved, self.false_alarm, levels(search, self.best))
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
         sure = {c.component == LOGGING for c in self.best.model if believed[c] >= IDENTIFIED}
         faulty = sure == {True} and not self.repair  # beside effects of the machine a fault of the log is corrected, and said

@@ -84,8 +84,20 @@ def share_left(search: Search, nominal: Fit, best: Fit) -> float:
     return max(unexplained(before, after) for before, after in seen if before > UNKNOWN or (before, after) == seen[-1])
 
 
-def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: float, moved: Transfer | None, alpha: float) -> Tests:
-    """The tests of an answer; `nothing`: probability of the nominal model by the diagnosed runs, `moved`: new conditions."""
+def tested(
+    search: Search,
+    nominal: Fit,
+    best: Fit,
+    nothing: float,
+    p_none: float,
+    moved: Transfer | None,
+    alpha: float,
+    scatter: tuple[float, float] = (0.0, 0.0),  # noqa: PT028 (no test)
+) -> Tests:
+    """The tests of an answer; `nothing`: probability of the nominal model by the diagnosed runs, `moved`: new conditions.
+
+    `scatter`: that of repeats over the scatter of the nominal system and of the model, where it has any (`scatter.levels`).
+    """
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
     kinds = max(len({c.effect for c in best.model}), 1)
     fits = math.log(1.0 - UNLISTED) - math.log(UNLISTED)
@@ -97,8 +109,8 @@ def tested(search: Search, nominal: Fit, best: Fit, nothing: float, p_none: floa
     # the first look is at the worst condition, the second at all together
     worst = left_by(*channels, *shape, len(evidence.space.blocks))
     worst = together(worst, worsened(evidence, before, after, best.signature))
-    (_, other), (_, larger) = sorted([(channels[0], worst), (catalogue[0], left_by(*catalogue, *shape))])
-    fits += larger + min(other, 0.0)  # where the gap is larger it is seen whether it closes; the other look may refute that
+    seen = sorted([(channels[0], worst), (catalogue[0], left_by(*catalogue, *shape)), (scatter[0], left_by(*scatter, *shape))])
+    fits += seen[-1][1] + sum(min(x, 0.0) for _, x in seen[:-1])  # where the gap is larger it is seen whether it closes; others may refute
     holds = held_together(search, best)
     if moved is not None:
         odds += moved.gain

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robomill.diagnosis.inference.noise import SPELL
-from robomill.diagnosis.inference.scatter import excess, spell
+from robomill.diagnosis.inference.scatter import Scattered, excess, spell
 from robomill.diagnosis.inference.visibility import SHOWS
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import ROUNDOFF
@@ -84,3 +84,20 @@ def test_of_two_runs_and_of_independent_samples_nothing_is_said() -> None:
     for runs in (1, 2):
         assert spell(unsteady(1e3, runs=runs)) is None
     assert spell(unsteady(1e3, independent=True)) is None
+
+
+def test_the_scatter_of_an_effect_is_likelier_where_it_has_the_size_that_repeats_show() -> None:
+    usual, effect = np.ones((8, 2)), np.zeros((8, 2))
+    effect[5] = 20.0
+    known = Scattered(5, usual + effect, 0.0 * usual, np.zeros(2))
+    odds = known.log_odds([0.5 * effect, effect, 2.0 * effect])
+    assert odds.argmax() == 1
+    assert odds[1] == pytest.approx(2.5 * (21.0 - 1.0 - np.log(21.0)), rel=ROUNDOFF)  # one spell counts once, whatever the channels
+    assert known.level(effect) == pytest.approx(1.0, rel=ROUNDOFF)
+    assert known.level(0.0 * effect) == pytest.approx(28.0 / 8.0, rel=ROUNDOFF)
+
+
+def test_repeats_of_a_good_machine_speak_against_an_effect_that_scatters() -> None:
+    usual, effect = np.ones((8, 2)), np.zeros((8, 2))
+    effect[5] = 20.0
+    assert Scattered(5, usual, 0.0 * usual, np.zeros(2)).log_odds([effect])[0] < -3.0
