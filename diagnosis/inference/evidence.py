@@ -257,7 +257,13 @@ def gather(
     bends = [_bend(m, span) * (not apart) for m, apart in zip(means, independent, strict=True)]
     arrays = np.unique([base_name(c) for c, on in zip(laboratory.channels, active, strict=True) if on], return_inverse=True)[1]
     size = _discrepancy(changes, sizes, tolerances if doubts is None else doubts, arrays)
-    spectra = _spectra(changes, sizes, tolerances if doubts is None else doubts, arrays, independent)
+    spectra = _spectra(
+        changes,
+        sizes,
+        tolerances if doubts is None else doubts,
+        arrays,
+        [(len(m), apart) for m, apart in zip(means, independent, strict=True)],
+    )
     doubt = [np.sqrt(n) * size * np.ones_like(m) for m, n in zip(means, counts, strict=True)]
     sudden = [np.hypot(SUDDEN / laboratory.decimation * bend * np.sqrt(n), d) for bend, n, d in zip(bends, counts, doubt, strict=True)]
     residuals = [[w.apply(x - m, 1.0, s, on) for x in g] for w, g, m, s, on in zip(ws, groups, means, sudden, there, strict=True)]
@@ -395,16 +401,16 @@ def _spectra(
     sizes: Mapping[Address, float],
     doubts: Mapping[Address, float],
     arrays: npt.NDArray[np.intp],
-    independent: Sequence[bool],
+    conditions: Sequence[tuple[int, bool]],
 ) -> list[FloatArray]:
     """Share of each slow cosine in the mean square of what all doubts do to an array, by condition: [half waves, channels].
 
     Slow are those with half waves of DEPENDENCE samples and more. The mean over octaves of half waves (0, 1, 2 and 3, 4 to 7, ...), as
     another formulation goes as slowly as what is doubted, and not with the same waves. Independent samples have none.
+    `conditions`: samples of each, and whether these are independent.
     """
     found = []
-    for i, apart in enumerate(independent):
-        rows = len(next(iter(changes.values()))[i])
+    for i, (rows, apart) in enumerate(conditions):
         power = np.full((rows, len(arrays)), 1e-300)
         for a in [a for a in doubts if a in changes]:
             power += (dct(changes[a][i], axis=0, norm="ortho") * (doubts[a] / sizes[a])) ** 2
