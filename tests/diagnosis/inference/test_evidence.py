@@ -343,7 +343,7 @@ class TestDiscrepancy:
         assert found.level(column) == pytest.approx((first / (1.0 + square) + 1.0) / (allowed + 1.0), rel=1e2 * RIDGE)
 
     def test_it_goes_as_slowly_as_what_tolerances_do(self) -> None:
-        """One half wave in a run has it all in that cosine, and what is faster than DEPENDENCE samples has none; nor have independent ones."""
+        """One half wave in a run has it all in that cosine, and what is faster has none, nor independent ones."""
         slow, fast = (np.cos(math.pi * k * (np.arange(200) + 0.5) / 200.0)[:, None] for k in (1, 100))
         shares = [
             evidence._spectra({self.FIRST: [x]}, {self.FIRST: 2.0}, {self.FIRST: 1.0}, np.array([0]), [(200, apart)])[0]
