@@ -9,12 +9,14 @@ numbers within their tolerances, channels that are a part of a step late, own no
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.fft import dct
 from scipy.sparse import csc_array, hstack
 
 from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, selects
@@ -30,7 +32,8 @@ DISCREPANCY = 0.1
 """Deviation of what two formulations of one machine leave, over what the tolerances of its numbers do to an array [1]. Fitted to machines
 without effects of development seeds; a discrepancy has a memory, which DEPENDENCE counts."""
 DEPENDENCE = 10.0
-"""Samples that are worth one: what two systems that are not quite the same leave is no noise, it goes in one direction for a while."""
+"""Samples that are worth one: what two systems that are not quite the same leave is no noise, it goes in one direction for a while. Where
+tolerances do so for longer, a discrepancy may, too (`_spectra`)."""
 FORM = 0.04
 """Part of what an effect does, by condition and array, that a law which is right may miss (standard deviation)."""
 GUESSED = 2.0
@@ -47,6 +50,8 @@ that what begins at an instant is seen up to a step later. Sudden is what is no 
 
 INTERPLAY: Address = ("", "interplay")
 """What stands for calibrated numbers together among the names of nuisances."""
+FORMULATION: Address = ("", "formulation")
+"""What stands there for what another formulation of the machine does."""
 Changes = Mapping[Address, Sequence[FloatArray]]
 """parameter -> change of the channels that it makes in each condition, [samples, channels]."""
 
@@ -252,6 +257,13 @@ def gather(
     bends = [_bend(m, span) * (not apart) for m, apart in zip(means, independent, strict=True)]
     arrays = np.unique([base_name(c) for c, on in zip(laboratory.channels, active, strict=True) if on], return_inverse=True)[1]
     size = _discrepancy(changes, sizes, tolerances if doubts is None else doubts, arrays)
+    spectra = _spectra(
+        changes,
+        sizes,
+        tolerances if doubts is None else doubts,
+        arrays,
+        [(len(m), apart) for m, apart in zip(means, independent, strict=True)],
+    )
     doubt = [np.sqrt(n) * size * np.ones_like(m) for m, n in zip(means, counts, strict=True)]
     sudden = [np.hypot(SUDDEN / laboratory.decimation * bend * np.sqrt(n), d) for bend, n, d in zip(bends, counts, doubt, strict=True)]
     residuals = [[w.apply(x - m, 1.0, s, on) for x in g] for w, g, m, s, on in zip(ws, groups, means, sudden, there, strict=True)]
@@ -284,6 +296,15 @@ def gather(
     scatter = np.sum(alone, axis=0) / np.maximum(np.sum(there, axis=0), 1)
     spell = max(1, round(SPELL / laboratory.decimation))
     together = _apart([white([x[:, active] for x in way]) for way in beyond], blocks)
+    differs = []
+    for i, (block, spectrum, mean) in enumerate(zip(blocks.values(), spectra, means, strict=True)):
+        seen = counts[i] * there[i] * (1.0 / ((w.factor**2).sum(axis=1) + sudden[i] ** 2)).mean(axis=0)
+        waves = _waves(spectrum * size**2 * len(mean), seen, len(mean))
+        columns = [ws[i].apply(wave, counts[i], sudden[i], there[i]) for wave in waves]
+        padded = np.zeros((y.size, len(columns)))
+        for k, column in enumerate(columns):
+            padded[block, k] = column
+        differs.append(csc_array(padded))
     own, expected, allowed = [], np.zeros(y.size), np.zeros(y.size)
     for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
         simulated = [ws[i].apply(x - means[i], 1.0, sudden[i], there[i]) for x in nominals[i]]
@@ -298,13 +319,18 @@ def gather(
             continue
         held = [_padded(r.deviations, means[i]) for r in spare if r.name == conditions[i] and len(group) == 1]
         others = [[ws[i].apply(x, 1.0, sudden[i], there[i]) for x in runs] for runs in held]
-        column = own_noise([group, simulated, *others], len(names), spell)
-        padded = np.zeros((y.size, column.shape[1]))
-        padded[block] = column / np.sqrt(DEPENDENCE)
+        spells = own_noise([group, simulated, *others], len(names), spell)
+        padded = np.zeros((y.size, spells.shape[1]))
+        padded[block] = spells / np.sqrt(DEPENDENCE)
         own.append(csc_array(padded))
-    doubtful = [*nuisances, *[INTERPLAY] * len(together), *((LOGGING, f"noise {i + 1}") for i in range(sum(o.shape[1] for o in own)))]
-    columns = [csc_array(np.stack(list(nuisances.values()), axis=1)), *together, *own]
-    space = Space(y, blocks, hstack(columns, format="csc"), doubtful)
+    doubtful = [
+        *nuisances,
+        *[INTERPLAY] * len(together),
+        *[FORMULATION] * sum(d.shape[1] for d in differs),
+        *((LOGGING, f"noise {i + 1}") for i in range(sum(o.shape[1] for o in own))),
+    ]
+    every = [csc_array(np.stack(list(nuisances.values()), axis=1)), *together, *differs, *own]
+    space = Space(y, blocks, hstack(every, format="csc"), doubtful)
     late = _late(space, clocks, names, LATENESS * laboratory.system.step) if like is None else like.late
     space = space.less(late)
     space.find_alike(sensitivities, scales)
@@ -368,6 +394,44 @@ def _discrepancy(
         change = np.concatenate(list(changes[a]))
         square += (change**2).mean(axis=0) * (doubts[a] / sizes[a]) ** 2
     return np.asarray(DISCREPANCY * np.sqrt((np.bincount(arrays, square) / np.bincount(arrays))[arrays]))
+
+
+def _spectra(
+    changes: Changes,
+    sizes: Mapping[Address, float],
+    doubts: Mapping[Address, float],
+    arrays: npt.NDArray[np.intp],
+    conditions: Sequence[tuple[int, bool]],
+) -> list[FloatArray]:
+    """Share of each slow cosine in the mean square of what all doubts do to an array, by condition: [half waves, channels].
+
+    Slow are those with half waves of DEPENDENCE samples and more. The mean over octaves of half waves (0, 1, 2 and 3, 4 to 7, ...), as
+    another formulation goes as slowly as what is doubted, and not with the same waves. Independent samples have none.
+    `conditions`: samples of each, and whether these are independent.
+    """
+    found = []
+    for i, (rows, apart) in enumerate(conditions):
+        power = np.full((rows, len(arrays)), 1e-300)
+        for a in [a for a in doubts if a in changes]:
+            power += (dct(changes[a][i], axis=0, norm="ortho") * (doubts[a] / sizes[a])) ** 2
+        power = np.stack([np.bincount(arrays, p)[arrays] for p in power])
+        edges = [0, *(2**k for k in range(rows.bit_length()) if 2**k < rows), rows]
+        for low, high in itertools.pairwise(edges):
+            power[low:high] = power[low:high].mean(axis=0)
+        slow = 0 if apart else int(rows / DEPENDENCE)
+        found.append((power / power.sum(axis=0))[:slow])
+    return found
+
+
+def _waves(variances: FloatArray, seen: FloatArray, rows: int) -> Iterator[FloatArray]:
+    """Cosines of these `variances` [unit^2], [half waves, channels], that could be seen at all: [rows, channels] each.
+
+    `seen` [channels]: chi2 of a wave by its variance, 1 / unit^2.
+    """
+    for k, c in np.argwhere(variances * seen > 1.0):
+        wave = np.zeros((rows, variances.shape[1]))
+        wave[:, c] = math.sqrt(variances[k, c] * (1.0 if k == 0 else 2.0) / rows) * np.cos(math.pi * k * (np.arange(rows) + 0.5) / rows)
+        yield wave
 
 
 def _left_by_all(left: Sequence[Sequence[FloatArray]], changes: Changes, independent: Sequence[bool]) -> list[list[FloatArray]]:

@@ -12,11 +12,13 @@ import pytest
 
 from robomill.diagnosis.catalogue import LOGGING, Address
 from robomill.diagnosis.experiment.measured import DataError
+from robomill.diagnosis.inference import evidence
 from robomill.diagnosis.inference.evidence import (
     BEGINNING,
     DEPENDENCE,
     DISCREPANCY,
     FORM,
+    FORMULATION,
     GUESSED,
     LATENESS,
     SETTLING,
@@ -333,10 +335,25 @@ class TestDiscrepancy:
     def test_what_nuisances_explain_counts_what_it_costs(self) -> None:
         """A deviation of a tolerance, whose own column takes s / (1 + s) of it, s its square: <b, b> = s / (1 + s), below one."""
         found = self.evidence(second=False)
+        assert FORMULATION in found.space.names  # what is steady may be the discrepancy, too: not here
+        found.space = found.space.less([FORMULATION])
         column = found.space.nuisances.toarray()[:, found.space.names.index(self.FIRST)]
         square, first = float(column @ column), float(column.reshape(2, ROWS, 3)[0, :, 0] @ column.reshape(2, ROWS, 3)[0, :, 0])
         allowed = ROWS * self.part(2, self.OFF)[0] / DEPENDENCE
         assert found.level(column) == pytest.approx((first / (1.0 + square) + 1.0) / (allowed + 1.0), rel=1e2 * RIDGE)
+
+    def test_it_goes_as_slowly_as_what_tolerances_do(self) -> None:
+        """One half wave in a run has it all in that cosine, and what is faster has none, nor independent ones."""
+        slow, fast = (np.cos(math.pi * k * (np.arange(200) + 0.5) / 200.0)[:, None] for k in (1, 100))
+        shares = [
+            evidence._spectra({self.FIRST: [x]}, {self.FIRST: 2.0}, {self.FIRST: 1.0}, np.array([0]), [(200, apart)])[0]
+            for x, apart in ((slow, False), (fast, False), (slow, True))
+        ]
+        assert shares[0] == pytest.approx(np.eye(20)[:, 1:2], abs=RIDGE)
+        assert shares[1] == pytest.approx(np.zeros((20, 1)), abs=RIDGE)
+        assert not shares[2].size
+        (wave,) = evidence._waves(9.0 * shares[0], np.array([1.0]), 200)
+        assert wave == pytest.approx(slow * 3.0 / math.sqrt(100.0), rel=RIDGE, abs=RIDGE)
 
 
 class TestLateness:
