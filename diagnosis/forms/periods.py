@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from robomill.diagnosis.experiment.simulation import decimate
 from robomill.diagnosis.forms.library import SLIDES, Term
 from robomill.diagnosis.forms.ports import Problem
 from robomill.diagnosis.forms.selection import MOST, Labels, Products, Rows, fitted, worse
@@ -21,7 +21,7 @@ Place = tuple[str, Variable]
 def grid(x: Sequence[FloatArray], decimation: int) -> FloatArray:
     """Values of k from half a wave in the range of x to two samples a wave (Nyquist) at the usual speed.
 
-    Four of them are on the width of a peak, 2 pi / range.
+    Four of them are on the width of a peak, 2 pi / range: with two, a wave between them came as two waves.
     The usual speed is the median of a condition while it moves (SLIDES), in the slowest one: a wave is seen where the motion is slow.
     That it goes by too fast elsewhere makes it no other wave: the angle is known at each sample that was logged.
     """
@@ -33,29 +33,34 @@ def grid(x: Sequence[FloatArray], decimation: int) -> FloatArray:
     return np.asarray(np.arange(np.pi / way, np.pi / usual, 0.5 * np.pi / way))
 
 
-def _waves(problem: Problem, place: Place, ks: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-    """(values of k, columns of the sines, columns of the cosines) in goes, [rows, values]."""
+def _waves(problem: Problem, place: Place, ks: FloatArray) -> Iterator[npt.NDArray[np.complex128]]:
+    """exp(i k x) as columns for all these k, which are evenly spaced, in goes: [values, rows]; sines are the imaginary parts."""
     element, v = place
-    rows = sum(map(len, problem.gap))
-    for some in np.array_split(ks, max(1, len(ks) * rows >> 22)):  # in goes of 4 million numbers, whatever memory there is
-        made: tuple[list[FloatArray], list[FloatArray]] = ([], [])
-        for known, effect in zip(problem.seen.known, problem.effect, strict=True):
-            angle = np.outer(known[v], some)
-            for into, wave in zip(made, (np.sin(angle), np.cos(angle)), strict=True):
-                into += [decimate(e[:, None] * wave, problem.decimation) for e in effect[element].T]
-        yield some, np.concatenate(made[0]), np.concatenate(made[1])
+    n = sum(map(len, problem.gap))
+    step = [np.exp(1j * (ks[1] - ks[0]) * known[v]) if len(ks) > 1 else np.ones(len(known[v])) for known in problem.seen.known]
+    for some in np.array_split(ks, max(1, len(ks) * n >> 21)):  # in goes of 2 million numbers, whatever memory there is
+        made = []
+        for known, turn, effect in zip(problem.seen.known, step, problem.effect, strict=True):
+            wave = np.empty((len(some), len(turn)), dtype=np.complex128)
+            wave[0] = np.exp(1j * some[0] * known[v])
+            for j in range(1, len(some)):
+                np.multiply(wave[j - 1], turn, out=wave[j])
+            d, rows = problem.decimation, len(turn) // problem.decimation
+            for e in effect[element].T / d:
+                moved = e * wave
+                made.append(sum((moved[:, i : rows * d : d] for i in range(1, d)), start=moved[:, 0 : rows * d : d]))
+        yield np.concatenate(made, axis=1)
 
 
 def _gains(problem: Problem, place: Place, left: FloatArray, parts: Labels) -> tuple[FloatArray, FloatArray]:
     """Values of k, and what sine and cosine explain of what is left without each fold, and (last row) of all: [folds + 1, values]."""
     ks = grid([k[place[1]] for k in problem.seen.known], problem.decimation)
     names, gains = np.unique(parts), []
-    for _, s, c in _waves(problem, place, ks):
-        sums = [
-            np.stack([(a * b)[parts == f].sum(axis=0) for f in names])
-            for a, b in ((s, s), (c, c), (s, c), (s, left[:, None]), (c, left[:, None]))
-        ]
-        ss, cc, sc, sr, cr = (np.concatenate([x.sum(axis=0) - x, x.sum(axis=0)[None]]) for x in sums)
+    inside = (parts[:, None] == names).astype(np.float64)
+    for wave in _waves(problem, place, ks) if len(ks) else ():
+        squares, products, sizes = (wave * wave) @ inside, (wave * left) @ inside, (wave.real**2 + wave.imag**2) @ inside
+        sums = [0.5 * (sizes - squares.real), 0.5 * (sizes + squares.real), 0.5 * squares.imag, products.imag, products.real]
+        ss, cc, sc, sr, cr = (np.concatenate([x.sum(axis=0) - x, x.sum(axis=0)[None]]) for x in (y.T for y in sums))
         determinant = ss * cc - sc**2
         good = determinant > 1e-6 * ss * cc + 1e-300
         gains.append(np.where(good, (sr**2 * cc - 2.0 * sr * cr * sc + cr**2 * ss) / np.where(good, determinant, 1.0), 0.0))
