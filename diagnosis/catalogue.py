@@ -533,7 +533,7 @@ def _drawn(seeds: Sequence[Entry], effects: Collection[str]) -> frozenset[str]:
     for entry in seeds:
         names = SeedKeys.effects.of(entry)
         if missing := sorted(set(names) - set(effects)):
-            raise entry["effects"].fail(f"there is no effect {missing[0]!r}; give the name of one of this catalogue")
+            raise entry["effects"].fail(f"there is no effect {missing[0]!r}; available: {', '.join(effects)}")
         found.update(names)
     return frozenset(found)
 

@@ -348,6 +348,13 @@ sampled = ["sensor", "controller"]
         assert [(c.effect, c.location) for c in found.candidates] == [("a", "x"), ("late", "x")]
         assert notes == ("c.toml: component 'drive' has no parameters for effects a: skipped",)
 
+    def test_a_seed_names_the_effects_that_it_draws(self, tmp_path: Path) -> None:
+        plain = 'parameter = "seed"'
+        assert self.catalogue(tmp_path).drawn == frozenset()
+        assert self.catalogue(tmp_path, self.CATALOGUE.replace(plain, f'{plain}\neffects = ["a"]')).drawn == {"a"}
+        with pytest.raises(CatalogueError, match=r"there is no effect 'b'; available: a, late"):
+            self.catalogue(tmp_path, self.CATALOGUE.replace(plain, f'{plain}\neffects = ["b"]'))
+
     def test_two_catalogues_become_one(self, tmp_path: Path) -> None:
         first = self.catalogue(tmp_path)
         other = self.catalogue(

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.noise import SPELL
-from robomill.diagnosis.inference.scatter import Scattered, excess, spell
+from robomill.diagnosis.inference.scatter import Scattered, by_chance, excess, levels, spell, with_chance
 from robomill.diagnosis.inference.visibility import SHOWS
 from robomill.orchestration.slaves.protocol import FloatArray
-from tests.tolerances import ROUNDOFF
+from tests.diagnosis.formula import candidate
+from tests.tolerances import ROUNDOFF, chance
 
 ROWS, STEP = 8 * SPELL, 0.01
 CHANNELS = ("a.x[1]", "a.x[2]", "b.y", "c.z")
@@ -101,3 +105,53 @@ def test_repeats_of_a_good_machine_speak_against_an_effect_that_scatters() -> No
     usual, effect = np.ones((8, 2)), np.zeros((8, 2))
     effect[5] = 20.0
     assert Scattered(5, usual, 0.0 * usual, np.zeros(2)).log_odds([effect])[0] < -3.0
+
+
+def drawn(true: float) -> tuple[Any, Candidate]:
+    """Five runs of a machine that loses packets in a third of the time: noise of 1 there is, and one of size `true` in that spell.
+
+    A simulation with the effect scatters there by its size, and its mean shows nothing.
+    """
+    c = candidate("lost", "log-normal", 4.0, spread=1.0)
+
+    def made(size: float, noise: float, seed: int) -> list[FloatArray]:
+        rng = np.random.default_rng(seed)
+        deviations = np.where(np.arange(ROWS) // SPELL == 5, size, 0.0)[:, None] * np.array([1.0, 0.0, 1.0, 0.0])
+        return [deviations * rng.normal(size=(ROWS, 4)) + noise * rng.normal(size=(ROWS, 4)) for _ in range(6)]
+
+    def repeated(conditions: Any, changes: Any, count: int, what: str) -> list[list[FloatArray]]:
+        return [made(dict(changes).get(c.addresses[0], 0.0), 0.0, 3)]
+
+    search = unsteady(1.0, runs=3)
+    search.groups = [made(true, 1.0, 7)]
+    search.evidence.nominals = [made(0.0, 0.0, 5)]
+    search.evidence.space = SimpleNamespace(blocks={"there": slice(0, 1)}, y=np.zeros(4), chi2=0.0, dot=lambda a, b: float(a @ b))
+    search.evidence.mean_signature = lambda group: np.zeros(4)
+    search.simulator.repeated = repeated
+    search.catalogue = SimpleNamespace(drawn=frozenset({c.effect}))
+    search.candidates = (c,)
+    return search, c
+
+
+def test_an_effect_that_a_seed_draws_is_fitted_to_what_repeats_scatter() -> None:
+    search, c = drawn(5.0)
+    fit = by_chance(search, c)
+    assert fit is not None
+    value, deviation = fit.values[c.addresses[0]], fit.deviations[c.addresses[0]]
+    assert fit.log_evidence > 20.0
+    assert abs(value - 5.0) < chance(deviation)
+    before, after = levels(search, fit)
+    assert after < 1.5 < before
+    nominal = Fit((), {}, {}, 0.0, 0.0)
+    kept = with_chance(search, [nominal, replace(fit, log_evidence=0.0)])  # what its mean says gives way
+    assert [f.log_evidence for f in kept] == [0.0, fit.log_evidence]
+    assert levels(search, nominal) == (0.0, 0.0)
+
+
+def test_repeats_that_scatter_as_usual_have_no_such_effect() -> None:
+    search, c = drawn(0.0)
+    fit = by_chance(search, c)
+    assert fit is not None
+    assert fit.log_evidence < 0.0
+    search.groups = [search.groups[0][:2]]
+    assert by_chance(search, c) is None
