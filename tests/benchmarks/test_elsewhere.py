@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.cells import CELLS, Cell
-from benchmarks.elsewhere import SUBJECTS, Example, drawn, score
+from benchmarks.elsewhere import SUBJECTS, Example, diagnosed, drawn, score
 from tests.tolerances import chance
 
 A, B, CLOCK = "axis.coulomb", "axis.backlash", "logging.lag encoder.*"
@@ -75,3 +75,10 @@ def test_the_machine_of_a_cell_is_as_its_seed_and_its_effects_say(tmp_path: Path
     assert 0.0 < scatter < machines < effect
     assert abs(effect / size - 0.1) < chance(scatter / size)
     assert [r.folder.name for r in (*other, *held)] == ["slot-1", "elsewhere-1"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cell", CELLS, ids=lambda c: c.name)
+def test_a_cell_without_effects_has_none(cell: Cell, tmp_path: Path) -> None:
+    """Noise in every component that has some, a tool frame that is 10 um off, a program that nearly stands still."""
+    assert diagnosed(cell, "null", 1, tmp_path).verdict == "none"

@@ -227,3 +227,13 @@ def test_only_the_columns_that_are_named_are_recorded(tmp_path):
     (summary,) = run_experiment(experiment, tmp_path, ["push +x"])
     assert {base_name(c) for c in Run.load(tmp_path / summary.folder).columns} == {"drive.q_motor"}
     assert summary.max_displacement_m is summary.max_force_n is None
+
+
+def test_another_repeat_has_another_noise_in_each_component_that_has_some(tmp_path):
+    """A force sensor and the current of the spindle; with the noise of one only, the other's would be taken for what comes again."""
+    experiment = load_experiment(ROOT / "scenarios" / "irb6400" / "end_millings.toml")
+    one, other, again = (run_condition(experiment, experiment.conditions[0], r, tmp_path / str(i)) for i, r in enumerate((1, 2, 1)))
+    for noisy in ("sensor.f_S_raw", "current.current"):
+        assert np.array_equal(one[noisy], again[noisy])
+        assert np.std(one[noisy] - other[noisy]) > 0.0
+    assert np.array_equal(one["path.q_ref"], other["path.q_ref"])

@@ -78,3 +78,13 @@ def test_what_remains_is_measurable_or_not(left: float, within: bool) -> None:
     signal, made = repeats(4, 0.0)
     zero, model = np.zeros_like(signal), (1.0 - left) * signal
     assert figures([products(made, (zero, zero), (model, model), np.full(2, NOISE**2))]).within_noise == within
+
+
+def test_what_is_roundoff_of_the_measured_values_is_no_gap() -> None:
+    """A program that was logged as it was played: half of the digits are trusted."""
+    signal, _ = repeats(1, 0.0)
+    for off, measurable in ((1e-9, False), (1e-7, True)):
+        made = [signal * (1.0 + off)] * 3
+        found = figures([products(made, (signal, signal), (signal, signal), np.zeros(2))])
+        assert found.measurable is measurable
+        assert (found.closure is None) is not measurable
