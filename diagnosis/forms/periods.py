@@ -24,13 +24,15 @@ def grid(x: Sequence[FloatArray], decimation: int) -> FloatArray:
     Four of them are on the width of a peak, 2 pi / range: with two, a wave between them came as two waves.
     The usual speed is the median of a condition while it moves (SLIDES), in the slowest one: a wave is seen where the motion is slow.
     That it goes by too fast elsewhere makes it no other wave: the angle is known at each sample that was logged.
+    N samples tell no more than N / 2 waves apart: what swings fast in a wide range has no more values of k than that.
     """
     way = max(float(np.ptp(v)) for v in x)
     steps = [np.abs(np.diff(v[::decimation])) for v in x]
     usual = min((float(np.median(s[s > SLIDES * s.max()])) for s in steps if s.max() > 0.0), default=0.0)
     if way <= 0.0 or usual <= 0.0:
         return np.zeros(0)
-    return np.asarray(np.arange(np.pi / way, np.pi / usual, 0.5 * np.pi / way))
+    highest = min(np.pi / usual, np.pi * max(map(len, steps)) / way)
+    return np.asarray(np.arange(np.pi / way, highest, 0.5 * np.pi / way))
 
 
 def _waves(problem: Problem, place: Place, ks: FloatArray) -> Iterator[npt.NDArray[np.complex128]]:

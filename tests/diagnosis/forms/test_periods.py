@@ -48,8 +48,16 @@ def test_a_wave_that_is_seen_where_the_motion_is_slow_is_found_although_it_goes_
 
 
 def test_no_wave_is_looked_for_that_is_not_seen_at_the_usual_speed() -> None:
-    ks = grid([turned()], 3)
+    ks = grid([turned(fast=0.0)], 3)
     assert abs(ks[-1] - np.pi / (SLOW * 3.0 * STEP)) < 2.0 * float(np.diff(ks)[0])
+
+
+def test_no_more_waves_are_told_apart_than_half_as_many_as_there_are_samples() -> None:
+    """A way that is gone in a moment, and a slow swing for the rest."""
+    angle = turned(fast=0.3)
+    ks = grid([angle], 3)
+    samples = len(angle) / 3.0
+    assert abs(ks[-1] * np.ptp(angle) / (2.0 * np.pi) - 0.5 * samples) < 1.0
 
 
 def test_where_nothing_moves_there_is_no_period() -> None:
