@@ -92,7 +92,7 @@ def tested(
     p_none: float,
     moved: Transfer | None,
     alpha: float,
-    scatter: tuple[float, float] = (0.0, 0.0),  # noqa: PT028 (no test)
+    scatter: tuple[float, float],
 ) -> Tests:
     """The tests of an answer; `nothing`: probability of the nominal model by the diagnosed runs, `moved`: new conditions.
 

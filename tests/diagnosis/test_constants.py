@@ -263,7 +263,7 @@ def explainable() -> float:
 
 
 def fits(before: float, after: float, *model: Candidate) -> float:
-    return verdict.tested(AROUND_NOISE, fitted(before), fitted(after, *model), 0.0, 0.0, None, 0.02).p_fit
+    return verdict.tested(AROUND_NOISE, fitted(before), fitted(after, *model), 0.0, 0.0, None, 0.02, (0.0, 0.0)).p_fit
 
 
 def judged(before: float, probability: float, p_none: float) -> str:

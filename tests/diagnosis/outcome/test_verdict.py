@@ -26,6 +26,8 @@ from tests.tolerances import ROUNDOFF
 
 EXPECTED = 1000.0
 SURE = verdict.Tests(0.02, 0.001, 0.98, 0.001)
+STEADY = (0.0, 0.0)
+"""Scatter of repeats, over what the nominal system and the model scatter: of models of which it is not asked."""
 
 
 def search(candidates: tuple[Candidate, ...] = (), explainable: float = 0.0, guess: float = 1.0) -> Any:
@@ -47,13 +49,22 @@ def fit(left: float, model: tuple[Candidate, ...] = ()) -> Fit:
 
 
 class TestTested:
+    def test_the_scatter_of_repeats_speaks_for_a_model_that_explains_it_and_refutes_one_that_does_not(self) -> None:
+        """The mean has no gap: what it leaves says nothing."""
+        effect = (candidate("drawn"),)
+        right, wrong, unasked = (
+            verdict.tested(search(), fit(1.0), fit(1.0, effect), 0.001, 0.001, None, 0.02, scatter).p_fit
+            for scatter in ((20.0, 1.1), (20.0, 12.0), STEADY)
+        )
+        assert wrong < 0.1 < unasked < 0.9 < right
+
     @pytest.mark.parametrize("nothing", [0.5, 0.02, 1e-9])
     @pytest.mark.parametrize(("before", "after"), [(9.0, 1.2), (1.3, 1.1), (9.0, 5.0)])
     def test_without_new_conditions_they_are_those_of_the_diagnosed_runs(
         self, tmp_path: Path, nothing: float, before: float, after: float
     ) -> None:
         effect = catalogue(tmp_path).candidates[:1]
-        found = verdict.tested(search(), fit(before), fit(after, effect), nothing, 0.3, None, 0.05)
+        found = verdict.tested(search(), fit(before), fit(after, effect), nothing, 0.3, None, 0.05, STEADY)
         assert (found.false_alarm, found.p_none) == (0.05, 0.3)
         assert found.p_fit == pytest.approx(expit(math.log((1.0 - UNLISTED) / UNLISTED) + left_by(before, after)), rel=ROUNDOFF)
         assert found.nothing == pytest.approx(nothing, rel=1e3 * ROUNDOFF)
@@ -61,7 +72,7 @@ class TestTested:
     def test_new_conditions_add_their_gain_to_the_odds_and_their_worth_to_the_fit(self, tmp_path: Path) -> None:
         effect = catalogue(tmp_path).candidates[:1]
         moved = Transfer(4.0, 1.5, -3.0, 20.0, 0.1, 0.6, 0.1)
-        found = verdict.tested(search(), fit(9.0), fit(1.3, effect), 0.02, 0.01, moved, 0.02)
+        found = verdict.tested(search(), fit(9.0), fit(1.3, effect), 0.02, 0.01, moved, 0.02, STEADY)
         assert found.nothing == pytest.approx(expit(-(math.log(0.98 / 0.02) - 3.0)), rel=1e2 * ROUNDOFF)
         odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(9.0, 1.3) + moved.worth
         assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
@@ -71,7 +82,7 @@ class TestTested:
         several = search()
         several.evidence.space = Space(np.zeros(7), {str(i): slice(i, i + 1) for i in range(7)}, np.zeros((7, 0)))
         before, after = (replace(fit(left, m), signature=np.full(7, -left)) for left, m in ((9.0, ()), (2.0, effect)))
-        found = verdict.tested(several, before, after, 0.001, 0.001, None, 0.02)
+        found = verdict.tested(several, before, after, 0.001, 0.001, None, 0.02, STEADY)
         odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(9.0, 2.0, conditions=7)
         assert found.p_fit == pytest.approx(expit(odds + kept(verdict.held_together(several, after))), rel=1e2 * ROUNDOFF)
 
@@ -85,7 +96,7 @@ class TestTested:
         two.evidence.levels = lambda left: left[None]
         two.evidence.does = lambda signature: np.full((1, 2), 30.0)
         before, after = (replace(fit(0.0, m), signature=-np.array(left)) for m, left in (((), (60.0, 1.0)), (effect, (1.0, LEVEL + made))))
-        found = verdict.tested(two, before, after, 0.001, 0.001, None, 0.02)
+        found = verdict.tested(two, before, after, 0.001, 0.001, None, 0.02, STEADY)
         odds = math.log((1.0 - UNLISTED) / UNLISTED)
         odds += together(left_by(60.0, LEVEL + made, conditions=1), left_by(30.0, LEVEL + made, conditions=1))
         assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
@@ -94,14 +105,16 @@ class TestTested:
     def test_a_fault_of_the_log_must_leave_less(self, tmp_path: Path) -> None:
         clock = tuple(c for c in catalogue(tmp_path).candidates if c.component == LOGGING)[:1]
         effect = catalogue(tmp_path).candidates[:1]
-        exact, other = (verdict.tested(search(), fit(50.0), fit(3.0, model), 0.0, 0.001, None, 0.02).p_fit for model in (clock, effect))
+        exact, other = (
+            verdict.tested(search(), fit(50.0), fit(3.0, model), 0.0, 0.001, None, 0.02, STEADY).p_fit for model in (clock, effect)
+        )
         assert exact == pytest.approx(expit(math.log((1.0 - UNLISTED) / UNLISTED) + left_by(50.0, 3.0, EXACT)), rel=1e2 * ROUNDOFF)
         assert exact < other
 
     @pytest.mark.parametrize(("nothing", "says"), [(0.0, 0.0), (1.0, 1.0)])
     def test_a_probability_that_is_none_or_all_stays_that(self, nothing: float, says: float) -> None:
         for moved in (None, Transfer(1.0, 1.0, 5.0, 5.0)):
-            assert verdict.tested(search(), fit(1.0), fit(1.0), nothing, 1.0, moved, 0.02).nothing == says
+            assert verdict.tested(search(), fit(1.0), fit(1.0), nothing, 1.0, moved, 0.02, STEADY).nothing == says
 
 
 @pytest.mark.parametrize(
@@ -131,10 +144,10 @@ def test_of_several_kinds_of_effects_that_were_fitted_together_less_must_be_left
     first = catalogue(tmp_path).candidates[0]
     model = tuple(replace(first, effect=f"kind {k}") for k in range(count))
     for left in (1.0, 2.0):
-        found = verdict.tested(search(), fit(9.0), fit(left, model), 0.001, 0.001, None, 0.02)
+        found = verdict.tested(search(), fit(9.0), fit(left, model), 0.001, 0.001, None, 0.02, STEADY)
         odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(9.0, left, MISFIT, count)
         assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
-    alone = verdict.tested(search(), fit(1.0), fit(1.0, model), 0.001, 0.001, None, 0.02)
+    alone = verdict.tested(search(), fit(1.0), fit(1.0, model), 0.001, 0.001, None, 0.02, STEADY)
     assert alone.p_fit == pytest.approx(1.0 - UNLISTED, rel=QUADRATURE)  # where there is no gap, nothing is left of one
 
 
@@ -242,8 +255,8 @@ def test_a_lag_that_several_sources_have_in_common_is_the_machine_s(lags: tuple[
     looked.candidates = clocks
     assert (verdict.common_lag(looked, best) > 4.0) == says
     assert verdict.common_lag(looked, best) > 4.0 or verdict.common_lag(looked, best) < -4.0
-    found = verdict.tested(looked, fit(9.0), best, 0.001, 0.001, None, 0.02)
-    alone = verdict.tested(looked, fit(9.0), replace(best, model=model[:1]), 0.001, 0.001, None, 0.02)
+    found = verdict.tested(looked, fit(9.0), best, 0.001, 0.001, None, 0.02, STEADY)
+    alone = verdict.tested(looked, fit(9.0), replace(best, model=model[:1]), 0.001, 0.001, None, 0.02, STEADY)
     assert alone.p_fit > 0.9
     assert (found.p_fit < 0.02) == says
     assert says or found.p_fit > 0.9
