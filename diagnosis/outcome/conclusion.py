@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import logsumexp
 
 from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, physical
 from robomill.diagnosis.experiment.repeats import as_share
@@ -18,7 +19,7 @@ from robomill.diagnosis.inference import isolability
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.intervals import Known, by_least_squares
 from robomill.diagnosis.inference.machines import p_none
-from robomill.diagnosis.inference.priors import probabilities
+from robomill.diagnosis.inference.priors import log_posteriors, probabilities
 from robomill.diagnosis.inference.scatter import Spell, levels, spell
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.sets import weighed
@@ -78,6 +79,11 @@ class Conclusion:
         if over_noise(search, fits[0]) > UNKNOWN:  # else, where noise is a guess, the answer is none
             self.fits, self.weights = weighed(search, fits)
         self.best = self.fits[int(self.weights.argmax())]
+        self._moved: dict[frozenset[Candidate], Transfer | None] = {}
+        # of a log that is refused nothing else is asked; where nothing was repeated, evidence is of a noise that is a guess
+        if not search.evidence.once and any(c.component != LOGGING for c in self.best.model):
+            self.weights = self.held_out()
+            self.best = self.fits[int(self.weights.argmax())]
         self.known: Mapping[str, Known] = {}
 
     @cached_property
@@ -114,7 +120,7 @@ class Conclusion:
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] >= IDENTIFIED]
         alone = clocks and all(c.component == LOGGING for c in self.best.model)  # of a log that is refused nothing else is asked
         drawn = all(c.effect in search.catalogue.drawn for c in self.best.model)  # what it did in one run says nothing of the next
-        moved = self.transfer() if not drawn and not alone else None
+        moved = self.transfer(self.best) if not drawn and not alone else None
         odds = float(np.log(max(1.0 - self.nothing, 1e-300)) - np.log(max(self.nothing, 1e-300)))
         tests = tested(search, nominal, self.best, self.nothing, p_none(search, odds), moved, self.false_alarm, levels(search, self.best))
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
@@ -184,13 +190,32 @@ class Conclusion:
             answer = self.described(answer, found, instead, self.other if changes_with_time else None)
         return answer, adopted
 
-    def transfer(self) -> Transfer | None:
-        """What the best model is worth in held-out conditions.
+    def held_out(self) -> FloatArray:
+        """Probability of each fit, float64[fits], where models of fewer of the best one's effects are asked in new conditions, too.
+
+        What a strong effect does otherwise than its law says is far above noise, and a second one that fits it is sure by the diagnosed
+        runs. New conditions are data as these are: evidence times prior is multiplied by exp(gain - gain of the best model) there
+        (`Transfer.gain`). Models that have other effects are taken to do there as the best one does.
+        """
+        fewer = [i for i, f in enumerate(self.fits) if f.model and set(f.model) < set(self.best.model)]
+        moved = self.transfer(self.best) if fewer else None
+        if moved is None:
+            return self.weights
+        scores = log_posteriors(self.fits, self.search.candidates)
+        for i in fewer:
+            if (other := self.transfer(self.fits[i])) is not None:
+                scores[i] += other.gain - moved.gain
+        return np.asarray(np.exp(scores - logsumexp(scores)))
+
+    def transfer(self, fit: Fit) -> Transfer | None:
+        """What a model is worth in held-out conditions.
 
         Its doubt is BIAS and WIDER times the relative deviations of its sizes, each by the share of its effect in the signature s, <s, s_c>
         / <s, s>: what an effect does that is hardly known and does little hardly matters. At most 1.
         """
-        fit, doubt = self.best, BIAS
+        doubt, key = BIAS, frozenset(fit.model)
+        if key in self._moved:
+            return self._moved[key]
         parts = fit.signatures()
         total: FloatArray = np.sum(list(parts.values()), axis=0)
         space = self.search.evidence.space
@@ -198,7 +223,8 @@ class Conclusion:
             share = float(space.dot(total, part)) / (float(space.dot(total, total)) + 1e-300) if len(parts) > 1 else 1.0
             sizes = c.sizes(fit.values)
             doubt = math.hypot(doubt, share * WIDER * max(fit.deviations[a] / (sizes[a] + 1e-300) for a in c.addresses))
-        return transfer(self.search, self.groups, fit, min(doubt, 1.0))
+        self._moved[key] = transfer(self.search, self.groups, fit, min(doubt, 1.0))
+        return self._moved[key]
 
     def families(self, p_fit: float, instead: Laws) -> tuple[Family, ...]:
         """Families with a probability of LISTED or more, `p_fit` included; of a family no more is believed than of its best member."""
