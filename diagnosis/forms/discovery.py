@@ -17,9 +17,10 @@ from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.loop import Loop, specification
 from robomill.diagnosis.forms.periods import with_periods
 from robomill.diagnosis.forms.ports import Problem, Seen, Signals, alike, behind, direct, into
-from robomill.diagnosis.forms.selection import Products, Values, choose, pruned, values, worse
+from robomill.diagnosis.forms.selection import Products, Rows, Values, choose, pruned, values, worse
 from robomill.diagnosis.forms.signals import Variable
 from robomill.diagnosis.inference.search import Search
+from robomill.diagnosis.localisation.where import WHOLE
 from robomill.diagnosis.outcome.answer import Answer
 from robomill.diagnosis.outcome.ceiling import FOLDS
 from robomill.diagnosis.outcome.closure import BLOCKS
@@ -37,33 +38,39 @@ class Solved:
     terms: list[tuple[str, Term]]
     found: Values
     closure: float
-    errors: FloatArray
-
-    @property
-    def squares(self) -> float:
-        """Sum of squares of the gap, over the scale of its problem."""
-        return float(sum((g**2).sum() for g in self.problem.gap))
+    """1 - squares left / squares of the gap, in parts that choice and fit have not seen."""
+    left: FloatArray
+    """Squares left in each of BLOCKS blocks of time of each condition [conditions * BLOCKS], over the scale of the problem."""
 
 
 def solve(problem: Problem) -> Solved:
     """Choose and fit the terms of a problem."""
     chosen = choose(problem.rows())
+    if chosen.closure <= 0.0:  # what is white in them is predicted better, but not what is there
+        return Solved(problem, [], Values(*np.zeros((3, 0))), 0.0, _left(problem, problem.rows([]), 0.0))
     problem = replace(problem, decimation=problem.decimation * 2**chosen.pairs)
     terms = [problem.terms[i] for i in chosen.terms]
     places = [(e, v) for e in dict.fromkeys(e for e, _ in problem.terms) for v in problem.seen.angles(e)] if problem.effect else []
     longer = with_periods(problem, terms, chosen.rho, places)
-    errors, closure = chosen.errors, chosen.closure
+    closure = chosen.closure
     if len(longer) > len(terms):
         rows = problem.rows(longer)
-        products = Products(rows.whitened(chosen.rho), rows.parts(FOLDS))
-        kept = pruned(products, list(range(len(longer))))
-        terms, errors = [longer[i] for i in kept], products.errors(kept)
+        kept = pruned(Products(rows.whitened(chosen.rho), rows.parts(FOLDS)), list(range(len(longer))))
+        terms = [longer[i] for i in kept]
         plain = Products(rows, rows.parts(FOLDS))
         closure = 1.0 - float(plain.errors(kept).sum()) / max(float(plain.square.sum()), 1e-300)
     rows = problem.rows(terms)
     order = Products(rows, rows.parts(FOLDS)).path(len(terms))  # that which predicts most comes first
     terms = [terms[i] for i in dict.fromkeys([*order, *range(len(terms))])]
-    return Solved(problem, terms, values(problem.rows(terms), list(range(len(terms)))), closure, errors)
+    rows = problem.rows(terms)
+    return Solved(problem, terms, values(rows, list(range(len(terms)))), closure, _left(problem, rows, closure))
+
+
+def _left(problem: Problem, rows: Rows, closure: float) -> FloatArray:
+    """`Solved.left`, with all terms of the rows; together 1 - `closure` of the gap's squares."""
+    left = rows.left_out(FOLDS) ** 2
+    squares = np.bincount(rows.blocks(), left, len(problem.gap) * BLOCKS)
+    return np.asarray(squares * ((1.0 - closure) * sum(float((g**2).sum()) for g in problem.gap) / max(float(left.sum()), 1e-300)))
 
 
 def solved(
@@ -79,12 +86,12 @@ def solved(
         for make in (direct, behind, into):
             if make is into and best:  # takes a simulation for each term: not beside what has been found
                 continue
-            found = [s for p in make(laboratory, replays, name) if _wanted(p, arrays) and (s := solve(p)).terms]
-            for array in dict.fromkeys(a for s in found for a in s.problem.targets):
+            found = [solve(p) for p in make(laboratory, replays, name) if _wanted(p, arrays)]
+            for array in dict.fromkeys(a for s in found if s.terms for a in s.problem.targets):
                 here = [s for s in found if array in s.problem.targets]
-                errors = np.sum([s.errors / (s.errors.sum() / max(1.0 - s.closure, 1e-12)) * s.squares for s in here], axis=0)
-                if array not in best or (len(best[array][0]) == len(errors) and worse(best[array][0], errors)):
-                    best[array] = (errors, here)
+                left = np.sum([s.left for s in here], axis=0)
+                if array not in best or worse(best[array][0], left):
+                    best[array] = (left, [s for s in here if s.terms])
     unique: list[Solved] = []
     for _, some in best.values():
         unique += [s for s in some if not any(s is u for u in unique)]
@@ -227,15 +234,18 @@ def discovered(
             return replace(form, note=f"not put into the loop: {error}")
     closing = Closing(search, groups, titles)
     closures = closing.with_these(dict(enumerate(after)), list(closing.kinds))
-    return replace(
+    form = replace(
         form,
         ports=_refitted(form.ports, fitted_there),
         how_far=closures,
         ranges=_ranges(laboratory, found, n),
         worse=tuple(Worse(h.metric, h.on, h.before, h.after, h.unit) for h in closures if h.after > h.before),
         note=note,
-        specification=fitted_there,
     )
+    if any(h.channel == WHOLE and h.on == closing.hardest and h.after > h.before for h in closures):
+        refuted = f"on {closing.hardest} the whole gap is larger with the form: it is said as it was found, and not adopted"
+        return replace(form, note=f"{refuted}; {note}" if note else refuted)
+    return replace(form, specification=fitted_there)
 
 
 def _doubts(s: Solved) -> FloatArray:
@@ -291,11 +301,15 @@ def _ranges(laboratory: Laboratory, found: Sequence[Solved], n: int) -> tuple[Ra
 
 
 def suspects(answer: Answer, laboratory: Laboratory) -> list[str]:
-    """Components where the form may be, the likeliest first: those that the replay blames and cannot tell from them, or else all."""
+    """Components where the form may be, the likeliest first.
+
+    They are those that the replay blames and cannot tell from them, and those in whose measured outputs it leaves something; or else all.
+    """
     names = [c.name for c in laboratory.system.components]
     blamed = [n for w in answer.where if w.log_odds is not None for n in (w.component, *(w.alternatives or ()))]
     first = blamed or [w.component for w in answer.where] + ([answer.unknown.component] if answer.unknown else [])
-    found = [n for n in dict.fromkeys(first) if n in names]
+    owners = sorted({array.partition(".")[0] for array in left_in(answer)})
+    found = [n for n in dict.fromkeys([*first, *owners]) if n in names]
     return [*found, *(n for n in names if n not in found)] if not blamed else found
 
 

@@ -199,7 +199,7 @@ class Exchanged:
         does = np.stack([port.does[c] for c in self.effects], axis=1) if k else np.zeros((len(rows.y), 0))
         self._model, self._apart = does.sum(axis=1), apart
         self._rows = replace(rows, y=rows.y + self._model, X=np.concatenate([does, rows.X], axis=1))
-        self._parts = rows.parts(FOLDS)
+        self._parts = rows.spans(FOLDS)
         self._products = Products(self._rows, self._parts)
         squares = np.diagonal(self._products.gram, axis1=1, axis2=2)[:, k:]  # of each law in each block
         self.laws = np.flatnonzero(squares.max(axis=0) <= 0.5 * squares.sum(axis=0))

@@ -75,10 +75,34 @@ class Rows:
         total = float((left**2).sum())
         return min(max(float((left[1:] * left[:-1])[inside].sum()) / total, 0.0), np.exp(-self.step / MEMORY)) if total > 0.0 else 0.0
 
-    def parts(self, count: int) -> Labels:
+    def spans(self, count: int) -> Labels:
         """Which block of time each row is in: at least `count` of them, as many in each condition; channels of a condition go together."""
         each = -(-count // (int(self.condition.max()) + 1))
         return np.asarray(self.condition * each + np.minimum((self.position * each).astype(np.intp), each - 1))
+
+    def blocks(self) -> Labels:
+        """Which of BLOCKS blocks of time of its condition each row is in, numbered through all conditions."""
+        return np.asarray(self.condition * BLOCKS + np.minimum((self.position * BLOCKS).astype(np.intp), BLOCKS - 1))
+
+    def parts(self, count: int) -> Labels:
+        """Which of at most `count` parts each row is in: `blocks` one after the other, with about as much of the squares of y in each part.
+
+        Where a gap is large for a short time only, one of `spans` has it all, and nothing that is fitted to the others has seen it. What
+        lasts for one block only stays in one part.
+        """
+        blocks = self.blocks()
+        squares = np.bincount(blocks, self.y**2) + np.finfo(float).tiny
+        middle = (np.cumsum(squares) - 0.5 * squares) / squares.sum()
+        return np.asarray(np.minimum((middle * count).astype(np.intp), count - 1)[blocks])
+
+    def left_out(self, count: int) -> FloatArray:
+        """What fits of all terms to the other parts leave of y, [n]."""
+        parts = self.parts(count)
+        products, left = Products(self, parts), self.y.copy()
+        for fold, part in enumerate(np.unique(parts)):
+            here = parts == part
+            left[here] -= self.X[here] @ products.fit(list(range(self.X.shape[1])), fold)
+        return left
 
 
 class Products:
@@ -254,8 +278,6 @@ class Chosen:
     """Averaged to the band that the noise allows, not whitened."""
     pairs: int
     """How often neighbours were averaged for that."""
-    errors: FloatArray
-    """Squares left in each left-out fold, of whitened rows."""
 
 
 def choose(rows: Rows) -> Chosen:
@@ -265,7 +287,7 @@ def choose(rows: Rows) -> Chosen:
         whitened = _by_memory(rows)
         for _ in range(2):  # the noise is known when the terms are, and the other way round
             used = rho
-            terms, sets, errors = _chosen(whitened(used))
+            terms, sets = _chosen(whitened(used))
             left = rows.y - rows.X[:, terms] @ fitted(rows, terms)
             rho = rows.memory(left)
             if rho == used:
@@ -275,7 +297,7 @@ def choose(rows: Rows) -> Chosen:
         if again < BAND or len(rows.y) < 4 * FOLDS * MOST or 4.0 * rows.step > MEMORY:
             plain = whitened(0.0)
             lost = sum(plain.error(f, some, plain.fit(some, f)) for f, some in enumerate(sets))
-            return Chosen(terms, 1.0 - lost / max(float(plain.square.sum()), 1e-300), rho, rows, pairs, errors)
+            return Chosen(terms, 1.0 - lost / max(float(plain.square.sum()), 1e-300), rho, rows, pairs)
         rows, pairs = rows.paired(), pairs + 1
 
 
@@ -285,8 +307,8 @@ def _by_memory(rows: Rows) -> Callable[[float], Products]:
     return cache(lambda rho: Products(rows.whitened(rho), parts))
 
 
-def _chosen(products: Products) -> tuple[list[int], list[list[int]], FloatArray]:
-    """Terms by all rows, those that each fold would have taken without its own rows, and squares left in the folds."""
+def _chosen(products: Products) -> tuple[list[int], list[list[int]]]:
+    """Terms by all rows, and those that each fold would have taken without its own rows."""
     folds = range(len(products.square))
     paths = [products.path(MOST, f) for f in folds]
     longest = max(map(len, paths))
@@ -294,7 +316,7 @@ def _chosen(products: Products) -> tuple[list[int], list[list[int]], FloatArray]
     best = int(table.mean(axis=1).argmin())
     count = next(k for k in range(best + 1) if not worse(table[k], table[best]))
     terms = pruned(products, products.path(count))
-    return terms, [p[:count] for p in paths], table[count]
+    return terms, [p[:count] for p in paths]
 
 
 def pruned(products: Products, terms: list[int]) -> list[int]:
@@ -328,7 +350,7 @@ class Values:
 
 def values(rows: Rows, terms: list[int]) -> Values:
     """Fit the terms; rows that are not whitened (DIAGNOSIS2, lesson 3: whitening lets reversals decide, where laws are wrong)."""
-    products = Products(replace(rows, X=rows.X[:, terms]), rows.parts(BLOCKS))
+    products = Products(replace(rows, X=rows.X[:, terms]), rows.spans(BLOCKS))
     every = list(range(len(terms)))
     best = products.fit(every)
     rng = np.random.default_rng(0)

@@ -13,11 +13,13 @@ from robomill.cell.binding import resolve as with_forms
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.experiment.simulation import Simulator
-from robomill.diagnosis.forms.discovery import discovered
+from robomill.diagnosis.forms.discovery import discovered, suspects
 from robomill.diagnosis.forms.layout import Form
 from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.inference.search import Search
+from robomill.diagnosis.localisation.where import Where
 from robomill.diagnosis.outcome import adopt
+from robomill.diagnosis.outcome.answer import Answer
 from robomill.models.components.file_names import FORM
 from robomill.models.model.units import convert
 from robomill.orchestration.assembly import run
@@ -88,6 +90,30 @@ def test_it_is_adopted_from_its_file(cubic: Form, tmp_path: Path) -> None:
     np.testing.assert_allclose(found["sensors.y[2]"], shown + cubic.ports[0].terms[0].coefficient * shown**3, rtol=ROUNDOFF, atol=AS_FITTED)
     with pytest.raises(Exception, match="a form of 'sensors': unknown component 'sensors'"):
         adopt.adopted(demo.System("one", demo.STEP, demo.SYSTEM.components[:1]), file)
+
+
+def test_a_form_that_other_runs_refute_is_said_and_not_adopted(tmp_path: Path) -> None:
+    """What was found as a cube is another machine's in the runs that were held out: there it bends the other way."""
+    runs, held = (
+        demo.changed(demo.measure(amplitude=a, repeats=3), "sensors.y[2]", lambda t, y, c=c: y + c * y**3)
+        for a, c in ((1.0, CUBE), (1.4, -CUBE))
+    )
+    search, groups, _ = looked_at(tmp_path, runs, held)
+    form = discovered(search, groups, ["sensors"], {})
+    assert form is not None
+    assert form.ports[0].terms[0].term in ("y[2]^3", "x[2]^3")
+    assert form.specification == {}
+    assert form.note == "on held-out condition the whole gap is larger with the form: it is said as it was found, and not adopted"
+    whole = [w for w in form.worse if w.on == "held-out condition" and w.channel == "all channels, whitened rms"]
+    assert whole
+    assert whole[0].after > whole[0].before
+
+
+def test_where_the_replay_leaves_something_the_form_may_be(tmp_path: Path) -> None:
+    """Blamed is another component; but what is left shows at the sensors, and they have outputs of their own."""
+    start = prepared(Campaign.of(demo.SYSTEM, demo.measure(repeats=3), ()), demo.catalogue(tmp_path), resolve, convert)
+    blamed = Where("masses", 1.0, None, "", "", "", [], log_odds=10.0, alternatives=(), outputs=("sensors.y",))
+    assert suspects(Answer("unknown", (), where=(blamed,)), start.laboratory) == ["masses", "sensors"]
 
 
 def test_a_late_sensor_is_like_a_delay_with_one_size(tmp_path: Path) -> None:

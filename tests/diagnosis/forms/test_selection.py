@@ -57,6 +57,29 @@ def test_in_noise_alone_hardly_anything_is_found() -> None:
     assert sum(k > 0 for k in found) <= 2  # twice the 5 % that DIAGNOSIS2 allows wrong names, and what chance does to 12 tries
 
 
+def test_a_law_that_acts_for_a_short_time_is_found() -> None:
+    """A force in the last eighth of the run only: one of six spans has nearly all of the gap, and hides it from the others."""
+    rng = np.random.default_rng(8)
+    force = np.sin(25.0 * T) * (T > 7.0)
+    X = np.column_stack([terms(rng), force, force * np.abs(force)])
+    found = rows(2.0 * X[:, -1] + 0.05 * rng.normal(size=N), X)
+    squares = np.array([np.bincount(labels, found.y**2, 6) for labels in (found.spans(6), found.parts(6))])
+    assert squares[0].max() > 0.8 * squares[0].sum()
+    assert squares[1].max() < 0.5 * squares[1].sum()
+    chosen = choose(found)
+    assert chosen.terms == [X.shape[1] - 1]
+    assert chosen.closure > 0.9
+
+
+def test_parts_are_one_after_the_other_and_whole_blocks() -> None:
+    found = rows(np.linspace(0.0, 1.0, N), np.zeros((N, 0)))
+    parts, blocks = found.parts(6), found.blocks()
+    assert np.all(np.diff(parts) >= 0)
+    assert all(len(set(parts[blocks == b])) == 1 for b in range(24))
+    assert set(parts) == set(range(6))
+    assert (parts == 0).sum() > 2 * (parts == 5).sum()  # where y is small, more time is needed for as many squares
+
+
 @pytest.mark.filterwarnings("error")
 def test_a_term_that_is_there_in_one_block_only_is_no_error() -> None:
     """Where that block is left out nothing is known of it: its value is zero, as if it were not there."""
