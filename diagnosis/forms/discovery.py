@@ -46,13 +46,11 @@ class Solved:
 def solve(problem: Problem) -> Solved:
     """Choose and fit the terms of a problem."""
     chosen = choose(problem.rows())
-    if chosen.closure <= 0.0:  # what is white in them is predicted better, but not what is there
-        return Solved(problem, [], Values(*np.zeros((3, 0))), 0.0, _left(problem, problem.rows([]), 0.0))
     problem = replace(problem, decimation=problem.decimation * 2**chosen.pairs)
-    terms = [problem.terms[i] for i in chosen.terms]
+    # of closures below zero, what is white is predicted better, but not what is there
+    terms, closure = ([problem.terms[i] for i in chosen.terms], chosen.closure) if chosen.closure > 0.0 else ([], 0.0)
     places = [(e, v) for e in dict.fromkeys(e for e, _ in problem.terms) for v in problem.seen.angles(e)] if problem.effect else []
     longer = with_periods(problem, terms, chosen.rho, places)
-    closure = chosen.closure
     if len(longer) > len(terms):
         rows = problem.rows(longer)
         kept = pruned(Products(rows.whitened(chosen.rho), rows.parts(FOLDS)), list(range(len(longer))))
