@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from robomill.diagnosis.forms import discovery
+from robomill.diagnosis.forms.library import Factor, Term
 from robomill.diagnosis.forms.periods import grid, with_periods
 from robomill.diagnosis.forms.ports import Problem, Seen
+from robomill.diagnosis.forms.selection import Chosen
 from robomill.diagnosis.forms.signals import Host, Variable
 from robomill.orchestration.slaves.protocol import FloatArray
+from tests.tolerances import ROUNDOFF
 
 STEP = 0.004
 """s"""
@@ -27,11 +33,11 @@ def turned(fast: float = 0.1) -> FloatArray:
     return np.asarray(np.cumsum(speed) * STEP)
 
 
-def problem(angles: Sequence[FloatArray], waves: float) -> Problem:
-    """A port whose gap is a wave of the angle, and noise of a tenth of it."""
+def problem(angles: Sequence[FloatArray], waves: float, size: float = 1.0) -> Problem:
+    """A port whose gap is a wave of the angle of that size, and noise of a tenth of 1."""
     random = np.random.default_rng(0)
     host = Host("drive", {}, {}, {})
-    gap = [(np.sin(waves * q + 0.7) + 0.1 * random.normal(size=len(q)))[:, None] for q in angles]
+    gap = [(size * np.sin(waves * q + 0.7) + 0.1 * random.normal(size=len(q)))[:, None] for q in angles]
     known = [{ANGLE: q} for q in angles]
     t: list[FloatArray] = [STEP * np.arange(len(q), dtype=np.float64) for q in angles]
     effect = [{"torque[1]": np.ones((len(q), 1))} for q in angles]
@@ -45,6 +51,22 @@ def test_a_wave_that_is_seen_where_the_motion_is_slow_is_found_although_it_goes_
     width = float(np.diff(grid(angles, 3))[0])
     assert (sine.kind, cosine.kind, sine.shape) == ("sine", "cosine", cosine.shape)
     assert abs(sine.shape - WAVES) < width
+
+
+@pytest.mark.parametrize("size", [1.0, 0.0])
+def test_a_port_whose_terms_left_out_parts_refute_has_its_wave_or_no_form(size: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Terms whose closure is below zero in parts that have not seen them are none; a wave is looked for beside nothing then."""
+    one = replace(problem([turned(), turned() + 0.3], WAVES, size), terms=[("torque[1]", Term((Factor("value", ANGLE),)))])
+    monkeypatch.setattr(discovery, "choose", lambda rows: Chosen([0], -0.1, 0.0, rows, 0))
+    found = discovery.solve(one)
+    kinds = {term.factors[0].kind for _, term in found.terms}
+    left, gap = float(found.left.sum()), sum(float((g**2).sum()) for g in one.gap)
+    assert left == pytest.approx((1.0 - found.closure) * gap, rel=1e3 * ROUNDOFF)
+    if size:
+        assert kinds == {"sine", "cosine"}
+        assert found.closure > 0.9
+    else:
+        assert (kinds, found.closure) == (set(), 0.0)
 
 
 def test_no_wave_is_looked_for_that_is_not_seen_at_the_usual_speed() -> None:
