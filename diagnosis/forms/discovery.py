@@ -17,7 +17,7 @@ from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.loop import Loop, specification
 from robomill.diagnosis.forms.periods import with_periods
 from robomill.diagnosis.forms.ports import Problem, Seen, Signals, alike, behind, direct, into
-from robomill.diagnosis.forms.selection import Products, Rows, Values, choose, pruned, values, worse
+from robomill.diagnosis.forms.selection import Labels, Products, Values, choose, pruned, values, worse
 from robomill.diagnosis.forms.signals import Variable
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.localisation.where import WHOLE
@@ -45,30 +45,34 @@ class Solved:
 
 def solve(problem: Problem) -> Solved:
     """Choose and fit the terms of a problem."""
-    chosen = choose(problem.rows())
+    chosen = choose(problem.rows(), [i for i, (_, t) in enumerate(problem.terms) if not t.factors])
     problem = replace(problem, decimation=problem.decimation * 2**chosen.pairs)
     # of closures below zero, what is white is predicted better, but not what is there
     terms, closure = ([problem.terms[i] for i in chosen.terms], chosen.closure) if chosen.closure > 0.0 else ([], 0.0)
     places = [(e, v) for e in dict.fromkeys(e for e, _ in problem.terms) for v in problem.seen.angles(e)] if problem.effect else []
-    longer = with_periods(problem, terms, chosen.rho, places)
+    longer = with_periods(problem, terms, chosen.rho, places, chosen.divided)
     if len(longer) > len(terms):
         rows = problem.rows(longer)
-        kept = pruned(Products(rows.whitened(chosen.rho), rows.parts(FOLDS)), list(range(len(longer))))
+        folds = chosen.divided(rows, FOLDS)
+        kept = pruned(Products(rows.whitened(chosen.rho), folds), list(range(len(longer))))
         terms = [longer[i] for i in kept]
-        plain = Products(rows, rows.parts(FOLDS))
+        plain = Products(rows, folds)
         closure = 1.0 - float(plain.errors(kept).sum()) / max(float(plain.square.sum()), 1e-300)
     rows = problem.rows(terms)
-    order = Products(rows, rows.parts(FOLDS)).path(len(terms))  # that which predicts most comes first
+    folds = chosen.divided(rows, FOLDS)
+    order = Products(rows, folds).path(len(terms))  # that which predicts most comes first
     terms = [terms[i] for i in dict.fromkeys([*order, *range(len(terms))])]
     rows = problem.rows(terms)
-    return Solved(problem, terms, values(rows, list(range(len(terms)))), closure, _left(problem, rows, closure))
+    return Solved(
+        problem, terms, values(rows, list(range(len(terms)))), closure, _left(problem, rows.left_out(folds), rows.blocks(), closure)
+    )
 
 
-def _left(problem: Problem, rows: Rows, closure: float) -> FloatArray:
-    """`Solved.left`, with all terms of the rows; together 1 - `closure` of the gap's squares."""
-    left = rows.left_out(FOLDS) ** 2
-    squares = np.bincount(rows.blocks(), left, len(problem.gap) * BLOCKS)
-    return np.asarray(squares * ((1.0 - closure) * sum(float((g**2).sum()) for g in problem.gap) / max(float(left.sum()), 1e-300)))
+def _left(problem: Problem, left: FloatArray, blocks: Labels, closure: float) -> FloatArray:
+    """`Solved.left` of what is left of each row [n] and its block; together 1 - `closure` of the gap's squares."""
+    squares = np.bincount(blocks, left**2, len(problem.gap) * BLOCKS)
+    gap = sum(float((g**2).sum()) for g in problem.gap)
+    return np.asarray(squares * ((1.0 - closure) * gap / max(float(squares.sum()), 1e-300)))
 
 
 def solved(

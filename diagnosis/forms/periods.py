@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 
 from robomill.diagnosis.forms.library import SLIDES, Term
 from robomill.diagnosis.forms.ports import Problem
-from robomill.diagnosis.forms.selection import MOST, Labels, Products, Rows, fitted, worse
+from robomill.diagnosis.forms.selection import MOST, Divided, Labels, Products, Rows, fitted, worse
 from robomill.diagnosis.forms.signals import Variable
 from robomill.diagnosis.outcome.ceiling import FOLDS
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -69,11 +69,13 @@ def _gains(problem: Problem, place: Place, left: FloatArray, parts: Labels) -> t
     return ks, np.concatenate(gains, axis=1) if gains else np.zeros((len(names) + 1, 0))
 
 
-def with_periods(problem: Problem, terms: list[tuple[str, Term]], rho: float, places: Sequence[Place]) -> list[tuple[str, Term]]:
+def with_periods(
+    problem: Problem, terms: list[tuple[str, Term]], rho: float, places: Sequence[Place], divided: Divided = Rows.spans
+) -> list[tuple[str, Term]]:
     """The terms, and sines and cosines of as many angles as blocks that have not seen their choice are predicted better by."""
     while len(terms) + 2 <= MOST:
         rows = problem.rows(terms)
-        parts, left = rows.parts(FOLDS), rows.y - rows.X @ fitted(rows)
+        parts, left = divided(rows, FOLDS), rows.y - rows.X @ fitted(rows)
         best: tuple[float, Place, FloatArray, FloatArray] | None = None
         for place in places:
             ks, gains = _gains(problem, place, left, parts)

@@ -9,9 +9,10 @@ over folds). The noise's memory is one number: the correlation of what is left f
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -95,14 +96,17 @@ class Rows:
         middle = (np.cumsum(squares) - 0.5 * squares) / squares.sum()
         return np.asarray(np.minimum((middle * count).astype(np.intp), count - 1)[blocks])
 
-    def left_out(self, count: int) -> FloatArray:
+    def left_out(self, parts: Labels) -> FloatArray:
         """What fits of all terms to the other parts leave of y, [n]."""
-        parts = self.parts(count)
         products, left = Products(self, parts), self.y.copy()
         for fold, part in enumerate(np.unique(parts)):
             here = parts == part
             left[here] -= self.X[here] @ products.fit(list(range(self.X.shape[1])), fold)
         return left
+
+
+Divided = Callable[[Rows, int], Labels]
+"""Divides rows into so many folds: number of the fold of each row."""
 
 
 class Products:
@@ -127,12 +131,15 @@ class Products:
         g = self.gram[fold][np.ix_(chosen, chosen)]
         return float(self.square[fold] - 2.0 * values @ self.right[fold][chosen] + values @ g @ values)
 
-    def path(self, most: int, without: int | None = None) -> list[int]:
+    def path(self, most: int, without: int | None = None, first: Sequence[int] = ()) -> list[int]:
         """Terms in the order in which they are taken: the next is that with which left-out folds are predicted best.
 
-        It ends where no term helps. A term that is large for a moment only explains that moment, and predicts nothing of the others.
+        `first`: terms that are taken before all others, whatever they help. It ends where no term helps. A term that is large for a moment
+        only explains that moment, and predicts nothing of the others.
         """
         beside = self._beside(without)
+        for t in first:
+            beside.take(t)
         best = float(beside.before.sum())
         while len(beside.taken) < min(most, self.gram.shape[1]):
             left = beside.left()[:, 0]
@@ -278,16 +285,29 @@ class Chosen:
     """Averaged to the band that the noise allows, not whitened."""
     pairs: int
     """How often neighbours were averaged for that."""
+    divided: Divided
+    """How the rows were divided into the folds: `Rows.spans` or `Rows.parts`."""
 
 
-def choose(rows: Rows) -> Chosen:
-    """The terms, in a band and with a memory of the noise that fit what they leave."""
+def choose(rows: Rows, offsets: Sequence[int] = ()) -> Chosen:
+    """The terms, in a band and with a memory of the noise that fit what they leave.
+
+    It is made in four ways, and taken is that which predicts most of what was left out. Folds are spans of time, which ask most of a law,
+    or parts that share the gap: a span that has all of it cannot tell. Any term comes first, or those that are constant (`offsets`): where
+    there is an offset, no other term alone says much.
+    """
+    ways = product(dict.fromkeys([(), tuple(offsets)]), (Rows.spans, Rows.parts))
+    return max((_chosen_in(rows, first, divided) for first, divided in ways), key=lambda c: c.closure)
+
+
+def _chosen_in(rows: Rows, offsets: Sequence[int], divided: Divided) -> Chosen:
+    """The terms, where rows are divided into folds in this way."""
     rho, pairs = 0.0, 0
     while True:
-        whitened = _by_memory(rows)
+        whitened = _by_memory(rows, divided)
         for _ in range(2):  # the noise is known when the terms are, and the other way round
             used = rho
-            terms, sets = _chosen(whitened(used))
+            terms, sets = _chosen(whitened(used), offsets)
             left = rows.y - rows.X[:, terms] @ fitted(rows, terms)
             rho = rows.memory(left)
             if rho == used:
@@ -297,25 +317,25 @@ def choose(rows: Rows) -> Chosen:
         if again < BAND or len(rows.y) < 4 * FOLDS * MOST or 4.0 * rows.step > MEMORY:
             plain = whitened(0.0)
             lost = sum(plain.error(f, some, plain.fit(some, f)) for f, some in enumerate(sets))
-            return Chosen(terms, 1.0 - lost / max(float(plain.square.sum()), 1e-300), rho, rows, pairs)
+            return Chosen(terms, 1.0 - lost / max(float(plain.square.sum()), 1e-300), rho, rows, pairs, divided)
         rows, pairs = rows.paired(), pairs + 1
 
 
-def _by_memory(rows: Rows) -> Callable[[float], Products]:
+def _by_memory(rows: Rows, divided: Divided) -> Callable[[float], Products]:
     """Products of the rows whitened by a memory of the noise; each is made once."""
-    parts = rows.parts(FOLDS)
-    return cache(lambda rho: Products(rows.whitened(rho), parts))
+    folds = divided(rows, FOLDS)
+    return cache(lambda rho: Products(rows.whitened(rho), folds))
 
 
-def _chosen(products: Products) -> tuple[list[int], list[list[int]]]:
+def _chosen(products: Products, offsets: Sequence[int]) -> tuple[list[int], list[list[int]]]:
     """Terms by all rows, and those that each fold would have taken without its own rows."""
     folds = range(len(products.square))
-    paths = [products.path(MOST, f) for f in folds]
+    paths = [products.path(MOST, f, offsets) for f in folds]
     longest = max(map(len, paths))
     table = np.array([[products.error(f, paths[f][:k], products.fit(paths[f][:k], f)) for f in folds] for k in range(longest + 1)])
     best = int(table.mean(axis=1).argmin())
     count = next(k for k in range(best + 1) if not worse(table[k], table[best]))
-    terms = pruned(products, products.path(count))
+    terms = pruned(products, products.path(count, None, offsets)[:count])
     return terms, [p[:count] for p in paths]
 
 

@@ -12,7 +12,7 @@ from robomill.diagnosis.forms import discovery
 from robomill.diagnosis.forms.library import Factor, Term
 from robomill.diagnosis.forms.periods import grid, with_periods
 from robomill.diagnosis.forms.ports import Problem, Seen
-from robomill.diagnosis.forms.selection import Chosen
+from robomill.diagnosis.forms.selection import Chosen, Rows
 from robomill.diagnosis.forms.signals import Host, Variable
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import ROUNDOFF
@@ -57,7 +57,7 @@ def test_a_wave_that_is_seen_where_the_motion_is_slow_is_found_although_it_goes_
 def test_a_port_whose_terms_left_out_parts_refute_has_its_wave_or_no_form(size: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Terms whose closure is below zero in parts that have not seen them are none; a wave is looked for beside nothing then."""
     one = replace(problem([turned(), turned() + 0.3], WAVES, size), terms=[("torque[1]", Term((Factor("value", ANGLE),)))])
-    monkeypatch.setattr(discovery, "choose", lambda rows: Chosen([0], -0.1, 0.0, rows, 0))
+    monkeypatch.setattr(discovery, "choose", lambda rows, offsets: Chosen([0], -0.1, 0.0, rows, 0, Rows.spans))
     found = discovery.solve(one)
     kinds = {term.factors[0].kind for _, term in found.terms}
     left, gap = float(found.left.sum()), sum(float((g**2).sum()) for g in one.gap)

@@ -71,6 +71,18 @@ def test_a_law_that_acts_for_a_short_time_is_found() -> None:
     assert chosen.closure > 0.9
 
 
+def test_a_slope_is_found_beside_an_offset() -> None:
+    """Neither of them alone says as much as a column that is nearly their sum."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        slope = terms(rng)[:, NAMES.index("x")]
+        y = 2.0 + slope
+        nearly = np.stack([y + 0.3 * np.sin(w * T + rng.uniform(0.0, 6.0)) for w in (0.4, 0.7, 1.1)], axis=1)
+        whole = rows(y + 0.1 * noise(rng, 0.0), np.column_stack([np.ones(N), slope, nearly]))
+        assert set(choose(whole, offsets=[0]).terms) == {0, 1}
+    assert choose(whole).terms == [4]  # of seed 3, where that is not tried
+
+
 def test_parts_are_one_after_the_other_and_whole_blocks() -> None:
     found = rows(np.linspace(0.0, 1.0, N), np.zeros((N, 0)))
     parts, blocks = found.parts(6), found.blocks()
@@ -186,4 +198,4 @@ def test_products_are_made_once_for_each_memory_of_the_noise(monkeypatch: pytest
     rng = np.random.default_rng(3)
     X = terms(rng)
     assert choose(rows(X[:, 2] + 0.3 * noise(rng, 0.0), X)).pairs == 0
-    assert len(made) == 2  # without a memory, as it is for the closure too, and with that of what is left
+    assert len(made) == 2 * 2  # with either folds: without a memory, as it is for the closure too, and with that of what is left
