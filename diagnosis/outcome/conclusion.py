@@ -55,7 +55,8 @@ LISTED = 0.01
 class Conclusion:
     """The verdict on fitted models, and all that belongs to it; `answer` says it.
 
-    `weights`: probability of each fit; `best`: the likeliest one; `nothing`: probability of the nominal model beside those of the search.
+    `weights`: probability of each fit; `best`: the likeliest one; `diagnosed`: that by the diagnosed runs alone; `nothing`: probability of
+    the nominal model beside those of the search.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class Conclusion:
         self.nothing = float(self.weights[0])
         if over_noise(search, fits[0]) > UNKNOWN:  # else, where noise is a guess, the answer is none
             self.fits, self.weights = weighed(search, fits)
-        self.best = self.fits[int(self.weights.argmax())]
+        self.best = self.diagnosed = self.fits[int(self.weights.argmax())]
         self._moved: dict[frozenset[Candidate], Transfer | None] = {}
         # of a log that is refused nothing else is asked; where nothing was repeated, evidence is of a noise that is a guess
         if not search.evidence.once and any(c.component != LOGGING for c in self.best.model):
@@ -122,7 +123,11 @@ class Conclusion:
         drawn = all(c.effect in search.catalogue.drawn for c in self.best.model)  # what it did in one run says nothing of the next
         moved = self.transfer(self.best) if not drawn and not alone else None
         odds = float(np.log(max(1.0 - self.nothing, 1e-300)) - np.log(max(self.nothing, 1e-300)))
-        tests = tested(search, nominal, self.best, self.nothing, p_none(search, odds), moved, self.false_alarm, levels(search, self.best))
+        rank = p_none(search, odds)
+        tests = tested(search, nominal, self.best, self.nothing, rank, moved, self.false_alarm, levels(search, self.best))
+        if (more := self.diagnosed) is not self.best:  # what takes an effect out does not make surer of the others
+            whole = tested(search, nominal, more, self.nothing, rank, self.transfer(more), self.false_alarm, levels(search, more))
+            tests = replace(tests, p_fit=min(tests.p_fit, whole.p_fit))
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
         sure = {c.component == LOGGING for c in self.best.model if believed[c] >= IDENTIFIED}
         faulty = sure == {True} and not self.repair  # beside effects of the machine a fault of the log is corrected, and said

@@ -13,6 +13,7 @@ import pytest
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import log_posteriors, probabilities
+from robomill.diagnosis.outcome import conclusion
 from robomill.diagnosis.outcome.conclusion import Conclusion
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
@@ -78,3 +79,24 @@ def test_what_is_only_in_the_diagnosed_runs_is_not_named_beside_a_strong_effect(
     assert result["verdict"] == "identified"
     assert [w["effect"] for w in result["which"]] == named
     assert result["transfer"]["gain"] > 0.0
+
+
+def test_what_takes_an_effect_out_makes_no_surer_of_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """New conditions chose the model: that it holds there is no test of it. The one by the diagnosed runs is asked, too."""
+    p_fit: dict[str, float] = {}
+
+    def tested(search: Any, nominal: Fit, best: Fit, *others: Any) -> Any:
+        found = judged_by(search, nominal, best, *others)
+        p_fit[best.name] = found.p_fit
+        return found
+
+    judged_by = conclusion.tested
+    monkeypatch.setattr(conclusion, "tested", tested)
+    new = {"masses": {"stiffness_error[1]": 0.08}}
+    held_out = measure(new, amplitude=0.6, repeats=2, seed=2) + measure(new, amplitude=0.8, repeats=2, seed=3)
+    both = {"masses": {"stiffness_error[1]": 0.08, "friction[1]": 0.012}}
+    result = diagnose(SYSTEM, measure(both), catalogue(tmp_path), held_out=held_out, resolver=resolve).result
+    one, two = p_fit["stiffness @ spring 1"], p_fit["stiffness @ spring 1 + friction @ mass 1"]
+    assert two < one
+    assert result["tests"]["p_fit"] == two
+    assert result["which"][0]["probability"] <= two
