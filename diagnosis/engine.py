@@ -62,8 +62,8 @@ def diagnose(
 ) -> Diagnosis:
     """Where, which, how far. DataError where the runs do not fit the system; a bad log is an answer, not an error.
 
-    `held_out` runs are only looked at to see whether the answer holds there, and to measure the closure; runs labelled `held_out`
-    count as such. `repair`: a clock that is found to be late is corrected, and the rest is diagnosed.
+    Nothing is fitted to `held_out` runs. They say whether the answer and each of its effects hold there, and the closure is measured on
+    them; runs labelled `held_out` count as such. `repair`: a clock that is found to be late is corrected, and the rest is diagnosed.
     `false_alarm`: probability of an effect on a machine that has none. `store` keeps simulations, so
     that a second call after an interruption goes on; the caller removes it when the answer is safe. `scheduler` (tcp://host:port): the
     simulations run on the workers of that Dask cluster instead of `workers` processes. `form`: the form of what is left of the nominal
