@@ -18,8 +18,8 @@
       "how_far": [...],                          # as the key `how_far`: the closed loop with the form, on diagnosed and held-out runs
       "ranges": [{"variable": "qd[1]", "unit": "rad/s", "seen": [-2.1, 2.0], "held_out": [-2.3, 2.2]}],
       "worse": [{"channel": "...", "on": "held-out condition", "before": 0.1, "after": 0.2, "unit": "..."}],
-      "note": "...",                             # why it was not put into the loop, or what to keep in mind; "" if nothing
-      "specification": {...}                     # the form as data: what adopt.form.json holds; empty where it was not put into the loop
+      "note": "...",                             # why it was not put into the loop or is refuted, or what to keep in mind; ""
+      "specification": {...}                     # the form as data: what adopt.form.json holds; empty where it is not adopted
     }
 
 `ports` is empty, and `component` is "", where no replay could be made; `note` says why. `held_out` in `ranges` is null without held-out
@@ -138,6 +138,6 @@ class Form:
     worse: tuple[Worse, ...] = ()
     """Figures that it makes worse."""
     note: str = ""
-    """Why it was not put into the loop, or what to keep in mind; empty if nothing."""
+    """Why it was not put into the loop, or is refuted by new conditions, or what to keep in mind; empty if nothing."""
     specification: dict[str, Any] = field(default_factory=dict)
     """The form as plain data, which `models.components.correction` makes a model of (an FMU, too)."""

@@ -70,7 +70,7 @@ def _gains(problem: Problem, place: Place, left: FloatArray, parts: Labels) -> t
 
 
 def with_periods(
-    problem: Problem, terms: list[tuple[str, Term]], rho: float, places: Sequence[Place], divided: Divided = Rows.spans
+    problem: Problem, terms: list[tuple[str, Term]], rho: float, places: Sequence[Place], divided: Divided
 ) -> list[tuple[str, Term]]:
     """The terms, and sines and cosines of as many angles as blocks that have not seen their choice are predicted better by."""
     while len(terms) + 2 <= MOST:

@@ -46,7 +46,7 @@ def problem(angles: Sequence[FloatArray], waves: float, size: float = 1.0) -> Pr
 
 def test_a_wave_that_is_seen_where_the_motion_is_slow_is_found_although_it_goes_by_too_fast_elsewhere() -> None:
     angles = [turned(), turned() + 0.3]
-    found = with_periods(problem(angles, WAVES), [], 0.0, [("torque[1]", ANGLE)])
+    found = with_periods(problem(angles, WAVES), [], 0.0, [("torque[1]", ANGLE)], Rows.spans)
     (sine, cosine) = (term.factors[0] for _, term in found)
     width = float(np.diff(grid(angles, 3))[0])
     assert (sine.kind, cosine.kind, sine.shape) == ("sine", "cosine", cosine.shape)
