@@ -9,7 +9,7 @@ from scipy.special import log_ndtr, logsumexp
 
 from robomill.diagnosis.catalogue import LOGGING
 from robomill.diagnosis.inference.estimation import Fit
-from robomill.diagnosis.inference.evidence import FORM, Evidence
+from robomill.diagnosis.inference.evidence import FORM, TRUST, Evidence
 from robomill.orchestration.slaves.protocol import FloatArray
 
 LEVEL, SPREAD, CONDITIONS = 1.3, 0.3, 2
@@ -19,18 +19,19 @@ COHERENT = 0.6
 """Part that counts of what all candidates together explain beyond noise (`Search.explainable`) [1]: what two formulations leave is more
 like effects than noise is. Fitted to eleven machines without effects (decision 73)."""
 MISFIT = 0.05
-"""Mean share [1] of a gap that a right model leaves, because its law is not quite that of the machine: a fifth of the amplitude."""
+"""Largest mean share [1] of a gap that a right model leaves, because its law is not quite that of the machine: a fifth of the amplitude.
+The smallest is TRUST^2."""
 KEEPS = 0.5
 """Standard deviation of the amplitude of a stand-in in other conditions [1]: it does there what it does here more or less by half."""
 HOLDS = 0.5
 """Probability [1] that a stand-in does in all conditions what the right effect does, more or less by no more than a law is off. Fitted to
 the withheld effects of two development seeds: of nine stand-ins with a known amplitude in new conditions five kept it (decision 85)."""
 EXACT = 0.005
-"""Mean share [1] that a right model leaves of what a fault of the log does: that a clock is late is no law that could be wrong."""
+"""As MISFIT, of what a fault of the log does: that a clock is late is no law that could be wrong."""
 
 
 def misfit(fit: Fit) -> float:
-    """Mean share [1] of a gap that this model leaves where it is right: EXACT of what its faults of the log do, MISFIT of the rest.
+    """Largest mean share [1] of a gap that this model leaves where it is right: EXACT of what its faults of the log do, MISFIT of the rest.
 
     What an effect does is the square of its part of the signature (`Fit.signatures`); parts that are not known do alike.
     """
@@ -89,21 +90,24 @@ def left_by(before: float, after: float, misfit: float = MISFIT, kinds: int = 1,
     """Log Bayes factor for a right model against a stand-in, from what it leaves of a gap; both over noise.
 
     after ~ N(LEVEL + u (before - LEVEL), SPREAD^2), or the largest of `conditions` / CONDITIONS such levels. The share u that is left is
-    Beta(1, 1 / misfit - 1) for a right model. For a stand-in it could be anything between 0 and 1; of several `kinds` of effects that were
-    fitted together the least of as many such shares: Beta(1, kinds).
+    Beta(1, 1 / m - 1) for a right model, of mean m. How far laws are off differs by orders of magnitude: m is log-uniform between TRUST^2
+    and `misfit`. For a stand-in u could be anything between 0 and 1; of several `kinds` of effects that were fitted together it is the
+    least of as many such shares: Beta(1, kinds).
     """
     gap = max(before - LEVEL, 0.0)
     centre, width = (after - LEVEL) / (gap + 1e-12), SPREAD / (gap + 1e-12)
     finely = np.concatenate(
-        [np.linspace(0.0, 1.0, 201), misfit * np.linspace(0.0, 10.0, 201), centre + width * np.linspace(-8.0, 8.0, 201)]
+        [np.linspace(0.0, 1.0, 201), TRUST**2 * np.geomspace(1e-3, TRUST**-2, 401), centre + width * np.linspace(-8.0, 8.0, 201)]
     )
     u = np.unique(np.clip(finely, 0.0, 1.0))
     z = (centre - u) / width
     log_likelihood = -0.5 * z * z + max(conditions / CONDITIONS - 1.0, 0.0) * log_ndtr(z)
     step = np.log(np.convolve(np.diff(u), [0.5, 0.5]))  # of the trapezoidal rule
-    b = 1.0 / misfit - 1.0
-    right = math.log(b) + (b - 1.0) * np.log(np.maximum(1.0 - u, 1e-300))
-    other = math.log(kinds) + (kinds - 1.0) * np.log(np.maximum(1.0 - u, 1e-300))
+    nodes, weights = np.polynomial.legendre.leggauss(32)
+    b = 1.0 / (TRUST**2 * (misfit / TRUST**2) ** (0.5 * (nodes[:, None] + 1.0))) - 1.0
+    rest = np.log(np.maximum(1.0 - u, 1e-300))
+    right = logsumexp(np.log(0.5 * weights[:, None] * b) + (b - 1.0) * rest, axis=0)
+    other = math.log(kinds) + (kinds - 1.0) * rest
     return float(logsumexp(log_likelihood + right + step) - logsumexp(log_likelihood + other + step))
 
 
@@ -112,8 +116,8 @@ def worsened(evidence: Evidence, nominal: FloatArray, left: FloatArray, signatur
 
     `nominal`, `left` [n]: what the nominal system and the model leave; `signature` [n]: what the model does.
 
-    A law that is a little off leaves a share of what it does in a channel, of mean MISFIT. Where the nominal system has no gap, that is all
-    that is there. A stand-in may do there whatever it must do to explain the other channels. What both leave is no part of it: a gap
+    A law that is a little off leaves a share of what it does in a channel, as in `left_by`. Where the nominal system has no gap, that is
+    all that is there. A stand-in may do there whatever it must do to explain the other channels. What both leave is no part of it: a gap
     between two formulations does not count.
     """
     more = evidence.levels(left) - np.maximum(evidence.levels(nominal), LEVEL)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robomill.diagnosis.experiment.simulation import setting
-from robomill.diagnosis.inference.adequacy import CONDITIONS, KEEPS, MISFIT, kept, left_by, misfit, together, worsened
+from robomill.diagnosis.inference.adequacy import CONDITIONS, KEEPS, MISFIT, kept, left_by, misfit, worsened
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.evidence import gather
 from robomill.diagnosis.inference.search import POLISH, Search
@@ -45,7 +45,7 @@ class Transfer:
     """Standard deviation of the amplitude by noise, tolerances and form."""
 
     misfit: float = MISFIT
-    """Mean share that the model leaves where it is right."""
+    """Largest mean share that the model leaves where it is right."""
     conditions: int = CONDITIONS
     """How many new conditions there are: `before` and `after` are of the worst one."""
     worse: float = 0.0
@@ -53,13 +53,22 @@ class Transfer:
 
     @property
     def worth(self) -> float:
-        """Log Bayes factor for a right model against a stand-in, from new conditions: what counts of the promise, and what is left."""
-        return kept(self.promise) + self.left
+        """Log Bayes factor for a right model against a stand-in, from new conditions."""
+        return kept(self.holds) + self.fails
 
     @property
-    def left(self) -> float:
-        """Log Bayes factor for a right model against a stand-in, from what is left in new conditions."""
-        return together(left_by(self.before, self.after, self.misfit, conditions=self.conditions), self.worse)
+    def holds(self) -> float:
+        """Log Bayes factor for a right model against a stand-in that does not hold, from the promise and from how little is left."""
+        return self.promise + max(self._left, 0.0)
+
+    @property
+    def fails(self) -> float:
+        """Log Bayes factor for a right model against any stand-in, where too much is left: a right one, and one that holds, leave less."""
+        return min(self._left, self.worse, 0.0)
+
+    @property
+    def _left(self) -> float:
+        return left_by(self.before, self.after, self.misfit, conditions=self.conditions)
 
     @property
     def promise(self) -> float:

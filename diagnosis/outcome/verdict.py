@@ -114,8 +114,8 @@ def tested(
     holds = held_together(search, best)
     if moved is not None:
         odds += moved.gain
-        holds += moved.promise
-        fits += moved.left
+        holds += moved.holds
+        fits += moved.fails
     fits += kept(holds)
     # a lag of the machine leaves what the clocks leave, and does what they do in new conditions
     fits = -float(np.logaddexp(-fits, common_lag(search, best) + math.log(UNLISTED) - math.log(1.0 - UNLISTED)))
