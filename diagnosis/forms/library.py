@@ -106,8 +106,9 @@ def library(
 ) -> list[Term]:
     """All terms for a port with this index and unit, from the variables that are there in every condition; `longest` run [s].
 
-    What a variable changed since the start is a term where it has the unit of the port: a motion that another one drags along. Products are those of variables of the same index (and of scalars): a port of an array of joints is about one joint first. Of variables
-    with another index there are only the kinds in `others`.
+    What a variable changed since the start is a term where it has the unit of the port: a motion that another one drags along.
+    Products are those of variables of the same index (and of scalars): a port of an array of joints is about one joint first. Of
+    variables with another index there are only the kinds in `others`.
     """
     shared = [v for v in found[0] if all(v in other for other in found)]
     sizes = {v: max(float(np.abs(known[v]).max()) for known in found) for v in shared}

@@ -87,8 +87,9 @@ def correction_model(specification: Mapping[str, Any]) -> CorrectionModel:
     """Make the model of a form from plain data.
 
     ``name``; ``stands_for``, the component that it is about; ``signals`` and ``corrected``, arrays as {name, unit, count} with a count of 0
-    for a scalar; ``terms`` as {element, coefficient, unit, text, factors}, each factor {kind, variable, rate, since_start, shape}. A
-    variable is an element of a signal or of what passes (`qd[1]`), or `t`; `since_start` may be left out. ValueError names what is not there.
+    for a scalar; ``terms`` as {element, coefficient, unit, text, factors}, each factor {kind, variable, rate, since_start, shape}, of
+    which `since_start` may be left out. A variable is an element of a signal or of what passes (`qd[1]`), or `t`. ValueError names what
+    is not there.
     """
     signals, corrected = list(specification["signals"]), list(specification["corrected"])
     passing = [{**c, "name": c["name"] + "_in"} for c in corrected]
