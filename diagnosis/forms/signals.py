@@ -35,7 +35,7 @@ class Variable:
     def text(self) -> str:
         """As a formula has it."""
         if self.since_start:
-            return f"({self.name} - {self.name}(0))"
+            return f"({self.name} - {self.name} at t = 0)"
         return f"d({self.name})/dt" if self.rate else self.name
 
     @property

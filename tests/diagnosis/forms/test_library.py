@@ -30,7 +30,7 @@ TIME = Variable("t", False, "s", 0)
         (Term((Factor("sign", SPEED, 0.1), Factor("size", LOAD))), "sgn(qd[1]) |load|", "m"),
         (Term((Factor("sine", SPEED, 12.0),)), "sin(12 qd[1])", "N.m"),
         (Term((Factor("decay", TIME, 3.0),)), "exp(-t/(3 s))", "N.m"),
-        (Term((Factor("value", MOVED),)), "(q[2] - q[2](0))", "N.m/rad"),
+        (Term((Factor("value", MOVED),)), "(q[2] - q[2] at t = 0)", "N.m/rad"),
     ],
 )
 def test_a_term_has_a_text_and_its_coefficient_a_unit(term: Term, text: str, unit: str) -> None:
@@ -54,7 +54,7 @@ def test_what_changed_since_the_start_is_a_term_of_a_port_of_its_unit() -> None:
     known = {SPEED: np.sin(3.0 * t), MOVED: np.cos(2.0 * t) - 1.0, TIME: t}
     with_it = {term.text for term in library([known], "1", 4.0, unit="rad")}
     without = {term.text for term in library([known], "1", 4.0, unit="N.m")}
-    assert with_it - without == {"(q[2] - q[2](0))"}
+    assert with_it - without == {"(q[2] - q[2] at t = 0)"}
     assert without < with_it
 
 

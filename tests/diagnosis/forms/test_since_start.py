@@ -33,7 +33,7 @@ def test_it_is_zero_at_the_start() -> None:
     found = value(variables()[3], known, T)
     assert found is not None
     assert found.tolist() == (known["q[2]"] - known["q[2]"][0]).tolist()
-    assert variables()[3].text == "(q[2] - q[2](0))"
+    assert variables()[3].text == "(q[2] - q[2] at t = 0)"
 
 
 def test_programs_that_start_elsewhere_share_the_law_of_a_dragged_axis() -> None:
@@ -46,4 +46,4 @@ def test_programs_that_start_elsewhere_share_the_law_of_a_dragged_axis() -> None
     condition = np.repeat(np.arange(3), N)
     rows = Rows(y, X, condition, condition, np.tile((np.arange(N) + 0.5) / N, 3), STEP)
     offsets = [i for i, t in enumerate(terms) if not t.factors]
-    assert [terms[i].text for i in choose(rows, offsets).terms] == ["(q[2] - q[2](0))"]
+    assert [terms[i].text for i in choose(rows, offsets).terms] == ["(q[2] - q[2] at t = 0)"]
