@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from robomill.models.components.correction import TIME, elements, factor, kind_of, passed
+from robomill.models.components.correction import elements, factor, kind_of, place_of
 from robomill.orchestration.slaves.protocol import FloatArray, ParameterValue, PortData
 
 
@@ -25,19 +25,12 @@ class FormSlave:
         )
         places = {n: k for k, (n, _) in enumerate(into)}
         at = {n: k for k, (n, _) in enumerate(out)}
-        self._m, self._first = len(into), len(into) - len(out)
+        self._m, self._passing = len(into), len(into) - len(out)
         self._terms = [
             (
                 at[t["element"]],
                 float(t["coefficient"]),
-                [
-                    (
-                        kind_of(f),
-                        2 * self._m if f["variable"] == TIME else places[passed(f["variable"], at)] + self._m * f["rate"],
-                        f["shape"],
-                    )
-                    for f in t["factors"]
-                ],
+                [(kind_of(f), place_of(f, places, at), f["shape"]) for f in t["factors"]],
             )
             for t in specification["terms"]
         ]
@@ -45,12 +38,13 @@ class FormSlave:
         self._start()
 
     def _start(self) -> None:
-        self._z = [*self._u, *([0.0] * self._m), 0.0]
+        self._z = [*self._u, *([0.0] * (2 * self._m)), 0.0]
         self._before: list[float] | None = None
+        self._started = self._u
         self._y = self._sum()
 
     def _sum(self) -> list[float]:
-        y = self._z[self._first : self._m]
+        y = self._z[self._passing : self._m]
         for element, coefficient, parts in self._terms:
             value = coefficient
             for kind, variable, shape in parts:
@@ -71,8 +65,10 @@ class FormSlave:
 
     def step(self, t: float, h: float) -> None:
         """The form at t + h [s]."""
-        before = self._before or self._u
-        self._z = [*self._u, *((u - b) / h for u, b in zip(self._u, before, strict=True)), t + h]
+        if self._before is None:
+            self._before = self._started = self._u
+        rates = ((u - b) / h for u, b in zip(self._u, self._before, strict=True))
+        self._z = [*self._u, *rates, *(u - s for u, s in zip(self._u, self._started, strict=True)), t + h]
         self._before = self._u
         self._y = self._sum()
 
@@ -84,11 +80,11 @@ class FormSlave:
 
     def get_state(self) -> Any:
         """All that changes."""
-        return self._u, self._z, self._before, self._y
+        return self._u, self._z, self._before, self._started, self._y
 
     def set_state(self, state: Any) -> None:
         """Go back to a state from `get_state`."""
-        self._u, self._z, self._before, self._y = state
+        self._u, self._z, self._before, self._started, self._y = state
 
     def close(self) -> None:
         """Nothing to free."""

@@ -24,7 +24,7 @@
 
 `ports` is empty, and `component` is "", where no replay could be made; `note` says why. `held_out` in `ranges` is null without held-out
 runs. Intervals are 90 %, by a bootstrap over blocks of time. Name and unit of a variable are those of the component's ports: `qd[1]` is
-its input or output of that name, `d(q[1])/dt` its rate, `t` the time since the start.
+its input or output of that name, `d(q[1])/dt` its rate, `q[1] - q[1] at t = 0` what it changed since the start, `t` the time since then.
 """
 
 from __future__ import annotations

@@ -57,7 +57,13 @@ class Factor:
 
     def plain(self) -> dict[str, Any]:
         """As the specification of a form has it."""
-        return {"kind": self.kind, "variable": self.variable.name, "rate": self.variable.rate, "shape": self.shape}
+        return {
+            "kind": self.kind,
+            "variable": self.variable.name,
+            "rate": self.variable.rate,
+            "since_start": self.variable.since_start,
+            "shape": self.shape,
+        }
 
 
 @dataclass(frozen=True)
@@ -95,11 +101,14 @@ class Term:
         return made
 
 
-def library(found: Sequence[Mapping[Variable, FloatArray]], index: str, longest: float, others: Collection[str] = OF_ONE) -> list[Term]:
-    """All terms for a port with this index, from the variables that are there in every condition; `longest` run [s].
+def library(
+    found: Sequence[Mapping[Variable, FloatArray]], index: str, longest: float, others: Collection[str] = OF_ONE, unit: str = ""
+) -> list[Term]:
+    """All terms for a port with this index and unit, from the variables that are there in every condition; `longest` run [s].
 
-    Products are those of variables of the same index (and of scalars): a port of an array of joints is about one joint first. Of variables
-    with another index there are only the kinds in `others`.
+    What a variable changed since the start is a term where it has the unit of the port: a motion that another one drags along.
+    Products are those of variables of the same index (and of scalars): a port of an array of joints is about one joint first. Of
+    variables with another index there are only the kinds in `others`.
     """
     shared = [v for v in found[0] if all(v in other for other in found)]
     sizes = {v: max(float(np.abs(known[v]).max()) for known in found) for v in shared}
@@ -108,12 +117,15 @@ def library(found: Sequence[Mapping[Variable, FloatArray]], index: str, longest:
         if v.name == TIME:
             terms += [Term((Factor("value", v),)), *(Term((Factor("decay", v, part * longest),)) for part in (*COMING_LATE, 1.0))]
             continue
+        if v.since_start:
+            terms += [Term((Factor("value", v),))] if v.unit == unit else []
+            continue
         for kind in OF_ONE if v.index in ("", index) else others:
             if kind in ("size", "signed_square", "sign", "root") and _one_sign(found, v):
                 continue  # the same as a value, a square, or a constant
             shape = {"sign": SLIDES * sizes[v], "root": sizes[v]}.get(kind, 1.0)
             terms.append(Term((Factor(kind, v, shape),)))
-    own = [v for v in shared if v.index in ("", index)]
+    own = [v for v in shared if v.index in ("", index) and not v.since_start]
     for a, b in itertools.combinations(own, 2):
         terms.append(Term((Factor("value", a), Factor("value", b))))
     for a, b in itertools.permutations(own, 2):

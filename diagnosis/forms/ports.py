@@ -56,12 +56,13 @@ class Seen:
 
     def library(self, element: str, alone: bool) -> list[Term]:
         """Terms for a port; `alone`: it is looked at by itself."""
-        return library(self.known, element.partition("[")[2].rstrip("]"), self.longest, OF_ONE if alone else OTHERS)
+        index, unit = element.partition("[")[2].rstrip("]"), self.host.ports[element].unit or "1"
+        return library(self.known, index, self.longest, OF_ONE if alone else OTHERS, unit)
 
     def angles(self, element: str) -> list[Variable]:
         """Variables that a port may be periodic in: angles and ways of its index, or all if it has none."""
         index = element.partition("[")[2].rstrip("]")
-        fit = [v for v in self.known[0] if v.unit in ("rad", "m") and not v.rate and all(v in k for k in self.known)]
+        fit = [v for v in self.known[0] if v.unit in ("rad", "m") and not (v.rate or v.since_start) and all(v in k for k in self.known)]
         return [v for v in fit if v.index == index] or fit
 
 

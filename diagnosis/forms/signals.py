@@ -21,17 +21,21 @@ HAVE_A_SPEED = ("rad", "m")
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of a form: an element of a port (`qd[1]`), its rate, or the time."""
+    """A variable of a form: an element of a port (`qd[1]`), its rate, what it changed since the start, or the time."""
 
     name: str
     rate: bool
     unit: str
     count: int
     """Elements of its array; 0: a scalar."""
+    since_start: bool = False
+    """Whether it is what the element changed since the start."""
 
     @property
     def text(self) -> str:
         """As a formula has it."""
+        if self.since_start:
+            return f"({self.name} - {self.name} at t = 0)"
         return f"d({self.name})/dt" if self.rate else self.name
 
     @property
@@ -98,6 +102,8 @@ def variables(host: Host, side: str) -> list[Variable]:
             continue
         unit, count = p.unit or "1", host.counts[base_name(name)]
         found.append(Variable(name, False, unit, count))
+        if unit in HAVE_A_SPEED:
+            found.append(Variable(name, False, unit, count, since_start=True))
         has_speed = any(u and compatible(u, f"{unit}/s") for u in rates)
         if not (unit in HAVE_A_SPEED and has_speed) and (unit in HAVE_A_SPEED or (side == "output" and not host.is_input(name))):
             found.append(Variable(name, True, _per_second(unit), count))
@@ -150,4 +156,4 @@ def value(variable: Variable, known: Mapping[str, FloatArray], t: FloatArray) ->
         return None
     if variable.rate:
         return np.asarray(np.diff(x, prepend=x[0]) / (t[1] - t[0]))
-    return x
+    return np.asarray(x - x[0]) if variable.since_start else x

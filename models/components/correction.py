@@ -4,8 +4,8 @@ Where forms come from: docs/explanation/unknown_forms.md.
 
     y_i = u_i + sum_k c_k a_k(z) b_k(z)     for the terms k of element i
 
-u is what passes, z the other signals, their rates and the time t since the start; a and b are factors of one variable each (KINDS).
-The rate of a signal is that over the last step, (z - z_before) / h; 0 at the start.
+u is what passes; z are the other signals, their rates, what each has changed since the start, and the time t since then; a and b are
+factors of one variable each (KINDS). The rate of a signal is that over the last step, (z - z_before) / h; 0 at the start.
 """
 
 from __future__ import annotations
@@ -87,8 +87,9 @@ def correction_model(specification: Mapping[str, Any]) -> CorrectionModel:
     """Make the model of a form from plain data.
 
     ``name``; ``stands_for``, the component that it is about; ``signals`` and ``corrected``, arrays as {name, unit, count} with a count of 0
-    for a scalar; ``terms`` as {element, coefficient, unit, text, factors}, each factor {kind, variable, rate, shape}. A variable is an
-    element of a signal or of what passes (`qd[1]`), or `t`. ValueError names what is not there.
+    for a scalar; ``terms`` as {element, coefficient, unit, text, factors}, each factor {kind, variable, rate, since_start, shape}, of
+    which `since_start` may be left out. A variable is an element of a signal or of what passes (`qd[1]`), or `t`. ValueError names what
+    is not there.
     """
     signals, corrected = list(specification["signals"]), list(specification["corrected"])
     passing = [{**c, "name": c["name"] + "_in"} for c in corrected]
@@ -101,9 +102,7 @@ def correction_model(specification: Mapping[str, Any]) -> CorrectionModel:
     for k, term in enumerate(terms):
         at[k] = _place(term["element"], at_all)
         for i, f in enumerate(term["factors"]):
-            kinds[k, i], shapes[k, i] = kind_of(f), f["shape"]
-            name = f["variable"]
-            variables[k, i] = 2 * m if name == TIME else _place(passed(name, at_all), places) + (m if f["rate"] else 0)
+            kinds[k, i], shapes[k, i], variables[k, i] = kind_of(f), f["shape"], place_of(f, places, at_all)
     names = tuple(f"form_{k + 1}" for k in range(n))
     init, step = _functions(into, corrected, names)
     return CorrectionModel(
@@ -129,12 +128,21 @@ def correction_model(specification: Mapping[str, Any]) -> CorrectionModel:
                 "integer",
             ),
             Variable(
-                "form_variable", "parameter", "Variables: signals, their rates, time", "1", (n, FACTORS), variables, 0, 2 * m, "integer"
+                "form_variable",
+                "parameter",
+                "Variables: signals, their rates, what they changed since the start, time",
+                "1",
+                (n, FACTORS),
+                variables,
+                0,
+                3 * m,
+                "integer",
             ),
             Variable("form_figure", "parameter", "Shapes of the factors, in SI", "1", (n, FACTORS), shapes),
             Variable("form_element", "parameter", "Elements that the terms are added to", "1", (n,), at, 0, len(at_all) - 1, "integer"),
-            Variable("form_z", "state", "Signals, their rates, time", "1", (2 * m + 1,)),
+            Variable("form_z", "state", "Signals, their rates, what they changed since the start, time", "1", (3 * m + 1,)),
             Variable("form_before", "state", "Signals at the last step", "1", (m,)),
+            Variable("form_start", "state", "Signals at the start", "1", (m,)),
             Variable("form_added", "state", "The form", "1", (len(at_all),)),
         ),
         init,
@@ -177,6 +185,17 @@ def kind_of(given: Mapping[str, Any]) -> int:
     return KINDS.index(given["kind"])
 
 
+def place_of(given: Mapping[str, Any], places: Mapping[str, int], corrected: Collection[str]) -> int:
+    """Place of the variable of a factor among the signals, their rates, what they changed since the start, and the time.
+
+    `places`: signals and what passes -> place. ValueError names what is not there.
+    """
+    if given["variable"] == TIME:
+        return 3 * len(places)
+    block = 1 if given["rate"] else 2 if given.get("since_start", False) else 0
+    return _place(passed(given["variable"], corrected), places) + block * len(places)
+
+
 def _place(name: str, known: Mapping[str, int]) -> int:
     if name not in known:
         raise ValueError(f"a form has no {name!r}; it has {', '.join(known)}")
@@ -206,8 +225,10 @@ def _functions(
         read(s)
         for k in range(m):
             s.form_before[k] = s.form_z[k]
+            s.form_start[k] = s.form_z[k]
             s.form_z[m + k] = 0.0
-        s.form_z[2 * m] = 0.0
+            s.form_z[2 * m + k] = 0.0
+        s.form_z[3 * m] = 0.0
         sum_up(s)
         write(s)
         return 0
@@ -216,8 +237,9 @@ def _functions(
         read(s)
         for k in range(m):
             s.form_z[m + k] = (s.form_z[k] - s.form_before[k]) / h
+            s.form_z[2 * m + k] = s.form_z[k] - s.form_start[k]
             s.form_before[k] = s.form_z[k]
-        s.form_z[2 * m] = t + h
+        s.form_z[3 * m] = t + h
         sum_up(s)
         write(s)
         return 0

@@ -35,15 +35,16 @@ TIMES = discretisation(1e3, np.spacing(0.07) / 0.01, 1)
 """FMPy steps by the difference of two times, which is off by their rounding; 1e3: rates, and what cancels beside them."""
 
 
-def part(kind: str, variable: str, rate: bool = False, shape: float = 0.7) -> dict[str, object]:
-    return {"kind": kind, "variable": variable, "rate": rate, "shape": shape}
+def part(kind: str, variable: str, rate: bool = False, shape: float = 0.7, since_start: bool = False) -> dict[str, object]:
+    return {"kind": kind, "variable": variable, "rate": rate, "since_start": since_start, "shape": shape}
 
 
 def specification(**more: object) -> dict[str, object]:
-    """Every kind once, a rate, the time, what passes itself, and a product."""
+    """Every kind once, a rate, what changed since the start, the time, what passes itself, and a product."""
     variables = ["q[1]", "q[2]", "load", "torque[2]", "t"]
     terms = [[part(kind, variables[k % len(variables)])] for k, kind in enumerate(KINDS) if kind != "one"]
     terms += [[], [part("sign", "q[2]", True, 0.3), part("size", "load")], [part("value", "torque[1]", True)]]
+    terms += [[part("value", "q[1]", since_start=True)], [part("cube", "torque[2]", since_start=True), part("value", "t")]]
     return {
         "name": "form_of_axis",
         "stands_for": "axis",
@@ -108,6 +109,22 @@ def test_its_fmu_runs_in_fmpy_where_there_is_no_robomill(tmp_path: Path) -> None
 def test_a_series_of_factors_is_each_factor(kind: int) -> None:
     x = np.linspace(-2.0, 2.0, 41)
     np.testing.assert_allclose(factors(kind, x, 0.7), [factor(kind, float(v), 0.7) for v in x], rtol=ROUNDOFF, atol=ROUNDOFF)
+
+
+def test_what_changed_since_the_start_begins_anew_with_each_run() -> None:
+    given = specification(
+        terms=[{"element": "way", "coefficient": 2.0, "unit": "1", "text": "x", "factors": [part("value", "q[2]", since_start=True)]}]
+    )
+    slave = FormSlave("form", given)
+    names, out = [p.name for p in slave.ports if p.causality == "input"], np.zeros(3)
+    for begin in (0.5, -4.0):
+        slave.initialise(0.0, 1.0, 0.01)
+        for k, turned in enumerate((0.0, 0.0, 0.25, 1.0)):
+            slave.set_inputs(np.array([begin + turned if n == "q[2]" else 0.0 for n in names]))
+            if k:
+                slave.step(0.01 * (k - 1), 0.01)
+            slave.get_outputs(out)
+            assert out.tolist() == [0.0, 0.0, 2.0 * turned]
 
 
 def test_a_state_is_gone_back_to() -> None:

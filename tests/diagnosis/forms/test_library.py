@@ -14,6 +14,7 @@ from tests.tolerances import ROUNDOFF
 SPEED = Variable("qd[1]", False, "rad/s", 2)
 OTHER = Variable("qd[2]", False, "rad/s", 2)
 TURN = Variable("q[1]", True, "rad/s", 2)
+MOVED = Variable("q[2]", False, "rad", 2, since_start=True)
 LOAD = Variable("load", False, "N", 0)
 TIME = Variable("t", False, "s", 0)
 
@@ -29,6 +30,7 @@ TIME = Variable("t", False, "s", 0)
         (Term((Factor("sign", SPEED, 0.1), Factor("size", LOAD))), "sgn(qd[1]) |load|", "m"),
         (Term((Factor("sine", SPEED, 12.0),)), "sin(12 qd[1])", "N.m"),
         (Term((Factor("decay", TIME, 3.0),)), "exp(-t/(3 s))", "N.m"),
+        (Term((Factor("value", MOVED),)), "(q[2] - q[2] at t = 0)", "N.m/rad"),
     ],
 )
 def test_a_term_has_a_text_and_its_coefficient_a_unit(term: Term, text: str, unit: str) -> None:
@@ -45,6 +47,15 @@ def test_the_library_of_a_joint_has_its_own_products_and_simple_terms_of_the_oth
     assert not {"sgn(load)", "|load|"} & set(found)  # never negative: the same as 1, and as the load
     made = found["sgn(qd[1]) |load|"].values(known, len(t))
     np.testing.assert_allclose(made, np.clip(known[SPEED] / (SLIDES * np.abs(known[SPEED]).max()), -1.0, 1.0) * known[LOAD], rtol=ROUNDOFF)
+
+
+def test_what_changed_since_the_start_is_a_term_of_a_port_of_its_unit() -> None:
+    t = np.linspace(0.0, 4.0, 400)
+    known = {SPEED: np.sin(3.0 * t), MOVED: np.cos(2.0 * t) - 1.0, TIME: t}
+    with_it = {term.text for term in library([known], "1", 4.0, unit="rad")}
+    without = {term.text for term in library([known], "1", 4.0, unit="N.m")}
+    assert with_it - without == {"(q[2] - q[2] at t = 0)"}
+    assert without < with_it
 
 
 def test_a_law_in_all_joints_has_the_index_of_each() -> None:
