@@ -176,9 +176,9 @@ def judged(
     refuted = tests.p_fit < 1.0 - tests.p_fit or at_bound(best)
     gap = over_noise(search, nominal) > UNKNOWN
     guess = search.evidence.guess > 1.0  # of noise: nobody knows how slow it is, and an effect within it may be that
-    none = not best.model or not believed(tests) or refuted or (guess and not gap)
-    if none or ((other := changing()) is not None and changes(search, best, other)):
-        return "unknown" if gap or differs else "none"  # nothing is there, if machines without effects leave and scatter as much
+    there = bool(best.model) and believed(tests) and (gap or not guess)
+    if not there or refuted or ((other := changing()) is not None and changes(search, best, other)):
+        return "unknown" if gap or differs or there else "none"  # where machines without effects leave and scatter as much
     if faulty:
         return "bad_log"
     return "identified" if all(probabilities[c] >= IDENTIFIED for c in best.model) else "ambiguous"

@@ -58,9 +58,7 @@ def integrated(before: float, after: float, share: float, kinds: int = 1, levels
     """
     gap = before - LEVEL
     centre, width = (after - LEVEL) / gap, SPREAD / gap
-    finely = np.concatenate(
-        [np.linspace(0.0, 1.0, 4001), np.geomspace(1e-8, 1.0, 4001), centre + width * np.linspace(-9, 9, 4001)]
-    )
+    finely = np.concatenate([np.linspace(0.0, 1.0, 4001), np.geomspace(1e-8, 1.0, 4001), centre + width * np.linspace(-9, 9, 4001)])
     u = np.unique(np.clip(finely, 0.0, 1.0))
     likelihood = norm.logpdf(u, centre, width) + (levels - 1.0) * norm.logcdf(centre, u, width)
     likelihood = np.exp(likelihood - likelihood.max())
@@ -72,7 +70,7 @@ def integrated(before: float, after: float, share: float, kinds: int = 1, levels
 @pytest.mark.parametrize("part", [0.0, 0.01, 0.05, 0.2, 0.5, 0.9])
 def test_it_is_the_ratio_of_the_integrals_over_what_may_be_left(share: float, before: float, part: float) -> None:
     after = LEVEL + part * (before - LEVEL)
-    assert left_by(before, after, share) == pytest.approx(integrated(before, after, share), abs=QUADRATURE, rel=1e-3)
+    assert left_by(before, after, share) == pytest.approx(integrated(before, after, share), abs=QUADRATURE, rel=QUADRATURE)
 
 
 @pytest.mark.parametrize("kinds", [2, 9])

@@ -174,6 +174,13 @@ class TestJudged:
         assert judged(search(), SURE, fit(1.0), fit(1.0), steady, {}, False) == "none"
         assert judged(search(), SURE, fit(1.1 * UNKNOWN), fit(1.1 * UNKNOWN), steady, {}, False) == "unknown"
 
+    @pytest.mark.parametrize("level", [0.5 * UNKNOWN, 2.0 * UNKNOWN])
+    def test_an_effect_that_is_believed_and_refuted_is_unknown_however_little_it_does(self, level: float, tmp_path: Path) -> None:
+        """Few machines without effects look like this one: something is there, and it is not what is listed."""
+        assert self.judged(replace(SURE, p_fit=0.3), level, folder=tmp_path) == "unknown"
+        unsure = replace(SURE, p_fit=0.3, p_none=0.5)
+        assert self.judged(unsure, level, folder=tmp_path) == ("none" if level < UNKNOWN else "unknown")
+
     def test_where_something_differs_from_run_to_run_it_is_not_none(self, tmp_path: Path) -> None:
         model = catalogue(tmp_path).candidates[:1]
         for differs, says in ((False, "none"), (True, "unknown")):
@@ -182,9 +189,9 @@ class TestJudged:
 
     def test_where_noise_is_a_guess_an_effect_within_it_is_none(self, tmp_path: Path) -> None:
         model = catalogue(tmp_path).candidates[:2]
-        for guess, says in ((1.0, "identified"), (3.0, "none")):
-            found = judged(search(guess=guess), SURE, fit(0.99 * UNKNOWN), fit(1.1, model), steady, dict.fromkeys(model, 0.95), False)
-            assert found == says
+        for guess, p_fit, says in ((1.0, 0.99, "identified"), (3.0, 0.99, "none"), (3.0, 0.3, "none")):
+            tests, probable = replace(SURE, p_fit=p_fit), dict.fromkeys(model, 0.95)
+            assert judged(search(guess=guess), tests, fit(0.99 * UNKNOWN), fit(1.1, model), steady, probable, False) == says
         assert (
             judged(search(guess=3.0), SURE, fit(1.01 * UNKNOWN), fit(1.1, model), steady, dict.fromkeys(model, 0.95), False) == "identified"
         )
