@@ -82,7 +82,7 @@ def torques(s: Record) -> None:
                 s.friction_viscous[i],
                 s.friction_coulomb[i] + s.friction_load[i] * abs(gear),
                 s.friction_stribeck[i],
-                s.friction_smooth_speed[i],
+                tanh(s.rate[i] / s.friction_smooth_speed[i]),
                 s.stribeck_speed[i],
             )
         if s.friction_asymmetry[i] != 0.0:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from robomill.models.maths.elementary import PI, exp, sincos
+from robomill.models.maths.elementary import PI, exp, sincos, tanh
 from robomill.models.maths.filters import delay, delay_rest, second_order_zoh
 from robomill.models.maths.frames import solve
 from robomill.models.model.declaration import FloatArray, Model, Record, Variable, kernel
@@ -29,6 +29,7 @@ from robomill.models.robot.dynamics import (
     counterbalance_fits,
     friction_torque,
     prepare_dynamics,
+    presliding,
 )
 from robomill.models.robot.kinematics import ROBOT_VARIABLES, forward, jacobian
 
@@ -166,8 +167,9 @@ def motor_torque(s: Record) -> None:
     axis_torque(s, s.q, s.qd, s.qdd, s.f_T_B, s.m_T_B, s.tau)
     for i in range(6):
         if s.friction_viscous[i] != 0.0 or s.friction_coulomb[i] != 0.0 or s.friction_stribeck[i] != 0.0:
+            side = s.friction_side[i] if s.friction_presliding > 0.0 else tanh(s.qd[i] / s.friction_smooth_speed)
             s.tau[i] += friction_torque(
-                s.qd[i], s.friction_viscous[i], s.friction_coulomb[i], s.friction_stribeck[i], s.friction_smooth_speed, s.stribeck_speed
+                s.qd[i], s.friction_viscous[i], s.friction_coulomb[i], s.friction_stribeck[i], side, s.stribeck_speed
             )
         s.torque_motor[i] = s.tau[i] / s.gear_ratio[i]
 
@@ -209,6 +211,7 @@ def init(s: Record) -> int:
         s.q_turn[i] = q
         s.spike[i] = 0.0
         s.spike_drive[i] = 0.0
+        s.friction_side[i] = 0.0
         s.q_motor[i] = q + s.half_gap[i]
         s.q_link[i] = q
     status = link_errors(s)
@@ -286,6 +289,8 @@ def step(s: Record, t: float, h: float) -> int:
         s.qd[i] = speed
         moved = q - s.q[i]
         s.q[i] = q
+        if s.friction_presliding > 0.0:
+            s.friction_side[i] = presliding(s.friction_side[i], moved, s.friction_presliding)
 
         if s.reversal_friction[i] != 0.0:
             before = s.q_direction[i]
@@ -427,6 +432,16 @@ MODEL = Model(
             0.2,
         ),
         Variable("friction_smooth_speed", "parameter", "Axis speed over which friction changes sign", "rad/s", (), 1e-3, 1e-6, 1.0),
+        Variable(
+            "friction_presliding",
+            "parameter",
+            "Axis angle over which dry friction turns over after a reversal, and holds at rest; 0: it goes with the speed",
+            "rad",
+            (),
+            0.0,
+            0.0,
+            1e-2,
+        ),
         Variable("stribeck_speed", "parameter", "Axis speed at which the Stribeck part has fallen to 1/e", "rad/s", (), 0.02, 1e-6, 10.0),
         Variable(
             "reversal_time",
@@ -499,6 +514,7 @@ MODEL = Model(
         Variable("q_turn", "state", "Extreme of that motion since its last reversal", "rad", (6,)),
         Variable("spike", "state", "Friction spike, 1/e at its peak", "1", (6,)),
         Variable("spike_drive", "state", "What feeds the friction spike", "1", (6,)),
+        Variable("friction_side", "state", "Side to which dry friction acts, where it holds at rest", "1", (6,)),
         Variable("tau", "state", "Axis torques", "N.m", (6,)),
         Variable("displacement_B", "state", "Scratch: displacement of T", "m", (3,)),
         Variable("J", "state", "Scratch: Jacobian of T", "1", (6, 6)),

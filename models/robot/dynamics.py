@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from robomill.models.maths.elementary import exp, sincos, tanh
+from robomill.models.maths.elementary import exp, sincos
 from robomill.models.model.declaration import FloatArray, Model, Record, Variable, kernel, record
 from robomill.models.model.kernels import COMPILER_OPTIONS, tell_numba
 from robomill.models.model.parameters import load, quantity
@@ -373,15 +373,28 @@ def axis_torque(s: Record, q: FloatArray, qd: FloatArray, qdd: FloatArray, f_T_B
 
 
 @kernel
-def friction_torque(qd: float, viscous: float, coulomb: float, stribeck: float, smooth_speed: float, stribeck_speed: float) -> float:
+def friction_torque(qd: float, viscous: float, coulomb: float, stribeck: float, side: float, stribeck_speed: float) -> float:
     """Friction on one axis [N m] that the motor must overcome at the speed `qd` [rad/s].
 
-    viscous qd + (coulomb + stribeck exp(-(qd / stribeck_speed)^2)) tanh(qd / smooth_speed):
-    Stribeck's curve, smoothed through zero over `smooth_speed` [rad/s]. Viscous [N m s/rad],
-    Coulomb and Stribeck (breakaway minus Coulomb) [N m], all axis side.
+    viscous qd + (coulomb + stribeck exp(-(qd / stribeck_speed)^2)) side: Stribeck's curve. `side` [1] is the side to which dry friction
+    acts, -1..1: tanh(qd / smooth speed), or what `presliding` says. Viscous [N m s/rad], Coulomb and Stribeck (breakaway minus Coulomb)
+    [N m], all axis side.
     """
     ratio = qd / stribeck_speed
-    return viscous * qd + (coulomb + stribeck * exp(-ratio * ratio)) * tanh(qd / smooth_speed)
+    return viscous * qd + (coulomb + stribeck * exp(-ratio * ratio)) * side
+
+
+@kernel
+def presliding(side: float, moved: float, distance: float) -> float:
+    """The side to which dry friction acts [1] after an axis has `moved` [rad], from what it was before: at rest it holds.
+
+    Dahl's law dF/dq = (F_c - F sgn dq) / distance, exact for a move in one direction (Dahl, A solid friction model, The Aerospace
+    Corporation, TOR-0158(3107-18)-1, 1968). After a reversal friction turns over within a few times the distance [rad].
+    """
+    if moved == 0.0:
+        return side
+    slides = 1.0 if moved > 0.0 else -1.0
+    return slides + (side - slides) * exp(-abs(moved) / distance)
 
 
 # ------------------------------------------------------------------ for arrays over time

@@ -121,7 +121,7 @@ def test_differentiating_filter_is_exact_at_rest() -> None:
 def test_friction_adds_its_curve_to_the_motor_torque_of_its_axis(axis: int) -> None:
     values = {"friction_viscous": 1500.0, "friction_coulomb": 400.0, "friction_stribeck": 120.0}
     got = change(**{n: np.eye(6)[axis] * v for n, v in values.items()})
-    expected = [friction_torque(v, 1500.0, 400.0, 120.0, 1e-3, 0.02) / G[axis] for v in QD[:, axis]]
+    expected = [friction_torque(v, 1500.0, 400.0, 120.0, math.tanh(v / 1e-3), 0.02) / G[axis] for v in QD[:, axis]]
     np.testing.assert_allclose(got["torque_motor"][:, axis], expected, rtol=0.0, atol=ROUNDOFF * 100.0)
     assert unchanged(np.delete(got["torque_motor"], axis, axis=1), got["torque_gear"], got["q_link"])
 

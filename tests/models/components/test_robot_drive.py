@@ -393,6 +393,19 @@ def test_stribeck_friction_acts_at_low_speed_only() -> None:
     assert abs(added(0.1)) < 1e-6
 
 
+def test_friction_that_holds_at_rest_turns_over_within_the_presliding_angle() -> None:
+    """A ramp of 25 steps, a rest, and back: 1 - exp(-x / d) and 2 exp(-x / d) - 1 of the Coulomb friction, with x the way since the turn."""
+    way, d = np.concatenate([np.arange(26), np.full(10, 25), np.arange(24, -1, -1)]) * 1e-5, 5e-5
+    path = lambda t: WORK + np.where(np.arange(6) == 0, np.interp(t, 0.004 * np.arange(len(way)), way), 0.0)  # noqa: E731
+    law = {"friction_coulomb": 200.0, "friction_presliding": d}
+    real, free = (run(60, q_ref=path, parameters=p)["torque_motor"][:, 0] for p in (law, {}))
+    added = (real - free) * KR300_DYNAMICS.gear_ratio[0]
+    top = 200.0 * (1.0 - math.exp(-25e-5 / d))
+    assert added[25:36] == pytest.approx(np.full(11, top), abs=1e4 * ROUNDOFF)
+    back = np.arange(1, 25) * 1e-5
+    assert added[36:60] == pytest.approx(-200.0 + (top + 200.0) * np.exp(-back / d), abs=1e4 * ROUNDOFF)
+
+
 # ---------------------------------------------------------------------------------------- numerics
 
 

@@ -21,6 +21,7 @@ from robomill.models.robot.dynamics import (
     inertia_matrix,
     inverse_dynamics,
     mass_matrix,
+    presliding,
 )
 from robomill.models.robot.kinematics import KR300, SPINDLE_ACROSS, forward, jacobian
 from tests.tolerances import EXACT, ROUNDOFF, discretisation, physics
@@ -147,19 +148,39 @@ def test_reflected_rotors_are_those_of_the_source() -> None:
     assert np.abs(difference - np.diag(np.diag(difference))).max() <= ROUNDOFF * 1e3
 
 
+def friction(speed: float) -> float:
+    """100 N m s/rad, 200 N m, and 50 N m more at breakaway, with a sign that is smooth over 1e-3 rad/s."""
+    return friction_torque(speed, 100.0, 200.0, 50.0, math.tanh(speed / 1e-3), 0.02)
+
+
 def test_friction_curve_has_its_three_parts() -> None:
-    law = {"viscous": 100.0, "coulomb": 200.0, "stribeck": 50.0, "smooth_speed": 1e-3, "stribeck_speed": 0.02}
-    assert friction_torque(0.0, **law) == EXACT
+    assert friction(0.0) == EXACT
     # breakaway: well above the smoothing, well below the Stribeck speed; exp(-(0.005/0.02)^2) = 0.9394
-    assert friction_torque(0.005, **law) == pytest.approx(0.5 + (200.0 + 50.0 * math.exp(-0.0625)) * math.tanh(5.0), rel=ROUNDOFF)
+    assert friction(0.005) == pytest.approx(0.5 + (200.0 + 50.0 * math.exp(-0.0625)) * math.tanh(5.0), rel=ROUNDOFF)
     # fast: the Stribeck part is gone
-    assert friction_torque(2.0, **law) == pytest.approx(400.0, rel=ROUNDOFF)
-    assert friction_torque(-0.3, **law) == -friction_torque(0.3, **law)
+    assert friction(2.0) == pytest.approx(400.0, rel=ROUNDOFF)
+    assert friction(-0.3) == -friction(0.3)
 
 
 def test_friction_only_takes_power() -> None:
     speeds = np.random.default_rng(1).uniform(-2.0, 2.0, 100)
-    assert all(v * friction_torque(v, 100.0, 200.0, 50.0, 1e-3, 0.02) > 0.0 for v in speeds)
+    assert all(v * friction(v) > 0.0 for v in speeds)
+
+
+def test_dry_friction_turns_over_within_a_distance_and_holds_at_rest() -> None:
+    """Dahl: dF/dx = (1 - F sgn dx) / d. From 0 forward 1 - exp(-x / d); back from 1 it is 2 exp(-x / d) - 1, whatever the steps."""
+    d = 3e-5
+    for steps in (1, 7):
+        side = 0.0
+        for _ in range(steps):
+            side = presliding(side, 2.0 * d / steps, d)
+        assert side == pytest.approx(1.0 - math.exp(-2.0), rel=ROUNDOFF)
+        assert presliding(side, 0.0, d) == side
+        for _ in range(steps):
+            side = presliding(side, -50.0 * d / steps, d)
+        assert side == pytest.approx(-1.0, rel=ROUNDOFF)
+    assert presliding(1.0, -d, d) == pytest.approx(2.0 * math.exp(-1.0) - 1.0, rel=ROUNDOFF)
+    assert presliding(-0.3, 0.5 * d, d) == -presliding(0.3, -0.5 * d, d)
 
 
 def test_friction_data_are_those_of_the_source() -> None:
