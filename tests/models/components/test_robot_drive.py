@@ -394,7 +394,7 @@ def test_stribeck_friction_acts_at_low_speed_only() -> None:
 
 
 def test_friction_that_holds_at_rest_turns_over_within_the_presliding_angle() -> None:
-    """A ramp of 25 steps, a rest, and back: 1 - exp(-x / d) and 2 exp(-x / d) - 1 of the Coulomb friction, with x the way since the turn."""
+    """A ramp of 25 steps, a rest, and back: 1 - exp(-x / d) and 2 exp(-x / d) - 1 of Coulomb friction, x the way since the turn."""
     way, d = np.concatenate([np.arange(26), np.full(10, 25), np.arange(24, -1, -1)]) * 1e-5, 5e-5
     path = lambda t: WORK + np.where(np.arange(6) == 0, np.interp(t, 0.004 * np.arange(len(way)), way), 0.0)  # noqa: E731
     law = {"friction_coulomb": 200.0, "friction_presliding": d}
