@@ -131,6 +131,8 @@ class Candidate:
     """Where its unit stands: `catalogue.toml:12`."""
     phase_per_run: bool = False
     """Whether its phase is another one in every run."""
+    start: str = ""
+    """Parameter of the component with the angle at which a run begins, where that is another one in every run, too."""
     fixed: tuple[tuple[Address, float], ...] = ()
     """Values of its shape parameters, of a variant; empty where they are those of the nominal system."""
     variants: tuple[Candidate, ...] = field(default=(), compare=False)
@@ -321,6 +323,9 @@ class Catalogue:
             c if there("shapes of", c.effect, c.component, *(s.parameter for s in c.shapes)) else replace(c, variants=(), shapes=())
             for c in candidates
         )
+        candidates = tuple(
+            c if not c.start or there("starts of", c.effect, c.component, c.start) else replace(c, start="") for c in candidates
+        )
         tolerances = tuple(t for t in self.tolerances if there("tolerances of", t.address[1], *t.address))
         quiet = {c: {k: v for k, v in values.items() if there("quiet", k, c, k)} for c, values in self.quiet.items()}
         kept = {c: Written(values, getattr(self.quiet[c], "places", {})) for c, values in quiet.items() if values}
@@ -415,6 +420,9 @@ class LocationKeys(Keys):
     parameters = required(keys.texts(), "parameters of the component that switch the effect on there, elements as `backlash[1]`")
     phase = optional(keys.text(), "parameter that is the phase of the one parameter above, where it differs from machine to machine")
     per = optional(keys.choice(("run",)), "the phase differs from run to run; needs `phase`")
+    start = optional(
+        keys.text(), "parameter with the angle [rad] at which a run begins, where that differs from run to run, too; needs `per`"
+    )
 
 
 class ShapeKeys(Keys):
@@ -567,8 +575,11 @@ def _effect(entry: Entry) -> list[Candidate]:
             parameters, size = (parameters[0] + COS + phase, parameters[0] + SIN + phase), Prior("normal", prior.scale)
         if per_run and phase is None:
             raise spot["per"].fail("'run' is for a phase, which is not there; add phase = PARAMETER")
+        start = LocationKeys.start.of(spot)
+        if start is not None and not per_run:
+            raise spot["start"].fail(f"{start!r} is for a phase that differs from run to run; add per = 'run'")
         signs, place = both or phase is not None, entry["unit"].place
-        plain = Candidate(name, component, called, parameters, low, high, size, unit, signs, len(locations), place, per_run)
+        plain = Candidate(name, component, called, parameters, low, high, size, unit, signs, len(locations), place, per_run, start or "")
         plain = replace(plain, family=family.replace("{location}", called))
         made[called] = _with_variants(plain, tuple(_shape(one, plain) for one in k.shape.of(entry)))
     return list(made.values())

@@ -267,7 +267,9 @@ def cut(c: Cut, s: CutState, h: float, raw: float, p: FloatArray, v: FloatArray,
     if speed > 1e-6:
         feed = along[:2] / speed
         depth = engagement(s, c.size, at, feed)
-        wrench = edges(c, depth, 2.0 * math.pi * speed / (TEETH * turning), theta0 + c.start_angle, s.memory[0] + c.start_angle)
+        # clockwise from the left of the feed: where that turns, the spindle does not
+        ahead = c.start_angle + math.atan2(feed[1], feed[0])
+        wrench = edges(c, depth, 2.0 * math.pi * speed / (TEETH * turning), theta0 + ahead, s.memory[0] + ahead)
     thrust, torque = end_face(c, s, h, at, -along[2], turning, raw)
     wrench[2] += thrust
     wrench[5] += torque

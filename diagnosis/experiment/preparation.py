@@ -72,7 +72,7 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
     catalogue, skipped = catalogue.within(within)
     catalogue.check_units(units, convert)
     nuisances = _nuisances(catalogue, first)
-    addresses = [u.address for u in nuisances]
+    addresses = [*(u.address for u in nuisances), *((c.component, c.start) for c in catalogue.candidates if c.start)]
     conditions = [
         replace(c, settable=s.names, nominal={a: s.values[a] for a in addresses if s.values.get(a)})
         for c, s in zip(conditions, settable, strict=True)

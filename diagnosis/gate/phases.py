@@ -1,48 +1,54 @@
 """Phases that differ from run to run: a cutter is clamped once, but every start of the spindle finds it elsewhere.
 
 In the mean of such repeats a periodic effect cancels, and their scatter is no noise. So each run is looked at by itself: its part along
-the two sensitivities of the effect, in phase and a quarter of a turn ahead, is an amplitude and a phase of its own. Where the phases
-differ by more than noise lets them, the runs are brought to phase zero with the amplitude that they have in common. What else they differ
-by stays. That takes as much evidence as one more effect in a model (GROWTH_GAIN).
+what the effect does in phase and a quarter of a turn ahead. Where the catalogue names the parameter at which a run begins, that is
+another one in every run, too, and the effect is looked at from several starts. Where the runs differ by more than noise lets them, they
+are brought to phase zero and to the nominal start, with the amplitude that they have in common. What else they differ by stays. That
+takes as much evidence as one more effect in a model (GROWTH_GAIN).
 
-With V the sensitivities of the two parts of the amplitude, the parts of run k are (V'WV)^-1 V'W (x_k - mean) plus those of the mean, W
-one over the variance of the noise per channel; the evidence that they differ is that of parts ~ N(0, 1) against none, samples
-counted by `dependence`.
+What the effect does is half the difference between both signs of its amplitude: what it does to the mean is no part of it. With V these
+columns, the parts of run k are (V'WV)^-1 V'W (x_k - mean) plus those of the mean, W one over the variance of the noise per channel; the
+evidence that they differ is that of parts ~ N(0, 1) against none, samples counted by `dependence`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from robomill.diagnosis.catalogue import Candidate
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import Laboratory, setting
 from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.inference.evidence import TRUST, dependence
+from robomill.diagnosis.inference.noise import fast
 from robomill.diagnosis.inference.search import GROWTH_GAIN
-from robomill.orchestration.slaves.protocol import FloatArray
+from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 PHASE_ROUNDS = 3
-"""Rounds in which the noise of each channel, and the amplitude that the sensitivities are simulated at, are found."""
+"""Rounds in which the noise of each channel, and the amplitude that the effect is simulated at, are found."""
+GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
+"""The golden angle [rad]: no two of its multiples are the same part of a turn, or of a part of one."""
 
 
 @dataclass(frozen=True)
 class _Turned:
-    """One condition: the part of each run along the two sensitivities, [runs, 2], and what these sensitivities are."""
+    """One condition: the part of each run along what the effect does, and what that is."""
 
     parts: FloatArray
-    sensitivities: FloatArray
-    """[samples, channels, 2], per prior scale."""
+    """[runs, 2 starts, channels]; those of an array have the same."""
+    columns: FloatArray
+    """What the effect does per prior scale, in phase and a quarter of a turn ahead, from each start: [samples, channels, 2 starts]."""
+    shown: FloatArray
+    """Amplitude in each channel, root mean square over the runs [prior scales]; 0 where runs do not differ."""
+    amplitude: float
+    """The median of that over the arrays, each as often as its precision."""
     gain: float
     """Evidence [nats] that the parts differ."""
-
-    @property
-    def amplitude(self) -> float:
-        """Root mean square over the runs [prior scales]."""
-        return float(np.sqrt((self.parts**2).sum(axis=1).mean()))
 
 
 def aligned(laboratory: Laboratory, candidates: Sequence[Candidate], n: int) -> list[Finding]:
@@ -58,8 +64,9 @@ def aligned(laboratory: Laboratory, candidates: Sequence[Candidate], n: int) -> 
         gain = sum(k.gain for k in known if k is not None)
         if gain < GROWTH_GAIN:
             continue
-        if any(k.amplitude > c.maximum / c.prior.scale for k in known if k is not None):
-            continue  # more than there can be of it: the gap is of something else, interchanged axes for instance
+        sizes = [k.amplitude * c.prior.scale for k in known if k is not None and k.gain > 0.0]
+        if min(sizes) > c.maximum or max(sizes) < c.minimum:
+            continue  # more than there can be of it, or too little to count: the runs differ by something else
         known += [_turned(laboratory, i, c) for i in range(n, len(laboratory.conditions))]
         laboratory.conditions = [
             x if k is None else _brought(x, k, laboratory.channels) for x, k in zip(laboratory.conditions, known, strict=True)
@@ -70,54 +77,106 @@ def aligned(laboratory: Laboratory, candidates: Sequence[Candidate], n: int) -> 
 
 
 def _turned(laboratory: Laboratory, i: int, c: Candidate) -> _Turned | None:
-    """Parts and sensitivities of effect `c` in condition `i`; None where the effect does nothing, or cannot run."""
+    """Parts and columns of effect `c` in condition `i`; None where the effect does nothing, or cannot run."""
     condition = laboratory.conditions[i]
     stack = np.stack([condition.matrix(r, laboratory.channels) for r in condition.runs])
     nominal = laboratory.sampled(i, ())
     assert nominal is not None
+    arrays = np.unique([base_name(name) for name in laboratory.channels], return_inverse=True)[1]
     mean = stack.mean(axis=0)
     size, turned = 1.0, None
     for _ in range(PHASE_ROUNDS):
-        changes = [laboratory.sampled(i, setting({a: size * c.prior.scale})) for a in c.addresses]
-        sensitivities = np.stack([(x - nominal) / size for x in changes if x is not None], axis=-1)
-        if sensitivities.shape[-1:] != (2,) or not np.any(sensitivities):
+        columns = _columns(laboratory, i, c, size)
+        if columns is None:
             return None
-        parts, gain = _parts(stack - mean, mean - nominal, sensitivities, dependence(condition.independent))
-        turned = _Turned(parts, sensitivities, gain)
-        if len(stack) > 1 and gain < 0.0:
+        turned = _parts(stack - mean, mean - nominal, columns, arrays, dependence(condition.independent))
+        if len(stack) > 1 and turned.gain == 0.0:
             break  # nothing differs, whatever its size is
         size = min(max(turned.amplitude, 0.1), c.bounds[1] / c.prior.scale)
     return turned
 
 
-def _parts(deviations: FloatArray, gap: FloatArray, sensitivities: FloatArray, worth_one: float) -> tuple[FloatArray, float]:
-    """Parts of each run along the sensitivities, [runs, 2], and the evidence [nats] that they differ.
+def _columns(laboratory: Laboratory, i: int, c: Candidate, size: float) -> FloatArray | None:
+    """What an effect of a size [prior scales] does in condition `i`, as in `_Turned`; None where that is nothing, or it cannot run.
 
-    `deviations` from the mean run [runs, samples, channels]; `gap`: mean less nominal [samples, channels]; `sensitivities`
-    [samples, channels, 2]; `worth_one`: samples that are worth one.
+    From three starts it does what it does from any, if that is three harmonics of a turn: of a cutter that runs out, once a turn, and once
+    more and once less than the teeth.
     """
-    floor = (TRUST * np.sqrt((sensitivities**2).mean(axis=0).sum(axis=-1))) ** 2
-    moves = floor > 0.0
-    a, d = sensitivities[:, moves], deviations[..., moves]
-    freedom = max(len(d) - 1, 1)
-    variance = (d**2).sum(axis=(0, 1)) / (freedom * d.shape[1]) + floor[moves]
-    own, gram = np.zeros((len(d), 2)), np.eye(2)
-    for _ in range(PHASE_ROUNDS):  # what the sensitivities do not explain is the noise
-        gram = np.einsum("tcp,tcq,c->pq", a, a, 1.0 / variance)
-        own = np.linalg.solve(gram, np.einsum("tcp,ktc,c->pk", a, d, 1.0 / variance)).T
+    columns = []
+    for start in (0.0, GOLDEN, 2.0 * GOLDEN) if c.start else (0.0,):
+        begin = {(c.component, c.start): start} if c.start else {}
+        for a in c.addresses:
+            up, down = (laboratory.sampled(i, setting({**begin, a: sign * size * c.prior.scale})) for sign in (1.0, -1.0))
+            if up is None or down is None:
+                return None
+            columns.append(0.5 * (up - down) / size)
+        if not np.any(columns):
+            return None
+    return np.stack(columns, axis=-1)
+
+
+def _parts(deviations: FloatArray, gap: FloatArray, columns: FloatArray, arrays: npt.NDArray[np.intp], worth_one: float) -> _Turned:
+    """Parts of each run along the columns, their amplitude, and the evidence [nats] that they differ, array by array.
+
+    `deviations` from the mean run [runs, samples, channels]; `gap`: mean less nominal [samples, channels]; `columns` as in `_Turned`;
+    `arrays` [channels]: which array a channel is an element of; `worth_one`: samples that are worth one.
+    """
+    parts, shown, gain = np.zeros((len(deviations), columns.shape[-1], len(arrays))), np.zeros(len(arrays)), 0.0
+    sizes = []
+    for array in np.unique(arrays):
+        here = arrays == array
+        floor = (TRUST * np.sqrt(2.0 * (columns[:, here] ** 2).mean(axis=(0, 2)))) ** 2
+        here[here] = floor > 0.0
+        if not np.any(here):
+            continue
+        own, size, precision, more = _of_array(deviations[..., here], gap[:, here], columns[:, here], floor[floor > 0.0], worth_one)
+        sizes.append((size, precision))
+        if more > 0.0 or len(deviations) == 1:
+            parts[..., here], shown[here] = own[..., None], size
+            gain += more
+    size, precision = np.array(sorted(sizes)).T
+    middle = int(np.searchsorted(np.cumsum(precision), 0.5 * precision.sum()))  # what differs in few arrays is something else
+    return _Turned(parts, columns, shown, float(size[middle]), gain)
+
+
+def _of_array(d: FloatArray, gap: FloatArray, a: FloatArray, floor: FloatArray, worth_one: float) -> tuple[FloatArray, float, float, float]:
+    """Of one array: the parts of each run [runs, columns], amplitude [prior scales], its precision, and the evidence that runs differ."""
+    runs, one = len(d), np.eye(a.shape[-1])
+    freedom = max(runs - 1, 1)
+
+    def products(a: FloatArray, x: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        weight = 1.0 / ((variance + floor) * worth_one)
+        return np.einsum("tcp,tcq,c->pq", a, a, weight), np.einsum("tcp,ktc,c->kp", a, x, weight)
+
+    left, gram = d, one
+    own: FloatArray = np.zeros((runs, len(one)))
+    for _ in range(PHASE_ROUNDS):  # what the effect does not explain is the noise
+        gram, product = products(a, d, (left**2).sum(axis=(0, 1)) / (freedom * d.shape[1]))
+        own = np.linalg.solve(gram + one, product.T).T.astype(np.float64)
         left = d - np.einsum("tcp,kp->ktc", a, own)
-        variance = (left**2).sum(axis=(0, 1)) / (freedom * d.shape[1]) + floor[moves]
-    common = np.linalg.solve(gram, np.einsum("tcp,tc,c->p", a, gap[:, moves], 1.0 / variance))
-    gain = 0.5 * float(np.einsum("kp,pq,kq->", own, gram, own)) / worth_one
-    return common + own, gain - 0.5 * (len(d) - 1) * float(np.linalg.slogdet(np.eye(2) + gram / worth_one)[1])
+    gain = 0.5 * float(np.einsum("kp,pq,kq->", own, gram + one, own)) - 0.5 * (runs - 1) * float(np.linalg.slogdet(gram + one)[1])
+    precision = float(np.diag(gram).mean())
+
+    def size(of: FloatArray, count: int) -> float:
+        """Mean square amplitude; noise has a part along each column, too."""
+        return max((float(np.einsum("kp,pq,kq->", of, gram, of)) / count - len(one) / worth_one) / precision, 0.0)
+
+    # phases that are drawn cancel but for one over the root of the runs. Most of what the mean is away from the nominal simulation is of
+    # other effects, and most of that is slow: what is fast is noise here
+    expected = size(own, freedom) / runs if runs > 1 else 1.0
+    if expected > 0.0:
+        quick, columns = fast(gap), fast(a.reshape(len(a), -1)).reshape(a.shape)
+        around, product = products(columns, quick[None], (quick**2).mean(axis=0))
+        own = own + np.linalg.solve(around + one / expected, product[0])
+    return own, math.sqrt(size(own, runs)), precision, gain
 
 
 def _brought(condition: Condition, turned: _Turned, channels: Sequence[str]) -> Condition:
-    """The condition with its runs as they would be with phase zero and the amplitude that they have in common."""
-    target = np.array([turned.amplitude, 0.0])
+    """The condition with its runs as they would be with phase zero, the nominal start and the amplitude that they have in common."""
     runs = []
     for r, part in zip(condition.runs, turned.parts, strict=True):
-        x = condition.matrix(r, channels) + turned.sensitivities @ (target - part)
+        away = turned.columns[..., 0] * turned.shown - np.einsum("tcp,pc->tc", turned.columns, part)
+        x = condition.matrix(r, channels) + away
         runs.append(
             replace(
                 r,

@@ -204,9 +204,9 @@ class TestPhases:
         ((found,), _) = self.looked_at(0.065)
         assert 12.0 < found.value < 24.0
 
-    def test_the_amplitude_takes_three_simulations_of_each_part(self) -> None:
-        """PHASE_ROUNDS, and the nominal one."""
-        assert self.looked_at(1.0)[1] == 1 + 3 * 2
+    def test_the_amplitude_takes_three_rounds(self) -> None:
+        """PHASE_ROUNDS, with either sign, and the nominal one."""
+        assert self.looked_at(1.0)[1] == 1 + 3 * 2 * 2
 
     @pytest.mark.parametrize(("amplitude", "aligned"), [(4.5, 1), (5.5, 0)])
     def test_more_than_there_can_be_of_an_effect_is_something_else(self, amplitude: float, aligned: int) -> None:

@@ -76,6 +76,26 @@ def test_runout_changes_the_mean_little_and_beats_once_per_turn():
     assert spectrum[8] > 2.0 * np.delete(spectrum, [8, 16, 24]).max()  # 6 ms a turn: the 8th line of 48 ms
 
 
+def test_a_tooth_meets_a_wall_at_the_same_angle_of_the_spindle_whatever_the_feed():
+    """Where the path turns, the spindle does not."""
+    c = machine.nominal(PLACE).cut
+    met = []
+    for turn in (-0.8, 0.0, 0.8):
+        force = []
+        for start in np.linspace(0.0, 2.0 * math.pi / 3.0, 40, endpoint=False):
+            state = cutting.fresh(c.size)
+            dx, dy = c.size[0] / state.top.shape[0], c.size[1] / state.top.shape[1]
+            state.top[:] = -0.1
+            i, j = int((RADIUS + 0.5 * c.size[0]) / dx), int(0.5 * c.size[1] / dy)
+            state.top[i - 2 : i + 3, j - 2 : j + 3] = 0.0  # nothing stands but this, at the side of +x
+            ahead = np.array([0.04 * math.cos(turn), 0.04 * math.sin(turn), 0.0])
+            f, _, _ = cutting.cut(c._replace(start_angle=start), state, 1e-4, 0.0, np.array([0.0, 0.0, -1e-3]), ahead, OMEGA)
+            force.append(float(np.linalg.norm(f)))
+        assert max(force) > 5.0 * np.median(force)
+        met.append(int(np.argmax(force)))
+    assert np.ptp(met) <= 1  # a chip is thicker before the feed: within a step
+
+
 def test_what_is_removed_is_the_volume_of_the_slot():
     c = machine.nominal(PLACE).cut
     _, state = slot(c, 4e-3, 0.04)

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from robomill.diagnose_command import lines, write
-from robomill.diagnosis.catalogue import Catalogue, CatalogueError, physical
+from robomill.diagnosis.catalogue import Candidate, Catalogue, CatalogueError, Prior, physical
 from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.experiment.measured import Condition
+from robomill.diagnosis.experiment.simulation import Setting
+from robomill.diagnosis.gate.checks import Finding
+from robomill.diagnosis.gate.phases import aligned
 from robomill.diagnosis.outcome import adopt
 from robomill.orchestration.runs.run import Run
+from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.axis import RIPPLE, catalogue, measure, resolve, system
 from tests.diagnosis.demo import WELL
+from tests.diagnosis.test_constants import CHANNEL, recorded
 from tests.tolerances import ROUNDOFF
 
 
@@ -102,3 +110,70 @@ def test_only_a_phase_is_of_a_run(tmp_path: Path) -> None:
     file.write_text(RIPPLE.replace('phase = "ripple_phase"', 'per = "run"'))
     with pytest.raises(CatalogueError, match=r"per: 'run' is for a phase, which is not there; add phase = PARAMETER"):
         Catalogue.load(file)
+
+
+SPEED = 40.0
+"""Of the spindle below [rad/s]."""
+
+
+def turning(phases: Sequence[tuple[float, float]], start: str, seed: int = 1) -> tuple[FloatArray, FloatArray, list[Finding]]:
+    """Runs of a cutter whose runout shows once and, backwards, twice a turn, beside a step: before, brought, and what is said.
+
+    `phases`: of the runout, and of the spindle where the run begins.
+    """
+    t, rng = 0.004 * np.arange(1500), np.random.default_rng(seed)
+    runout = Candidate(
+        "runout",
+        "mill",
+        "cutter",
+        ("runout cos angle", "runout sin angle"),
+        0.01,
+        9.0,
+        Prior("normal", 1.0),
+        "m",
+        True,
+        1,
+        phase_per_run=True,
+        start=start,
+    )
+
+    def signal(real: float, ahead: float, begin: float) -> FloatArray:
+        turned = SPEED * t + begin
+        return np.asarray(((real + 1j * ahead) * (np.exp(1j * turned) + 0.8 * np.exp(-2j * turned))).real)
+
+    def sampled(_: int, changes: Setting) -> FloatArray:
+        known = {parameter: v for (_, parameter), v in changes}
+        return signal(known.get("runout cos angle", 0.0), known.get("runout sin angle", 0.0), known.get("begin", 0.0))[:, None]
+
+    runs = [2.0 * signal(np.cos(p), np.sin(p), s) + 0.1 * rng.normal(size=len(t)) + 3.0 * (t > 3.0) for p, s in phases]
+    laboratory: Any = SimpleNamespace(
+        conditions=[Condition("", {}, tuple(recorded(x, t) for x in runs), t)], channels=[CHANNEL], sampled=sampled
+    )
+    said = aligned(laboratory, [runout], 1)
+    (condition,) = laboratory.conditions
+    return np.stack(runs), np.stack([condition.matrix(r, [CHANNEL])[:, 0] for r in condition.runs]), said
+
+
+STARTED = [(0.3, 1.0), (2.1, 4.0), (-1.6, 2.2), (3.0, 5.5), (1.1, 0.2), (-2.5, 3.1)]
+
+
+def test_runs_that_begin_at_any_angle_are_brought_to_one() -> None:
+    before, brought, said = turning(STARTED, "begin")
+    assert [f.kind for f in said] == ["phase"]
+    t = 0.004 * np.arange(before.shape[1])
+    there = 2.0 * (np.cos(SPEED * t) + 0.8 * np.cos(2.0 * SPEED * t)) + 3.0 * (t > 3.0)
+    assert float(np.std(before - there)) > 15.0 * 0.1
+    # the amplitude of six random phases, and what the step does as fast as that
+    assert float(np.std(brought - there)) < 3.0 * 0.1
+    assert float(np.std(brought - brought.mean(axis=0))) == pytest.approx(0.1 * np.sqrt(5.0 / 6.0), rel=0.05)
+
+
+def test_without_a_start_two_harmonics_are_not_of_one_phase() -> None:
+    _, alone, _ = turning(STARTED, "")
+    assert float(np.std(alone - alone.mean(axis=0))) > 5.0 * 0.1
+
+
+def test_runs_that_begin_alike_are_left_alone() -> None:
+    before, brought, said = turning(STARTED[:1] * 6, "begin")
+    assert said == []
+    assert np.array_equal(before, brought)
