@@ -206,6 +206,12 @@ def decimate(full: FloatArray, factor: int) -> FloatArray:
     return means
 
 
+def _simulated(task: tuple[int, Setting]) -> tuple[int, Setting]:
+    """What of a task (condition, setting) is simulated: all but faults of the log."""
+    index, changes = task
+    return index, tuple(c for c in changes if c[0][0] != LOGGING)
+
+
 def refined(system: System, divide: int, sampled: Sequence[str]) -> System:
     """The system at a part of its communication step; components in `sampled` keep their cycle."""
     components = tuple(replace(c, every=c.every * divide) if c.name in sampled else c for c in system.components)
@@ -255,6 +261,7 @@ class Simulator:
         """Channels [n, channels] of each task (condition, setting), in the order of the tasks; None where the system cannot run."""
         tasks = [(i, self.laboratory.effective(i, changes)) for i, changes in tasks]
         new = [t for t in dict.fromkeys(tasks) if t not in self._known and not self._stored(t)]
+        new.sort(key=_simulated)  # what differs by faults of the log alone is simulated once
         results = self._pool.map(new) if self._pool is not None and new else (self.laboratory.simulate(*t) for t in new)
         for done, (task, result) in enumerate(zip(new, results, strict=True), 1):
             self._known[task] = result

@@ -167,13 +167,14 @@ class Sensitivities:
         """
         sensitivities, space, single = self.evidence.sensitivities, self.evidence.space, self.single
         smaller = {a: _smaller(c) for a, c in single.items()}
-        # the first place of an effect tells for the others whether they are to be tried, too
+        # the first place of an effect tells for the others whether they are to be tried, too; in a log each device has signals of its own
         places: dict[str, list[Address]] = {}
         for a, c in single.items():
-            places.setdefault(c.effect, []).append(a)
+            places.setdefault(c.name if c.component == LOGGING else c.effect, []).append(a)
+        first = {a: p[0] for p in places.values() for a in p}
         other: dict[Address, FloatArray] = {}
         for some in ([p[0] for p in places.values()], [a for p in places.values() for a in p[1:]]):
-            wanted = [a for a in some if _bends(places[single[a].effect][0], other, sensitivities)]
+            wanted = [a for a in some if _bends(first[a], other, sensitivities)]
             tried = self._signatures({a: [smaller[a]] for a in wanted})
             other |= {a: tried[a, smaller[a]] / smaller[a] for a in wanted if (a, smaller[a]) in tried}
         alike = {a: _cosine(sensitivity, sensitivities[a]) for a, sensitivity in other.items()}

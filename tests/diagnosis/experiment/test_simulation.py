@@ -13,9 +13,9 @@ import pytest
 
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
-from robomill.diagnosis.catalogue import Refinement
+from robomill.diagnosis.catalogue import LOGGING, Refinement
 from robomill.diagnosis.experiment.measured import Condition
-from robomill.diagnosis.experiment.simulation import FINER, Laboratory, Setting, refined, setting
+from robomill.diagnosis.experiment.simulation import FINER, Laboratory, Setting, Simulator, refined, setting
 from robomill.files import FILES
 from robomill.orchestration.assembly import run
 from tests.tolerances import ROUNDOFF
@@ -67,6 +67,27 @@ def test_simulations_in_any_order_are_those_of_systems_that_are_opened_anew(labo
             assert found is None or found.tobytes() == expected[i, s].tobytes()
     shown = [expected[i, ()].tobytes() for i in range(3)]
     assert len(set(shown)) == 3, "each condition has a system or parameters of its own"
+
+
+def test_what_differs_by_faults_of_the_log_alone_is_simulated_once(laboratory: Laboratory, monkeypatch: pytest.MonkeyPatch) -> None:
+    faults = [setting({(LOGGING, "lag drive.*"): late}) for late in (0.01, -0.02, 0.03)]
+    tasks = [(i, fault) for fault in faults for i in (0, 1)]
+    expected = [laboratory.simulate(*t) for t in tasks]
+    made, simulate = [], laboratory._simulate
+
+    def counted(index: int, changes: Setting) -> npt.NDArray[np.float64] | None:
+        made.append(index)
+        return simulate(index, changes)
+
+    laboratory._logged = None
+    monkeypatch.setattr(laboratory, "_simulate", counted)
+    with Simulator(laboratory) as simulator:
+        found = simulator.many(tasks)
+    assert made == [0, 1]
+    for one, other in zip(found, expected, strict=True):
+        assert one is not None
+        assert other is not None
+        assert one.tobytes() == other.tobytes()
 
 
 def test_a_condition_that_is_replaced_gets_a_system_of_its_own(laboratory: Laboratory) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance, Refinement
+from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance, Refinement
 from robomill.diagnosis.experiment.simulation import FINER, Simulator, setting
 from robomill.diagnosis.inference import sensitivities
 from robomill.diagnosis.inference.adequacy import LEVEL, SPREAD
@@ -144,6 +144,23 @@ class TestTurned:
         neighbours = (size * math.exp(-0.25), size * math.exp(0.25), size - largest / EVENLY, size + largest / EVENLY)
         slopes = [found.white(late(near) - late(size)) / (near - size) * scale for near in neighbours]
         assert any(start.sensitivity == pytest.approx(slope, rel=SAME, abs=SAME) for slope in slopes)
+
+
+def clocks(_: int, values: Mapping[Address, float]) -> FloatArray:
+    """What is slow is late by one clock, two tones by another; by P, too."""
+    slow = values.get((LOGGING, "lag slow.*"), 0.0)
+    return (np.cos(0.1 * (T - slow)) + late(values.get(P, 0.0) + values.get((LOGGING, "lag fast.*"), 0.0)))[:, None]
+
+
+def test_that_one_clock_is_proportional_to_its_size_says_nothing_of_another() -> None:
+    """The signals of a device are its own: what moves slowly is late in proportion for long."""
+    slow, fast = (
+        replace(candidate(f"lag {device}.*", scale=0.1, largest=0.5), effect="clock", component=LOGGING, location=device)
+        for device in ("slow", "fast")
+    )
+    found = Screened(clocks, 0.25, slow, fast)
+    assert set(found.starts) == {(LOGGING, "lag fast.*")}
+    assert found.starts[LOGGING, "lag fast.*"].x * 0.1 == pytest.approx(0.25, rel=0.13)
 
 
 def limited(_: int, values: Mapping[Address, float]) -> FloatArray:
