@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from robomill.blind.case import Case, Cases
 from robomill.blind.criteria import estimate, location_right, named_exactly, set_holds_truth
 from robomill.blind.effects import BY_KEY
-from robomill.blind.prediction import Candidate, Named
+from robomill.blind.prediction import LOGGING, Candidate, Named
 from robomill.blind.sets import NULL_REPEATS, STIFF_JOINTS
 from robomill.blind.statistics import Claim, Figure, proportion
 
@@ -71,8 +71,11 @@ def machine(cases: Cases) -> dict[str, Figure]:
 
 
 def _claimed(c: Case) -> list[Named]:
-    """Effects that are claimed, each once."""
-    return list(dict.fromkeys(name for e in c.prediction.claimed for name in e.names))
+    """Effects that are claimed, each once. A phase or a shape beside a size is no effect."""
+    claimed: list[Named] = []
+    for e in c.prediction.claimed:
+        claimed += [n for n in e.names if n.key in BY_KEY or n.component == LOGGING] or e.names[:1]
+    return list(dict.fromkeys(claimed))
 
 
 def few(cases: Cases) -> dict[str, Figure]:
