@@ -140,7 +140,7 @@ def _parts(deviations: FloatArray, gap: FloatArray, columns: FloatArray, arrays:
 
 
 def _of_array(d: FloatArray, gap: FloatArray, a: FloatArray, floor: FloatArray, worth_one: float) -> tuple[FloatArray, float, float, float]:
-    """Of one array: the parts of each run [runs, columns], amplitude [prior scales], its precision, and the evidence that runs differ."""
+    """Parts of each run in one array [runs, columns], amplitude [prior scales], its precision, and the evidence that runs differ."""
     runs, one = len(d), np.eye(a.shape[-1])
     freedom = max(runs - 1, 1)
 
