@@ -112,6 +112,13 @@ def test_only_a_phase_is_of_a_run(tmp_path: Path) -> None:
         Catalogue.load(file)
 
 
+def test_only_a_phase_of_a_run_has_a_start(tmp_path: Path) -> None:
+    file = tmp_path / "catalogue.toml"
+    file.write_text(RIPPLE.replace('phase = "ripple_phase"', 'phase = "ripple_phase", start = "begin"'))
+    with pytest.raises(CatalogueError, match=r"start: 'begin' is for a phase that differs from run to run; add per = 'run'"):
+        Catalogue.load(file)
+
+
 SPEED = 40.0
 """How fast the spindle below turns [rad/s]."""
 
