@@ -289,8 +289,7 @@ def step(s: Record, t: float, h: float) -> int:
         s.qd[i] = speed
         moved = q - s.q[i]
         s.q[i] = q
-        if s.friction_presliding > 0.0:
-            s.friction_side[i] = presliding(s.friction_side[i], moved, s.friction_presliding)
+        rubbed = moved
 
         if s.reversal_friction[i] != 0.0:
             before = s.q_direction[i]
@@ -310,7 +309,12 @@ def step(s: Record, t: float, h: float) -> int:
         half = s.half_gap[i] + s.backlash[i]
         gap = s.gap[i] - moved - s.half_gap[i] * (s.direction[i] - before)
         s.gap[i] = min(max(gap, -half), half)
-        s.q_motor[i] = q + s.half_gap[i] * s.direction[i]
+        motor = q + s.half_gap[i] * s.direction[i]
+        if s.friction_at_motor:
+            rubbed = motor - s.q_motor[i]
+        if s.friction_presliding > 0.0:
+            s.friction_side[i] = presliding(s.friction_side[i], rubbed, s.friction_presliding)
+        s.q_motor[i] = motor
         s.q_link[i] = q + (s.gap[i] + s.half_gap[i] * s.direction[i])
     status = link_errors(s)
     if status != 0:
@@ -441,6 +445,12 @@ MODEL = Model(
             0.0,
             0.0,
             1e-2,
+        ),
+        Variable(
+            "friction_at_motor",
+            "parameter",
+            "Dry friction that holds at rest goes with the motor, through the gap of the gear, too; else with the axis",
+            kind="boolean",
         ),
         Variable("stribeck_speed", "parameter", "Axis speed at which the Stribeck part has fallen to 1/e", "rad/s", (), 0.02, 1e-6, 10.0),
         Variable(

@@ -406,6 +406,21 @@ def test_friction_that_holds_at_rest_turns_over_within_the_presliding_angle() ->
     assert added[36:60] == pytest.approx(-200.0 + (top + 200.0) * np.exp(-back / d), abs=1e4 * ROUNDOFF)
 
 
+def test_friction_at_the_motor_turns_over_while_the_motor_crosses_the_gap_of_the_gear() -> None:
+    """Where the path turns, the motor goes through the whole gap 2 b at once, and the axis a step; from +1 it is 2 exp(-(2 b + step) / d) - 1."""
+    way, d, b = np.concatenate([np.arange(26), np.arange(24, -1, -1)]) * 1e-4, 5e-5, 30e-6
+    path = lambda t: WORK + np.where(np.arange(6) == 0, np.interp(t, 0.004 * np.arange(len(way)), way), 0.0)  # noqa: E731
+    law = {"friction_coulomb": 200.0, "friction_presliding": d, "half_gap": [b, 0.0, 0.0, 0.0, 0.0, 0.0]}
+    at_motor, at_axis, free = (
+        run(50, q_ref=path, parameters=p)["torque_motor"][:, 0]
+        for p in ({**law, "friction_at_motor": True}, law, {"half_gap": law["half_gap"]})
+    )
+    for real, gap in ((at_motor, 2.0 * b), (at_axis, 0.0)):
+        added = (real - free) * KR300_DYNAMICS.gear_ratio[0]
+        assert added[25] == pytest.approx(200.0, abs=1e4 * ROUNDOFF)
+        assert added[26] == pytest.approx(200.0 * (2.0 * math.exp(-(1e-4 + gap) / d) - 1.0), abs=1e4 * ROUNDOFF)
+
+
 # ---------------------------------------------------------------------------------------- numerics
 
 
