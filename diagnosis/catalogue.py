@@ -168,6 +168,14 @@ class Candidate:
         text = AT + AND.join(f"{parameter}={v!r}" for (_, parameter), v in fixed)
         return replace(self, parameters=tuple(p.partition(AT)[0] + text for p in self.parameters), fixed=fixed, variants=())
 
+    def with_phases(self, count: int) -> Candidate:
+        """Of a candidate that has a phase the amplitude alone; a variant for each of `count` phases over a turn but the nominal one."""
+        amplitude, phase = self.named
+        step = 2.0 * math.pi / count
+        turned = tuple(step * k for k in range(1 - count // 2, count // 2 + 1) if k)
+        plain = replace(self, parameters=(amplitude,), both_signs=False, phase_per_run=False)
+        return _with_variants(plain, (Shape("phase", phase, "rad", turned, step),))
+
     def excludes(self, other: Candidate) -> bool:
         """Whether the two cannot be in one model: variants of one effect, the same number, or two values of a shape parameter."""
         if self.name == other.name or set(self.addresses) & set(other.addresses):

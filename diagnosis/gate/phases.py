@@ -26,13 +26,9 @@ from robomill.diagnosis.experiment.simulation import Laboratory, setting
 from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.inference.evidence import TRUST, dependence
 from robomill.diagnosis.inference.noise import fast
-from robomill.diagnosis.inference.search import GROWTH_GAIN
+from robomill.diagnosis.inference.search import GROWTH_GAIN, GUESSES
+from robomill.diagnosis.inference.sensitivities import OCTANTS
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
-
-PHASE_ROUNDS = 3
-"""Rounds in which the noise of each channel, and the amplitude that the effect is simulated at, are found."""
-GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
-"""The golden angle [rad]: no two of its multiples are the same part of a turn, or of a part of one."""
 
 
 @dataclass(frozen=True)
@@ -85,14 +81,16 @@ def _turned(laboratory: Laboratory, i: int, c: Candidate) -> _Turned | None:
     arrays = np.unique([base_name(name) for name in laboratory.channels], return_inverse=True)[1]
     mean = stack.mean(axis=0)
     size, turned = 1.0, None
-    for _ in range(PHASE_ROUNDS):
+    for _ in range(GUESSES):
         columns = _columns(laboratory, i, c, size)
         if columns is None:
             return None
         turned = _parts(stack - mean, mean - nominal, columns, arrays, dependence(condition.independent))
         if len(stack) > 1 and turned.gain == 0.0:
             break  # nothing differs, whatever its size is
-        size = min(max(turned.amplitude, 0.1), c.bounds[1] / c.prior.scale)
+        before, size = size, min(max(turned.amplitude, 0.1), c.bounds[1] / c.prior.scale)
+        if abs(size - before) <= TRUST * before:
+            break
     return turned
 
 
@@ -100,10 +98,11 @@ def _columns(laboratory: Laboratory, i: int, c: Candidate, size: float) -> Float
     """What an effect of a size [prior scales] does in condition `i`, as in `_Turned`; None where that is nothing, or it cannot run.
 
     From three starts it does what it does from any, if that is three harmonics of a turn: of a cutter that runs out, once a turn, and once
-    more and once less than the teeth.
+    more and once less than the teeth. The mean over starts evenly around a turn is no part of it: it does not turn.
     """
+    starts = [2.0 * math.pi * k / OCTANTS for k in range(OCTANTS)] if c.start else [0.0]
     columns = []
-    for start in (0.0, GOLDEN, 2.0 * GOLDEN) if c.start else (0.0,):
+    for start in starts:
         begin = {(c.component, c.start): start} if c.start else {}
         for a in c.addresses:
             up, down = (laboratory.sampled(i, setting({**begin, a: sign * size * c.prior.scale})) for sign in (1.0, -1.0))
@@ -112,7 +111,10 @@ def _columns(laboratory: Laboratory, i: int, c: Candidate, size: float) -> Float
             columns.append(0.5 * (up - down) / size)
         if not np.any(columns):
             return None
-    return np.stack(columns, axis=-1)
+    found = np.stack(columns, axis=-1).reshape(*columns[0].shape, len(starts), len(c.addresses))
+    if c.start:
+        found = (found - found.mean(axis=-2, keepdims=True))[..., :3, :]
+    return found.reshape(*columns[0].shape, -1)
 
 
 def _parts(deviations: FloatArray, gap: FloatArray, columns: FloatArray, arrays: npt.NDArray[np.intp], worth_one: float) -> _Turned:
@@ -150,7 +152,7 @@ def _of_array(d: FloatArray, gap: FloatArray, a: FloatArray, floor: FloatArray, 
 
     left, gram = d, one
     own: FloatArray = np.zeros((runs, len(one)))
-    for _ in range(PHASE_ROUNDS):  # what the effect does not explain is the noise
+    for _ in range(GUESSES):  # what the effect does not explain is the noise
         gram, product = products(a, d, (left**2).sum(axis=(0, 1)) / (freedom * d.shape[1]))
         own = np.linalg.solve(gram + one, product.T).T.astype(np.float64)
         left = d - np.einsum("tcp,kp->ktc", a, own)

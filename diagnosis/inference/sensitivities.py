@@ -32,6 +32,8 @@ LARGE, LOST = 10.0, 0.5
 """chi2 over that of noise, and the part of it that the best candidate leaves, from which effects that turn are tried at EVENLY sizes."""
 EVENLY = 64
 """Sizes up to the largest one: in a loop that begins to swing, a delay must be right to a part of the period."""
+OCTANTS = 8
+"""Parts of a turn: phases that are tried of an effect that is no sum of two parts; starts whose mean has no harmonic below the eighth."""
 NOMINAL = 8
 """Simulations of the nominal system with different noise, of each condition."""
 TOLERANCES = 3.0
@@ -85,15 +87,35 @@ class Sensitivities:
         self.evidence = gather(
             simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks, left, doubts=doubts, beyond=beyond
         )
-        self.single = {a: c for a, c in single.items() if a in self.evidence.sensitivities}
-        self.starts: dict[Address, Start] = {}
         self.bent: set[str] = set()
         """Candidates that are not proportional to their size, as far as these runs show."""
+        candidates = self._amplitudes(catalogue.candidates)
+        self.single = {c.addresses[0]: c for c in candidates if len(c.parameters) == 1 and c.addresses[0] in self.evidence.sensitivities}
+        self.starts: dict[Address, Start] = {}
         self.sizes = dict.fromkeys(self.evidence.sensitivities, 1.0)
         """parameter -> size that its sensitivity is from [prior scales]."""
         self._try_other_sizes()
-        self.candidates = [c for c in catalogue.candidates if all(a in self.evidence.sensitivities for a in c.addresses)]
+        self.candidates = [c for c in candidates if all(a in self.evidence.sensitivities for a in c.addresses)]
         self._try_variants()
+
+    def _amplitudes(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """The candidates; of one that does more alike than not with either sign of its parts, the amplitude, and variants for its phase.
+
+        Samples may be means over whole turns. What turns once with the phase is gone from them, and the rest is no sum of two parts.
+        """
+        known, space = self.evidence.sensitivities, self.evidence.space
+        parts = {c: c.addresses for c in candidates if c.has_phase and all(a in known for a in c.addresses)}
+        back = self._signatures({a: [-1.0] for addresses in parts.values() for a in addresses})
+        amplitudes = {}
+        for c, addresses in parts.items():
+            alike = [float(space.dot(known[a], back[a, -1.0])) if (a, -1.0) in back else -math.inf for a in addresses]
+            if sum(alike) > 0.0:
+                amplitude = c.with_phases(OCTANTS)
+                (address,) = amplitude.addresses
+                known[address], self.scales[address] = known[addresses[0]], c.prior.scale
+                self.bent.add(c.name)
+                amplitudes[c] = amplitude
+        return [amplitudes.get(c, c) for c in candidates]
 
     def _try_variants(self) -> None:
         """Put the variants of candidates that can be seen beside them: those that these runs tell from each other.
@@ -165,7 +187,7 @@ class Sensitivities:
 
         A delay of 50 ms does not look like one of 25 ms, twice.
         """
-        sensitivities, space, single = self.evidence.sensitivities, self.evidence.space, self.single
+        sensitivities, space, single, phases = self.evidence.sensitivities, self.evidence.space, self.single, set(self.bent)
         smaller = {a: _smaller(c) for a, c in single.items()}
         # the first place of an effect tells for the others whether they are to be tried, too; in a log each device has signals of its own
         places: dict[str, list[Address]] = {}
@@ -185,7 +207,7 @@ class Sensitivities:
                 self.bent.add(single[a].name)
             if cosine < BENT:
                 self._take_if_better(a, other[a], smaller[a])
-        turned = [a for a, cosine in alike.items() if cosine < TURNED]
+        turned = [a for a, cosine in alike.items() if cosine < TURNED or single[a].name in phases]
         sizes = {**self._much_smaller(), **{a: _sizes(single[a]) for a in turned}}
         # which nuisances these are like at one size says nothing of another
         space.find_alike({a: np.zeros_like(sensitivities[a]) for a in sizes}, self.scales)

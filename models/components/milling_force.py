@@ -10,7 +10,7 @@ import math
 
 from robomill.models.maths.elementary import atan2, exp, power, sincos, tan
 from robomill.models.maths.frames import mat_t_vec, mat_vec, quat_to_matrix
-from robomill.models.model.declaration import Model, Record, Variable, kernel
+from robomill.models.model.declaration import FloatArray, Model, Record, Variable, kernel
 from robomill.models.model.parameters import load
 from robomill.models.process import dexels as workpiece
 from robomill.models.process import tool_table
@@ -92,6 +92,15 @@ VARIABLES = (
         depends_on=_DEPENDS,
     ),
     Variable("depth", "output", "largest axial engagement of an edge", "m", display_unit="mm", depends_on=_DEPENDS),
+    Variable(
+        "f_turn_T_B",
+        "output",
+        "part of f_T_B that changes within a turn of the spindle: f_T_B less the mean over the teeth, zero without runout",
+        "N",
+        (3,),
+        depends_on=_DEPENDS,
+    ),
+    Variable("m_turn_T_B", "output", "part of m_T_B that changes within a turn of the spindle", "N.m", (3,), depends_on=_DEPENDS),
     Variable("p_BP_B", "parameter", "centre of the nominal top surface of the block (origin of P) from B, in B", "m", (3,), _P_BP_B),
     Variable(
         "quat_BP", "parameter", "orientation of P in B (z of P = up, out of the block), scalar first, unit length", "1", (4,), (1, 0, 0, 0)
@@ -190,6 +199,8 @@ VARIABLES = (
     _scratch("v_last", "the same at its beginning", "m/s", (3,)),
     _scratch("f_P", "mean force of the last step in P", "N", (3,)),
     _scratch("m_P", "mean moment of the last step in P", "N.m", (3,)),
+    _scratch("f_turn_P", "part of f_P that changes within a turn of the spindle", "N", (3,)),
+    _scratch("m_turn_P", "part of m_P that changes within a turn of the spindle", "N.m", (3,)),
     _scratch("spindle_angle", "angle of tooth 1, clockwise from +y of P", "rad"),
     _scratch("contact_share", "share of the end face that bites", "1"),
     _count("imprinted", "1 when the block has been cut with the tool at p_last"),
@@ -218,6 +229,7 @@ VARIABLES = (
     _scratch("radii", "deviation of the radius of each tooth", "m", (MAX_TEETH,)),
     _scratch("density", "force per length of edge, per tooth and bin", "N/m", (MAX_TEETH, BINS, 6)),
     _scratch("total", "integrals over the engaged edges", shape=(8,)),
+    _scratch("turning", "part of them that changes within a turn of the spindle", shape=(8,)),
     _scratch("now", "force at a sub-step", "N", (3,)),
     _scratch("height", "the workpiece: height of each cell in P", "m", (workpiece.CAPACITY,)),
     _scratch("lagging", "the same without what the tool has cut lately", "m", (workpiece.CAPACITY,)),
@@ -302,6 +314,8 @@ def step(s: Record, t: float, h: float) -> int:
     for i in range(3):
         s.f_P[i] = 0.0
         s.m_P[i] = 0.0
+        s.f_turn_P[i] = 0.0
+        s.m_turn_P[i] = 0.0
     if near and turn > LEAST_TURN:
         if s.tilt_cosine < LEAST_TILT_COSINE:
             return _TILTED
@@ -316,6 +330,8 @@ def step(s: Record, t: float, h: float) -> int:
     s.imprinted = 1 if turn > LEAST_TURN or not near else 0
     mat_vec(s.R_BP, s.f_P, s.f_T_B)
     mat_vec(s.R_BP, s.m_P, s.m_T_B)
+    mat_vec(s.R_BP, s.f_turn_P, s.f_turn_T_B)
+    mat_vec(s.R_BP, s.m_turn_P, s.m_turn_T_B)
     angle = s.spindle_angle + turn
     s.spindle_angle = angle - TWO_PI * math.floor(angle / TWO_PI)
     _carry(s)
@@ -357,6 +373,7 @@ def _force(s: Record, turn: float, h: float) -> int:
         low = s.stock_bottom - s.p_mid[2]
     for i in range(8):
         s.total[i] = 0.0
+        s.turning[i] = 0.0
     largest = 0.0
     if s.chip > 0.0:
         largest = workpiece.engagement(
@@ -388,21 +405,32 @@ def _force(s: Record, turn: float, h: float) -> int:
             s.depth = largest
             return _TOO_DEEP
         peak = _edges(s, s.spindle_angle + atan2(uy, ux), turn, low, largest, thrust)
-    # from feed, left, up to the axes of P; the axial force acts off centre (s.total[4], [5])
-    f_feed, f_left = s.total[0], s.total[1]
-    m_feed = -s.total[7] - radius * s.total[5]
-    m_left = s.total[6] + radius * s.total[4]
-    torque += radius * s.total[2]
-    s.f_P[0] = f_feed * ux - f_left * uy
-    s.f_P[1] = f_feed * uy + f_left * ux
-    s.f_P[2] = thrust - s.total[3]
-    s.m_P[0] = m_feed * ux - m_left * uy
-    s.m_P[1] = m_feed * uy + m_left * ux
+    _to_axes(s.total, ux, uy, radius, s.f_P, s.m_P)
+    _to_axes(s.turning, ux, uy, radius, s.f_turn_P, s.m_turn_P)
+    torque += s.m_P[2]
+    s.f_P[2] += thrust
     s.m_P[2] = torque
     s.f_peak = peak
     s.spindle_torque = torque
     s.spindle_power = torque * turn / h
     return 0
+
+
+@kernel
+def _to_axes(total: FloatArray, ux: float, uy: float, radius: float, f: FloatArray, m: FloatArray) -> None:
+    """Force [N] and moment [N.m] in P from integrals over the edges, which are along feed, left and up; (ux, uy) is the feed's direction.
+
+    The axial force acts off centre (total[4], [5]).
+    """
+    f_feed, f_left = total[0], total[1]
+    m_feed = -total[7] - radius * total[5]
+    m_left = total[6] + radius * total[4]
+    f[0] = f_feed * ux - f_left * uy
+    f[1] = f_feed * uy + f_left * ux
+    f[2] = -total[3]
+    m[0] = m_feed * ux - m_left * uy
+    m[1] = m_feed * uy + m_left * ux
+    m[2] = radius * total[2]
 
 
 @kernel
@@ -442,7 +470,10 @@ def _end_face(s: Record, plunge: float, h: float) -> tuple[float, float]:
 
 @kernel
 def _edges(s: Record, theta: float, turn: float, low: float, highest: float, thrust: float) -> float:
-    """Integrals over the helical edges (s.total) while tooth 1 turns from `theta` on by `turn` [rad]; the peak force [N]."""
+    """Integrals over the helical edges (s.total) while tooth 1 turns from `theta` on by `turn` [rad]; the peak force [N].
+
+    s.turning: less those of teeth that are all alike, each the mean of all, as a structure has it that does not follow a single tooth.
+    """
     tables = s.mill_teeth if s.runout > 0.0 else 1
     _densities(s, tables)
     lag = 2.0 * tan(s.mill_helix) / s.mill_diameter
@@ -454,6 +485,16 @@ def _edges(s: Record, theta: float, turn: float, low: float, highest: float, thr
         at_angle(angle, s.mill_teeth, tables, s.bounds, BINS, lag, low, highest, s.bin_depth, s.density, s.now)
         up = thrust - s.now[2]
         peak2 = max(peak2, s.now[0] * s.now[0] + s.now[1] * s.now[1] + up * up)
+    if tables > 1:
+        for b in range(BINS):
+            for i in range(6):
+                total = 0.0
+                for j in range(tables):
+                    total += s.density[j, b, i]
+                s.density[0, b, i] = total / tables
+        mean_over_rotation(theta, theta + turn, s.mill_teeth, 1, s.bounds, BINS, lag, low, highest, s.bin_depth, s.density, s.turning)
+        for i in range(8):
+            s.turning[i] = s.total[i] - s.turning[i]
     return math.sqrt(peak2)
 
 
@@ -556,11 +597,14 @@ def _forget(s: Record) -> None:
     for i in range(3):
         s.f_P[i] = 0.0
         s.m_P[i] = 0.0
+        s.f_turn_P[i] = 0.0
+        s.m_turn_P[i] = 0.0
         s.v_P[i] = 0.0
         s.p_mid[i] = 0.0
         s.now[i] = 0.0
     for i in range(8):
         s.total[i] = 0.0
+        s.turning[i] = 0.0
     for b in range(BINS):
         s.bin_depth[b] = 0.0
         for j in range(MAX_TEETH):
@@ -574,6 +618,8 @@ def _clear(s: Record) -> None:
     for i in range(3):
         s.f_T_B[i] = 0.0
         s.m_T_B[i] = 0.0
+        s.f_turn_T_B[i] = 0.0
+        s.m_turn_T_B[i] = 0.0
     s.f_peak = 0.0
     s.spindle_torque = 0.0
     s.spindle_power = 0.0

@@ -46,12 +46,14 @@ _HYSTERESIS_TORQUE = (94.0, 94.0, 94.0, 20.0, 18.0, 11.0)
 # Largest torques of the 60 validation loads of Haehn & Weigold 2020 (750 N) on A1..A6, rounded.
 _REFERENCE_TORQUE = (1560.0, 1300.0, 1140.0, 390.0, 410.0, 180.0)
 
-_INPUTS = ("q_link", "f_T_B", "m_T_B")
+_INPUTS = ("q_link", "f_T_B", "m_T_B", "f_turn_T_B", "m_turn_T_B")
 
 VARIABLES = (
     Variable("q_link", "input", "Axis angles A1..A6 on the link side of the gears", "rad", (6,), display_unit="deg"),
     Variable("f_T_B", "input", "Force on the tool at T, in B", "N", (3,)),
     Variable("m_T_B", "input", "Moment on the tool about T, in B", "N.m", (3,)),
+    Variable("f_turn_T_B", "input", "Part of f_T_B that changes within a turn of the spindle: too fast for the robot to follow", "N", (3,)),
+    Variable("m_turn_T_B", "input", "Part of m_T_B that changes within a turn of the spindle", "N.m", (3,)),
     Variable("d_T_B", "output", "Displacement of T, actual minus rigid, in B", "m", (3,), display_unit="mm", depends_on=_INPUTS),
     Variable("theta_T_B", "output", "Rotation vector of T, actual against rigid, in B", "rad", (3,), depends_on=_INPUTS),
     Variable("p_BT_B", "output", "Actual position of T", "m", (3,), display_unit="mm", depends_on=_INPUTS),
@@ -204,6 +206,8 @@ VARIABLES = (
     Variable("mode_damping", "parameter", "Damping ratio of the structural mode", "1", (), 0.02, 0.0, 0.999),
     Variable("mode_direction", "parameter", "Direction of the structural mode in B, normalised", "1", (3,), (0.0, 1.0, 0.0)),
     *GEOMETRIC_VARIABLES,
+    Variable("f_slow", "state", "Force on the tool that the robot follows, in B", "N", (3,)),
+    Variable("m_slow", "state", "Moment on the tool that the robot follows, in B", "N.m", (3,)),
     Variable("hysteresis_play", "state", "Torques that the play elements of the gears of A1..A6 hold", "N.m", (6, ELEMENTS)),
     Variable("friction_torque", "state", "Torques of the friction elements of A1..A6", "N.m", (6, ELEMENTS)),
     Variable("friction_angle", "state", "Elastic angles of the drives of A1..A6 that these belong to", "rad", (6,)),
@@ -215,8 +219,8 @@ VARIABLES = (
 
 ERRORS = (
     "",
-    "input {fault_frame} of (1: q_link, 2: f_T_B, 3: m_T_B) at t = {t} s is {fault_value}, expected a finite number of usual size "
-    "(below 1e4 rad, 1e7 N, 1e7 N.m); check the component that feeds it",
+    "input {fault_frame} of (1: q_link, 2: f_T_B, 3: m_T_B, 4: f_turn_T_B, 5: m_turn_T_B) at t = {t} s is {fault_value}, "
+    "expected a finite number of usual size (below 1e4 rad, 1e7 N, 1e7 N.m); check the component that feeds it",
     "stiffness in row {fault_frame} is {fault_value} N.m/rad, expected a positive number; set stiffness and sensor_stiffness_scale",
     "the stiffness effects of axis {fault_frame} make the drive stiffness {fault_value} times the table, expected a positive factor; "
     "choose stiffness_error > -1, stiffness_hardening >= 0, |stiffness_asymmetry| < 1",
@@ -241,7 +245,7 @@ _INPUT, _STIFFNESS, _EFFECTS, _QUATERNION, _MODE, _POSITIVE, _COUNTERBALANCE, ST
 
 @kernel
 def check_inputs(s: Record) -> int:
-    """Refuse what is not finite before the trigonometry sees it."""
+    """Refuse what is not finite before the trigonometry sees it; put the load that the robot follows into s.f_slow, s.m_slow."""
     for i in range(6):
         if not abs(s.q_link[i]) < 1e4:
             s.fault_frame = 1
@@ -256,6 +260,16 @@ def check_inputs(s: Record) -> int:
             s.fault_frame = 3
             s.fault_value = s.m_T_B[i]
             return _INPUT
+        if not abs(s.f_turn_T_B[i]) < 1e7:
+            s.fault_frame = 4
+            s.fault_value = s.f_turn_T_B[i]
+            return _INPUT
+        if not abs(s.m_turn_T_B[i]) < 1e7:
+            s.fault_frame = 5
+            s.fault_value = s.m_turn_T_B[i]
+            return _INPUT
+        s.f_slow[i] = s.f_T_B[i] - s.f_turn_T_B[i]
+        s.m_slow[i] = s.m_T_B[i] - s.m_turn_T_B[i]
     return 0
 
 
@@ -302,7 +316,7 @@ def check_parameters(s: Record) -> int:
 def _mode_load(s: Record) -> float:
     """Component of the force along the unit vector of the structural mode [N]."""
     n0, n1, n2 = s.mode_direction[0], s.mode_direction[1], s.mode_direction[2]
-    load: float = (n0 * s.f_T_B[0] + n1 * s.f_T_B[1] + n2 * s.f_T_B[2]) / math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    load: float = (n0 * s.f_slow[0] + n1 * s.f_slow[1] + n2 * s.f_slow[2]) / math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
     return load
 
 
@@ -397,7 +411,7 @@ def _gravity_moments(s: Record) -> None:
 def load_moments(s: Record) -> None:
     """Fill s.joint_moment [N.m] with what the load on the tool and wrong weights do to the virtual joints at s.q_link."""
     virtual_joints(s, s.q_link)
-    joint_moments(s, s.f_T_B, s.m_T_B)
+    joint_moments(s, s.f_slow, s.m_slow)
     _gravity_moments(s)
 
 
@@ -423,7 +437,7 @@ def bend(s: Record) -> int:
     if s.geometric_stiffness > 0.0:
         for i in range(6):
             s.drive_angle[i] = s.joint_angle[DRIVES[i], 2]
-        indefinite = follow_levers(s, s.f_T_B, s.m_T_B)
+        indefinite = follow_levers(s, s.f_slow, s.m_slow)
         if indefinite != 0:
             s.fault_frame = indefinite
             s.fault_value = s.drive_matrix[indefinite - 1, indefinite - 1]
@@ -450,7 +464,7 @@ def place_tip(s: Record, time: float) -> int:
     direction = 0.0
     distance = 0.0
     for r in range(3):
-        along += s.f_T_B[r] * s.link_R[6, r, 0]
+        along += s.f_slow[r] * s.link_R[6, r, 0]
         direction += s.mode_direction[r] * s.mode_direction[r]
         distance += s.link_p[6, r] * s.link_p[6, r]
     mode = s.mode_deflection / math.sqrt(direction)
@@ -458,8 +472,8 @@ def place_tip(s: Record, time: float) -> int:
     growth = growth / math.sqrt(distance) if distance > 0.0 else 0.0
     for r in range(3):
         s.d_T_B[r] += (
-            s.base_compliance[r] * s.f_T_B[r]
-            + s.tool_compliance * (s.f_T_B[r] - along * s.link_R[6, r, 0])
+            s.base_compliance[r] * s.f_slow[r]
+            + s.tool_compliance * (s.f_slow[r] - along * s.link_R[6, r, 0])
             + mode * s.mode_direction[r]
             + growth * s.link_p[6, r]
         )

@@ -204,9 +204,10 @@ class TestPhases:
         ((found,), _) = self.looked_at(0.065)
         assert 12.0 < found.value < 24.0
 
-    def test_the_amplitude_takes_three_rounds(self) -> None:
-        """PHASE_ROUNDS, with either sign, and the nominal one."""
-        assert self.looked_at(1.0)[1] == 1 + 3 * 2 * 2
+    @pytest.mark.parametrize(("amplitude", "rounds"), [(1.0, 1), (3.0, 2)])
+    def test_an_effect_is_simulated_until_its_amplitude_stays(self, amplitude: float, rounds: int) -> None:
+        """From the prior scale of 1 on, within TRUST; in each round with either sign of two parts, and once nominally."""
+        assert self.looked_at(amplitude)[1] == 1 + rounds * 2 * 2
 
     @pytest.mark.parametrize(("amplitude", "aligned"), [(4.5, 1), (5.5, 0)])
     def test_more_than_there_can_be_of_an_effect_is_something_else(self, amplitude: float, aligned: int) -> None:

@@ -39,6 +39,11 @@ def _moment() -> FloatArray:
     return MOMENT * _rise(0.06, 0.08)
 
 
+def _turning(load: FloatArray) -> FloatArray:
+    """What an offset cutter adds within a turn of the spindle."""
+    return 0.2 * load * np.sin(2.0 * np.pi * 83.0 * T)
+
+
 def _mill_pose() -> FloatArray:
     """Into the block from -x, 4 mm deep, bent aside by up to 0.4 mm."""
     tip = np.hstack([-0.062 + 0.06 * T, 4e-4 * _rise(0.1, 0.2) * np.sin(2.0 * np.pi * 9.0 * T), np.full_like(T, -0.004)])
@@ -69,7 +74,7 @@ def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
             },
         ),
         "robot_compliance": (
-            {"q_link": _axes(), "f_T_B": _force(), "m_T_B": _moment()},
+            {"q_link": _axes(), "f_T_B": _force(), "m_T_B": _moment(), "f_turn_T_B": _turning(_force()), "m_turn_T_B": _turning(_moment())},
             {
                 "gear_hysteresis": [1e-4] * 6,
                 "gear_friction": [70.0] * 6,
@@ -79,7 +84,7 @@ def stimulus(name: str) -> tuple[dict[str, FloatArray], dict[str, Any]]:
             },
         ),
         "robot_compliance_dynamic": (
-            {"q_link": _axes(), "f_T_B": _force(), "m_T_B": _moment()},
+            {"q_link": _axes(), "f_T_B": _force(), "m_T_B": _moment(), "f_turn_T_B": _turning(_force()), "m_turn_T_B": _turning(_moment())},
             {
                 "gear_hysteresis": [1e-4] * 6,
                 "tilt_stiffness_error": [-0.3, 0.25, 0.15, -0.12, 0.4, -0.25],

@@ -24,7 +24,7 @@ from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.axis import RIPPLE, catalogue, measure, resolve, system
 from tests.diagnosis.demo import WELL
 from tests.diagnosis.test_constants import CHANNEL, recorded
-from tests.tolerances import ROUNDOFF
+from tests.tolerances import ROUNDOFF, physics
 
 
 @pytest.mark.parametrize("phase", [0.0, 2.0, -1.2])
@@ -123,10 +123,13 @@ SPEED = 40.0
 """How fast the spindle below turns [rad/s]."""
 
 
-def turning(phases: Sequence[tuple[float, float]], start: str, seed: int = 1) -> tuple[FloatArray, FloatArray, list[Finding]]:
+def turning(
+    phases: Sequence[tuple[float, float]], start: str, seed: int = 1, missed: float = 0.0
+) -> tuple[FloatArray, FloatArray, list[Finding]]:
     """Runs of a cutter whose runout shows once and, backwards, twice a turn, beside a step: before, brought, and what is said.
 
-    `phases`: of the runout, and of the spindle where the run begins.
+    `phases`: of the runout, and of the spindle where the run begins. `missed`: what teeth that miss the chip do to the mean, from the
+    third second on; with three teeth it turns three times as fast as the phase, and not with the start.
     """
     t, rng = 0.004 * np.arange(1500), np.random.default_rng(seed)
     runout = Candidate(
@@ -145,8 +148,9 @@ def turning(phases: Sequence[tuple[float, float]], start: str, seed: int = 1) ->
     )
 
     def signal(real: float, ahead: float, begin: float) -> FloatArray:
-        turned = SPEED * t + begin
-        return np.asarray(((real + 1j * ahead) * (np.exp(1j * turned) + 0.8 * np.exp(-2j * turned))).real)
+        turned, runs_out = SPEED * t + begin, real + 1j * ahead
+        mean = missed * (runs_out**3).real / max(abs(runs_out) ** 2, 1e-9) * (t > 3.0)
+        return np.asarray((runs_out * (np.exp(1j * turned) + 0.8 * np.exp(-2j * turned))).real + mean)
 
     def sampled(_: int, changes: Setting) -> FloatArray:
         known = {parameter: v for (_, parameter), v in changes}
@@ -180,6 +184,16 @@ def test_runs_that_begin_at_any_angle_are_brought_to_one() -> None:
 def test_without_a_start_two_harmonics_are_not_of_one_phase() -> None:
     _, alone, _ = turning(STARTED, "")
     assert float(np.std(alone - alone.mean(axis=0))) > 5.0 * 0.1
+
+
+def test_what_a_phase_does_to_the_mean_stays_in_the_runs() -> None:
+    """All runs have the phase 0.5 and other starts: what is brought is the wave, with phase zero; the mean is that of phase 0.5."""
+    of_one = [(0.5, s) for _, s in STARTED]
+    _, plain, _ = turning(of_one, "begin")
+    _, brought, _ = turning(of_one, "begin", missed=4.0)
+    kept = 2.0 * 4.0 * math.cos(3.0 * 0.5)
+    late = 0.004 * np.arange(brought.shape[1]) > 3.0
+    assert float((brought - plain)[:, late].mean()) == pytest.approx(kept, abs=physics(2.0 * 4.0, SCATTERS))
 
 
 def test_runs_that_begin_alike_are_left_alone() -> None:

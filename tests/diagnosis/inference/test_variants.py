@@ -27,6 +27,8 @@ FORCE = np.random.default_rng(7).normal(size=ROWS)
 OTHER = np.sin(7.0 * T + 1.0)
 WELL = 0.03
 """Relative: what is asked of a size that 800 samples of a signal-to-noise ratio of 100 show; laws that are a little off miss by more."""
+EIGHTH = 2.0 * math.sin(math.pi / 16.0)
+"""Largest error of the cosine of three times a phase: the nearest of eight phases is off by a sixteenth of a turn there."""
 TURN = 11.0
 """Rate of a gear's error [rad/s]."""
 
@@ -119,6 +121,29 @@ def test_an_error_of_a_gear_is_found_whatever_its_phase(phase: float) -> None:
     values = physical(found.best.values)
     assert values["a", "error"] == pytest.approx(40e-6, abs=physics(40e-6, WELL))
     assert values["a", "phase"] == pytest.approx(phase, abs=physics(1.0, WELL))
+
+
+def blurred(_: int, values: Mapping[Address, float]) -> FloatArray:
+    """A cutter that runs out, of three teeth, in means over whole turns: more where teeth miss the chip, which depends on their angle."""
+    runout, angle = values.get(("a", "runout"), 0.0), values.get(("a", "angle"), 0.0)
+    missed = runout**1.5 * (ONE + 0.5 * math.cos(3.0 * angle) * TWO)
+    return (np.cos(T) + missed + values.get(("a", "other"), 0.0) * OTHER)[:, None]
+
+
+ONE, TWO = (T > 2.0) * (T < 5.0) * 1.0, (T > 4.0) * (T < 6.0) * 1.0
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.26, 1.05, -2.3])
+def test_of_what_does_not_turn_with_its_phase_the_amplitude_is_fitted_at_several_phases(angle: float) -> None:
+    """Of eight phases of a turn the nearest within the pitch of three teeth is off by 7.5 degrees at most: 22.5 degrees of the wave."""
+    parts = (f"runout{COS}angle", f"runout{SIN}angle")
+    runout = Candidate("runout", "a", "cutter", parts, 1e-3, 10.0, Prior("log-normal", 0.2, 0.7), "m", both_signs=True, locations=1)
+    found = Found(blurred, {("a", "runout"): 0.5, ("a", "angle"): angle}, runout, candidate("other"))
+    assert [c.name for c in found.best.model] == ["runout @ cutter"]
+    values = physical(found.best.values)
+    assert values["a", "runout"] == pytest.approx(0.5, abs=physics(0.5, WELL))
+    there = math.cos(3.0 * values.get(("a", "angle"), 0.0))
+    assert there == pytest.approx(math.cos(3.0 * angle), abs=physics(1.0, EIGHTH))
 
 
 def test_variants_that_do_the_same_change_neither_candidates_nor_odds() -> None:

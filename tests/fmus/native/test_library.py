@@ -124,9 +124,17 @@ def test_fmi3_dependencies_are_those_declared(built_native: Callable[..., Path])
         ("robot_drive", {"wrench_T_B": ("f_T_B", "m_T_B")}),
         (
             "robot_compliance",
-            {"wrench_T_B": ("f_T_B", "m_T_B"), "pose_BT": ("p_BT_B", "quat_BT"), "displacement_T_B": ("d_T_B", "theta_T_B")},
+            {
+                "wrench_T_B": ("f_T_B", "m_T_B"),
+                "wrench_turn_T_B": ("f_turn_T_B", "m_turn_T_B"),
+                "pose_BT": ("p_BT_B", "quat_BT"),
+                "displacement_T_B": ("d_T_B", "theta_T_B"),
+            },
         ),
-        ("milling_force", {"pose_BT": ("p_BT_B", "quat_BT"), "wrench_T_B": ("f_T_B", "m_T_B")}),
+        (
+            "milling_force",
+            {"pose_BT": ("p_BT_B", "quat_BT"), "wrench_T_B": ("f_T_B", "m_T_B"), "wrench_turn_T_B": ("f_turn_T_B", "m_turn_T_B")},
+        ),
         (
             "sensor_chain",
             {"wrench_T_B": ("f_T_B", "m_T_B"), "wrench_S_raw": ("f_S_raw", "m_S_raw"), "wrench_T_T": ("f_T_T", "m_T_T")},

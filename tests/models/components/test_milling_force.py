@@ -417,6 +417,25 @@ def test_runout_leaves_the_mean_cutting_force_and_adds_a_spindle_line() -> None:
     assert np.ptp(slot(spindle=REV_250 / 3, feed=FEED / 3)[-3:, 1]) < 1e-6
 
 
+def test_what_changes_within_a_turn_is_the_force_less_the_mean_over_the_teeth() -> None:
+    """Steps of one tooth period: three teeth, three forces; without the part that changes all are their mean, moments too."""
+    one_tooth = {"spindle": REV_250 / 3, "feed": FEED / 3}
+    for runout in (1e-5, 0.0):
+        mill = Mill([0.0, 0.0, -0.01], velocity=[FEED / 3, 0, 0], runout=runout, spindle=REV_250 / 3)
+        loads, turning = [], []
+        for k in range(60):
+            loads.append(mill.go([(k + 1) * H * FEED / 3, 0, -0.01], [FEED / 3, 0, 0])[:6])
+            turning.append(np.concatenate([mill.R_BP.inv().apply(mill.data[name][0]) for name in ("f_turn_T_B", "m_turn_T_B")]))
+        load, part = np.array(loads[-3:]), np.array(turning[-3:])
+        if runout == 0.0:
+            assert not np.any(turning)
+            assert np.array_equal(load[:, :3], slot(**one_tooth)[-3:, :3])
+        else:
+            mean = load.mean(axis=0)
+            assert load - part == pytest.approx(np.tile(mean, (3, 1)), rel=1e5 * ROUNDOFF, abs=1e5 * ROUNDOFF * np.abs(mean).max())
+            assert np.abs(part[:, :3]).max() > 10.0
+
+
 def test_runout_angle_turns_the_pattern() -> None:
     options = {"runout": 1e-5, "spindle": REV_250 / 3, "feed": FEED / 3}
     pattern = slot(**options)[-6:, 1]

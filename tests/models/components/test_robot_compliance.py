@@ -143,7 +143,7 @@ class TestPhysics:
         assert step(s, 0.0, H) == 0
         assert np.abs(outputs(s) - outputs(started(f_T_B=[500.0, 0, 0]))).max() == EXACT
         for name in OUTPUTS:
-            assert MODEL.variable(name).depends_on == ("q_link", "f_T_B", "m_T_B")
+            assert MODEL.variable(name).depends_on == ("q_link", "f_T_B", "m_T_B", "f_turn_T_B", "m_turn_T_B")
 
     def test_step_size_does_not_matter(self) -> None:
         """Quasi-static: one long step, many short ones."""
@@ -500,6 +500,17 @@ class TestStates:
         assert np.abs(again.friction_torque - once.friction_torque).max() == EXACT
 
 
+def test_the_robot_does_not_follow_what_changes_within_a_turn_of_the_spindle() -> None:
+    force, moment, turning = np.array([100.0, -400.0, 200.0]), np.array([3.0, -8.0, 5.0]), np.array([20.0, -30.0, 50.0])
+    effects = {"base_compliance": 1e-7, "tool_compliance": 1e-7, "mode_compliance": 1e-7, "geometric_stiffness": 1.0}
+    alone = started(f_T_B=force - turning, m_T_B=moment - 0.1 * turning, **effects)
+    beside = started(f_T_B=force, m_T_B=moment, f_turn_T_B=turning, m_turn_T_B=0.1 * turning, **effects)
+    assert np.array_equal(outputs(alone), outputs(beside))
+    assert not np.allclose(outputs(beside), outputs(started(f_T_B=force, m_T_B=moment, **effects)), rtol=0.0, atol=1e-6)
+    assert init(instance(f_turn_T_B=[np.nan, 0.0, 0.0])) != 0
+    assert init(instance(m_turn_T_B=[0.0, np.inf, 0.0])) != 0
+
+
 def test_compiled_gives_the_same_bits_as_plain_python() -> None:
     """All effects on, 300 steps of random inputs, every byte of the record."""
     compiled_init, compiled_step = MODEL.compiled()
@@ -550,9 +561,13 @@ class TestErrors:
     @pytest.mark.parametrize(
         ("name", "value", "text"),
         [
-            ("q_link", np.nan, "input 1 of (1: q_link, 2: f_T_B, 3: m_T_B) at t = 1.5 s is nan, expected a finite number"),
-            ("f_T_B", np.inf, "input 2 of (1: q_link, 2: f_T_B, 3: m_T_B) at t = 1.5 s is inf"),
-            ("m_T_B", -1e9, "input 3 of (1: q_link, 2: f_T_B, 3: m_T_B) at t = 1.5 s is -1000000000.0"),
+            (
+                "q_link",
+                np.nan,
+                "input 1 of (1: q_link, 2: f_T_B, 3: m_T_B, 4: f_turn_T_B, 5: m_turn_T_B) at t = 1.5 s is nan, expected a finite number",
+            ),
+            ("f_T_B", np.inf, "input 2 of (1: q_link, 2: f_T_B, 3: m_T_B, 4: f_turn_T_B, 5: m_turn_T_B) at t = 1.5 s is inf"),
+            ("m_T_B", -1e9, "input 3 of (1: q_link, 2: f_T_B, 3: m_T_B, 4: f_turn_T_B, 5: m_turn_T_B) at t = 1.5 s is -1000000000.0"),
         ],
     )
     def test_inputs_that_are_no_numbers(self, name: str, value: float, text: str) -> None:

@@ -462,7 +462,7 @@ def test_impossible_inertia_is_refused() -> None:
 def test_axes_that_jump_are_refused_and_errors_of_the_static_robot_stay() -> None:
     assert "turns elastically by" in failure(step=True, jump=0.1)
     assert "the step size is 0.0 s, expected a positive one" in failure(step=True, h=0.0)
-    assert "input 2 of (1: q_link, 2: f_T_B, 3: m_T_B)" in failure(f_T_B=np.full(3, np.nan))
+    assert "input 2 of (1: q_link, 2: f_T_B, 3: m_T_B, 4: f_turn_T_B, 5: m_turn_T_B)" in failure(f_T_B=np.full(3, np.nan))
     assert "stiffness in row 1 is -1.0 N.m/rad" in failure(stiffness=np.full((11, 3), -1.0))
 
 

@@ -407,7 +407,7 @@ def test_friction_that_holds_at_rest_turns_over_within_the_presliding_angle() ->
 
 
 def test_friction_at_the_motor_turns_over_while_the_motor_crosses_the_gap_of_the_gear() -> None:
-    """Where the path turns, the motor goes through the whole gap 2 b at once, and the axis a step; from +1 it is 2 exp(-(2 b + step) / d) - 1."""
+    """Where the path turns, the motor goes through the gap 2 b at once, and the axis a step: 2 exp(-(2 b + step) / d) - 1 of +1 is left."""
     way, d, b = np.concatenate([np.arange(26), np.arange(24, -1, -1)]) * 1e-4, 5e-5, 30e-6
     path = lambda t: WORK + np.where(np.arange(6) == 0, np.interp(t, 0.004 * np.arange(len(way)), way), 0.0)  # noqa: E731
     law = {"friction_coulomb": 200.0, "friction_presliding": d, "half_gap": [b, 0.0, 0.0, 0.0, 0.0, 0.0]}

@@ -25,14 +25,14 @@ TOOTH_PER_MILLISECOND = 2.0 * math.pi * 1000.0 / 3.0
 """Spindle speed [rad/s] at which a step of 1, 2 or 4 ms holds whole tooth periods: the mean force is smooth in time."""
 
 
-def mill(h, algorithm, delayed=False, loop="auto", stop=STOP, **settings):
-    """The tool goes into the block on a straight line, the robot gives way."""
+def mill(h, algorithm, delayed=False, loop="auto", stop=STOP, runout=0.0, spindle=TOOTH_PER_MILLISECOND, turns=True, **settings):
+    """The tool goes into the block on a straight line, the robot gives way; without `turns` to each turn of the spindle, too."""
     ports = [PortData(f"q[{i}]", "output", unit="rad", dependencies=()) for i in range(1, 7)]
     ports += [PortData(f"v[{i}]", "output", unit="m/s", dependencies=()) for i in range(1, 4)]
     ports += [PortData("n", "output", unit="rad/s", dependencies=())]
-    path = Mock("path", ports, lambda u, t: [*(FROM + (TO - FROM) * t / 0.8), *FEED, TOOTH_PER_MILLISECOND])
+    path = Mock("path", ports, lambda u, t: [*(FROM + (TO - FROM) * t / 0.8), *FEED, spindle])
     compliance, milling = InProcessSlave(COMPLIANCE, "compliance"), InProcessSlave(MILLING, "milling")
-    milling.configure(BLOCK)
+    milling.configure(BLOCK | {"runout": runout})
     back = "=>" if delayed else "->"
     connections = (
         "path.q -> compliance.q_link",
@@ -43,6 +43,8 @@ def mill(h, algorithm, delayed=False, loop="auto", stop=STOP, **settings):
         f"milling.f_T_B {back} compliance.f_T_B",
         f"milling.m_T_B {back} compliance.m_T_B",
     )
+    if turns:
+        connections += tuple(f"milling.{part} {back} compliance.{part}" for part in ("f_turn_T_B", "m_turn_T_B"))
     slaves = [path, compliance, milling]
     s = system(slaves, *connections, step=h, algorithm=algorithm, iteration=Iteration(**settings))
     return run(s, stop=stop, resolver=resolver(slaves), loop=loop)
@@ -92,8 +94,25 @@ class TestMillingLoop:
         d = np.zeros(len(alone.interface.outputs))
         q = FROM + (TO - FROM) * r.t[:, None] / 0.8
         for k in range(1, len(r.t)):
-            alone.set_inputs(np.concatenate([q[k], r["milling.f_T_B"][k], r["milling.m_T_B"][k]]))
+            alone.set_inputs(np.concatenate([q[k], r["milling.f_T_B"][k], r["milling.m_T_B"][k], np.zeros(6)]))
             alone.step(r.t[k - 1], 0.004)
             alone.get_outputs(d)
             found = r["compliance.d_T_B"][k]
             assert np.max(np.abs(d[:3] - found)) <= 10 * ROUNDOFF * np.max(np.abs(r["compliance.d_T_B"])), k
+
+    def test_what_a_runout_does_to_the_mean_does_not_depend_on_the_step(self):
+        """A robot without inertia that followed the spindle (10 000 rev/min, two turns in 12 ms) would follow half of it at 4 ms."""
+
+        def mean(h, turns):
+            """What a runout adds to the mean over two turns [m], the robot's along the feed."""
+            spindle = 10_000 * 2.0 * math.pi / 60.0
+            off, true = (
+                mill(h, "gauss-seidel", delayed=True, runout=runout, spindle=spindle, turns=turns)["compliance.d_T_B"]
+                for runout in (4e-5, 0.0)
+            )
+            return (off - true)[1:].reshape(25, -1, 3).mean(axis=1)[12:]
+
+        coarse, fine = mean(0.004, turns=True), mean(0.002, turns=True)
+        assert np.abs(coarse - fine).max() < 0.05 * np.abs(fine).max()
+        coarse, fine = mean(0.004, turns=False), mean(0.002, turns=False)
+        assert np.abs(coarse - fine).max() > 0.2 * np.abs(fine).max()
