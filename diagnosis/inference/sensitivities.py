@@ -99,20 +99,25 @@ class Sensitivities:
         self._try_variants()
 
     def _amplitudes(self, candidates: Sequence[Candidate]) -> list[Candidate]:
-        """The candidates; of one that does more alike than not with either sign of its parts, the amplitude, and variants for its phase.
+        """The candidates; of one that is no sum of its parts the amplitude, and variants for its phase.
 
-        Samples may be means over whole turns. What turns once with the phase is gone from them, and the rest is no sum of two parts.
+        Samples may be means over whole turns. What turns once with the phase is gone from them; the rest goes around three times, or stays.
+        A sum is refused where it is worse than nothing for what the effect does at half, three quarters and an eighth of a turn.
         """
-        known, space = self.evidence.sensitivities, self.evidence.space
-        parts = {c: c.addresses for c in candidates if c.has_phase and all(a in known for a in c.addresses)}
-        back = self._signatures({a: [-1.0] for addresses in parts.values() for a in addresses})
+        known, space, n = self.evidence.sensitivities, self.evidence.space, len(self.conditions)
+        parts = [c for c in candidates if c.has_phase and all(a in known for a in c.addresses)]
+        turned = [(-1.0, 0.0), (0.0, -1.0), (math.sqrt(0.5), math.sqrt(0.5))]
+        settings = [setting({a: x * self.scales[a] for a, x in zip(c.addresses, xs, strict=True)}) for c in parts for xs in turned]
+        results = self.simulator.many([(i, self.simulator.seeded(s)) for s in settings for i in self.conditions], "phases")
+        does = [self.evidence.signature(results[k * n : (k + 1) * n]) for k in range(len(settings))]
         amplitudes = {}
-        for c, addresses in parts.items():
-            alike = [float(space.dot(known[a], back[a, -1.0])) if (a, -1.0) in back else -math.inf for a in addresses]
-            if sum(alike) > 0.0:
+        for k, c in enumerate(parts):
+            columns = np.stack([known[a] for a in c.addresses])
+            done = [(d, np.array(xs) @ columns) for d, xs in zip(does[len(turned) * k :], turned, strict=False) if d is not None]
+            if done and sum(float(space.dot(d - s, d - s) - space.dot(d, d)) for d, s in done) > 0.0:
                 amplitude = c.with_phases(OCTANTS)
                 (address,) = amplitude.addresses
-                known[address], self.scales[address] = known[addresses[0]], c.prior.scale
+                known[address], self.scales[address] = columns[0], c.prior.scale
                 self.bent.add(c.name)
                 amplitudes[c] = amplitude
         return [amplitudes.get(c, c) for c in candidates]

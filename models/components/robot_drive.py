@@ -167,7 +167,7 @@ def motor_torque(s: Record) -> None:
     axis_torque(s, s.q, s.qd, s.qdd, s.f_T_B, s.m_T_B, s.tau)
     for i in range(6):
         if s.friction_viscous[i] != 0.0 or s.friction_coulomb[i] != 0.0 or s.friction_stribeck[i] != 0.0:
-            side = s.friction_side[i] if s.friction_presliding > 0.0 else tanh(s.qd[i] / s.friction_smooth_speed)
+            side = s.friction_side[i] if s.friction_presliding[i] > 0.0 else tanh(s.qd[i] / s.friction_smooth_speed)
             s.tau[i] += friction_torque(
                 s.qd[i], s.friction_viscous[i], s.friction_coulomb[i], s.friction_stribeck[i], side, s.stribeck_speed
             )
@@ -310,10 +310,10 @@ def step(s: Record, t: float, h: float) -> int:
         gap = s.gap[i] - moved - s.half_gap[i] * (s.direction[i] - before)
         s.gap[i] = min(max(gap, -half), half)
         motor = q + s.half_gap[i] * s.direction[i]
-        if s.friction_at_motor:
+        if s.friction_at_motor[i]:
             rubbed = motor - s.q_motor[i]
-        if s.friction_presliding > 0.0:
-            s.friction_side[i] = presliding(s.friction_side[i], rubbed, s.friction_presliding)
+        if s.friction_presliding[i] > 0.0:
+            s.friction_side[i] = presliding(s.friction_side[i], rubbed, s.friction_presliding[i])
         s.q_motor[i] = motor
         s.q_link[i] = q + (s.gap[i] + s.half_gap[i] * s.direction[i])
     status = link_errors(s)
@@ -441,7 +441,7 @@ MODEL = Model(
             "parameter",
             "Axis angle over which dry friction turns over after a reversal, and holds at rest; 0: it goes with the speed",
             "rad",
-            (),
+            (6,),
             0.0,
             0.0,
             1e-2,
@@ -450,6 +450,7 @@ MODEL = Model(
             "friction_at_motor",
             "parameter",
             "Dry friction that holds at rest goes with the motor, through the gap of the gear, too; else with the axis",
+            shape=(6,),
             kind="boolean",
         ),
         Variable("stribeck_speed", "parameter", "Axis speed at which the Stribeck part has fallen to 1/e", "rad/s", (), 0.02, 1e-6, 10.0),

@@ -67,7 +67,7 @@ def test_effects_of_a_machine_count_one_by_one_at_their_element():
 def test_a_phase_or_a_shape_beside_a_size_is_no_effect_that_is_claimed():
     t = truth("machine", ("drive", "friction_coulomb[3]", 200.0), ("milling", "runout", 2e-5))
     rubbing, turning = entry("drive", "friction_coulomb[3]", 0.9), entry("milling", "runout", 0.9)
-    rubbing["parameters"] |= {"friction_presliding": {"value": 1e-4, "interval": [5e-5, 2e-4], "unit": "rad"}}
+    rubbing["parameters"] |= {"friction_presliding[1]": {"value": 1e-4, "interval": [5e-5, 2e-4], "unit": "rad"}}
     turning["parameters"] |= {"runout_angle": {"value": 0.3, "interval": [0.1, 0.5], "unit": "rad"}}
     found = figures(cases((t, said("identified", rubbing, turning))))
     assert (found["machine_true"].value, found["machine_true"].count) == (1.0, 2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -123,27 +124,33 @@ def test_an_error_of_a_gear_is_found_whatever_its_phase(phase: float) -> None:
     assert values["a", "phase"] == pytest.approx(phase, abs=physics(1.0, WELL))
 
 
-def blurred(_: int, values: Mapping[Address, float]) -> FloatArray:
+def blurred(_: int, values: Mapping[Address, float], alike: float = 1.0) -> FloatArray:
     """A cutter that runs out, of three teeth, in means over whole turns: more where teeth miss the chip, which depends on their angle."""
     runout, angle = values.get(("a", "runout"), 0.0), values.get(("a", "angle"), 0.0)
-    missed = runout**1.5 * (ONE + 0.5 * math.cos(3.0 * angle) * TWO)
+    missed = runout**1.5 * (alike * ONE + 0.5 * math.cos(3.0 * angle) * TWO)
     return (np.cos(T) + missed + values.get(("a", "other"), 0.0) * OTHER)[:, None]
 
 
+PARTS = (f"runout{COS}angle", f"runout{SIN}angle")
+RUNOUT = Candidate("runout", "a", "cutter", PARTS, 1e-3, 10.0, Prior("log-normal", 0.2, 0.7), "m", both_signs=True, locations=1)
 ONE, TWO = (T > 2.0) * (T < 5.0) * 1.0, (T > 4.0) * (T < 6.0) * 1.0
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.26, 1.05, -2.3])
 def test_of_what_does_not_turn_with_its_phase_the_amplitude_is_fitted_at_several_phases(angle: float) -> None:
     """Of eight phases of a turn the nearest within the pitch of three teeth is off by 7.5 degrees at most: 22.5 degrees of the wave."""
-    parts = (f"runout{COS}angle", f"runout{SIN}angle")
-    runout = Candidate("runout", "a", "cutter", parts, 1e-3, 10.0, Prior("log-normal", 0.2, 0.7), "m", both_signs=True, locations=1)
-    found = Found(blurred, {("a", "runout"): 0.5, ("a", "angle"): angle}, runout, candidate("other"))
+    found = Found(blurred, {("a", "runout"): 0.5, ("a", "angle"): angle}, RUNOUT, candidate("other"))
     assert [c.name for c in found.best.model] == ["runout @ cutter"]
     values = physical(found.best.values)
     assert values["a", "runout"] == pytest.approx(0.5, abs=physics(0.5, WELL))
     there = math.cos(3.0 * values.get(("a", "angle"), 0.0))
     assert there == pytest.approx(math.cos(3.0 * angle), abs=physics(1.0, EIGHTH))
+
+
+def test_what_turns_three_times_as_fast_as_its_phase_is_no_sum_of_two_parts() -> None:
+    """Half a turn on it has the other sign, as a sum has; an eighth of a turn on it is no mean of both parts."""
+    found = Found(partial(blurred, alike=0.0), {("a", "runout"): 0.5, ("a", "angle"): 0.1}, RUNOUT, candidate("other"))
+    assert {len(c.parameters) for c in found.search.candidates if c.effect == "runout"} == {1}
 
 
 def test_variants_that_do_the_same_change_neither_candidates_nor_odds() -> None:

@@ -397,7 +397,7 @@ def test_friction_that_holds_at_rest_turns_over_within_the_presliding_angle() ->
     """A ramp of 25 steps, a rest, and back: 1 - exp(-x / d) and 2 exp(-x / d) - 1 of Coulomb friction, x the way since the turn."""
     way, d = np.concatenate([np.arange(26), np.full(10, 25), np.arange(24, -1, -1)]) * 1e-5, 5e-5
     path = lambda t: WORK + np.where(np.arange(6) == 0, np.interp(t, 0.004 * np.arange(len(way)), way), 0.0)  # noqa: E731
-    law = {"friction_coulomb": 200.0, "friction_presliding": d}
+    law = {"friction_coulomb": 200.0, "friction_presliding": [d] * 6}
     real, free = (run(60, q_ref=path, parameters=p)["torque_motor"][:, 0] for p in (law, {}))
     added = (real - free) * KR300_DYNAMICS.gear_ratio[0]
     top = 200.0 * (1.0 - math.exp(-25e-5 / d))
@@ -410,10 +410,10 @@ def test_friction_at_the_motor_turns_over_while_the_motor_crosses_the_gap_of_the
     """Where the path turns, the motor goes through the gap 2 b at once, and the axis a step: 2 exp(-(2 b + step) / d) - 1 of +1 is left."""
     way, d, b = np.concatenate([np.arange(26), np.arange(24, -1, -1)]) * 1e-4, 5e-5, 30e-6
     path = lambda t: WORK + np.where(np.arange(6) == 0, np.interp(t, 0.004 * np.arange(len(way)), way), 0.0)  # noqa: E731
-    law = {"friction_coulomb": 200.0, "friction_presliding": d, "half_gap": [b, 0.0, 0.0, 0.0, 0.0, 0.0]}
+    law = {"friction_coulomb": 200.0, "friction_presliding": [d] * 6, "half_gap": [b, 0.0, 0.0, 0.0, 0.0, 0.0]}
     at_motor, at_axis, free = (
         run(50, q_ref=path, parameters=p)["torque_motor"][:, 0]
-        for p in ({**law, "friction_at_motor": True}, law, {"half_gap": law["half_gap"]})
+        for p in ({**law, "friction_at_motor": [True] * 6}, law, {"half_gap": law["half_gap"]})
     )
     for real, gap in ((at_motor, 2.0 * b), (at_axis, 0.0)):
         added = (real - free) * KR300_DYNAMICS.gear_ratio[0]
