@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from robomill.diagnosis.catalogue import Candidate
 from robomill.diagnosis.experiment.measured import Condition
-from robomill.diagnosis.experiment.simulation import Laboratory, setting
+from robomill.diagnosis.experiment.simulation import Laboratory, decimate, setting
 from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.inference.evidence import TRUST, dependence
 from robomill.diagnosis.inference.noise import fast
@@ -64,12 +64,35 @@ def aligned(laboratory: Laboratory, candidates: Sequence[Candidate], n: int) -> 
         if min(sizes) > c.maximum or max(sizes) < c.minimum:
             continue  # more than there can be of it, or too little to count: the runs differ by something else
         known += [_turned(laboratory, i, c) for i in range(n, len(laboratory.conditions))]
+        laboratory.decimation = _whole_turns(laboratory, [(i, k) for i, k in enumerate(known[:n]) if k is not None])
         laboratory.conditions = [
             x if k is None else _brought(x, k, laboratory.channels) for x, k in zip(laboratory.conditions, known, strict=True)
         ]
         text = f"differs from run to run ({c.effect}, {c.location}): the runs were brought to phase zero"
         found.append(Finding(f"{c.component}.{c.named[1]}", "phase", gain, "1", text, fatal=False, repaired=True))
     return found
+
+
+def _whole_turns(laboratory: Laboratory, known: Sequence[tuple[int, _Turned]]) -> int:
+    """Steps that a sample is the mean over: at most twice as many as so far, the fewest in which what turns is gone but for TRUST.
+
+    Of samples that are no means nothing is gone. Where a part of a turn is left in a mean, what the effect does with its phase and what
+    it does to the mean are in one sample, and only the former was brought.
+    """
+    first = laboratory.decimation
+    if first == 1:
+        return first
+
+    def left(decimation: int) -> float:
+        shares = []
+        for i, k in known:
+            factor = max(1, round(decimation / first * laboratory.factor(i)))
+            means = decimate(k.columns.reshape(len(k.columns), -1), factor).reshape(-1, *k.columns.shape[1:])
+            shares.append((means**2).mean(axis=(0, 2)) / ((k.columns**2).mean(axis=(0, 2)) + 1e-300))
+        return float(np.median(np.concatenate(shares)))
+
+    tried = {d: left(d) for d in range(first, 2 * first + 1)}
+    return next((d for d, share in tried.items() if share <= TRUST**2), min(tried, key=lambda d: tried[d]))
 
 
 def _turned(laboratory: Laboratory, i: int, c: Candidate) -> _Turned | None:
