@@ -272,7 +272,9 @@ class Search:
         while bases:
             best = _most(fits)
             grown = sorted(self.linear_fits(bases), key=_evidence, reverse=True)
-            chosen = _first([f for f in grown if f.log_evidence > best + GROWTH_GAIN], EXTENSIONS * len(bases))
+            # a fault of the log does what its signature says: one that explains too little takes no place from others
+            exact = [f for f in grown if not any(c.component == LOGGING for c in f.model) or self._worth(f, fits)]
+            chosen = _first([f for f in exact if f.log_evidence > best + GROWTH_GAIN], EXTENSIONS * len(bases))
             hidden = {frozenset(f.model) for f in grown if f not in chosen and self._hidden(f)}
             chosen += [f for f in grown if frozenset(f.model) in hidden]
             level = [f for f in self._sharpened(self.polish(self.refine(chosen), chosen)) if self._worth(f, fits)]
