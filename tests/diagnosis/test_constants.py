@@ -194,7 +194,7 @@ class TestPhases:
             return np.asarray(sum((v * waves[a] for a, v in changes), np.zeros(len(T))))[:, None]
 
         laboratory: Any = SimpleNamespace(
-            conditions=[Condition("", {}, tuple(map(recorded, runs)), T)], channels=[CHANNEL], sampled=sampled
+            conditions=[Condition("", {}, tuple(map(recorded, runs)), T)], channels=[CHANNEL], sampled=sampled, decimation=1
         )
         return phases.aligned(laboratory, [self.RIPPLE], 1), len(asked)
 

@@ -124,14 +124,16 @@ SPEED = 40.0
 
 
 def turning(
-    phases: Sequence[tuple[float, float]], start: str, seed: int = 1, missed: float = 0.0
-) -> tuple[FloatArray, FloatArray, list[Finding]]:
-    """Runs of a cutter whose runout shows once and, backwards, twice a turn, beside a step: before, brought, and what is said.
+    phases: Sequence[tuple[float, float]], start: str, missed: float = 0.0, speed: float = SPEED, decimation: int = 1
+) -> tuple[FloatArray, FloatArray, list[Finding], int]:
+    """Runs of a cutter whose runout shows once and, backwards, twice a turn, beside a step.
+
+    Before, brought, what is said, and of how many steps a sample is the mean then.
 
     `phases`: of the runout, and of the spindle where the run begins. `missed`: what teeth that miss the chip do to the mean, from the
     third second on; with three teeth it turns three times as fast as the phase, and not with the start.
     """
-    t, rng = 0.004 * np.arange(1500), np.random.default_rng(seed)
+    t, rng = 0.004 * np.arange(1500), np.random.default_rng(1)
     runout = Candidate(
         "runout",
         "mill",
@@ -148,7 +150,7 @@ def turning(
     )
 
     def signal(real: float, ahead: float, begin: float) -> FloatArray:
-        turned, runs_out = SPEED * t + begin, real + 1j * ahead
+        turned, runs_out = speed * t + begin, real + 1j * ahead
         mean = missed * (runs_out**3).real / max(abs(runs_out) ** 2, 1e-9) * (t > 3.0)
         return np.asarray((runs_out * (np.exp(1j * turned) + 0.8 * np.exp(-2j * turned))).real + mean)
 
@@ -157,12 +159,13 @@ def turning(
         return signal(known.get("runout cos angle", 0.0), known.get("runout sin angle", 0.0), known.get("begin", 0.0))[:, None]
 
     runs = [2.0 * signal(np.cos(p), np.sin(p), s) + 0.1 * rng.normal(size=len(t)) + 3.0 * (t > 3.0) for p, s in phases]
+    conditions = [Condition("", {}, tuple(recorded(x, t) for x in runs), t)]
     laboratory: Any = SimpleNamespace(
-        conditions=[Condition("", {}, tuple(recorded(x, t) for x in runs), t)], channels=[CHANNEL], sampled=sampled
+        conditions=conditions, channels=[CHANNEL], sampled=sampled, decimation=decimation, factor=lambda _: decimation
     )
     said = aligned(laboratory, [runout], 1)
     (condition,) = laboratory.conditions
-    return np.stack(runs), np.stack([condition.matrix(r, [CHANNEL])[:, 0] for r in condition.runs]), said
+    return np.stack(runs), np.stack([condition.matrix(r, [CHANNEL])[:, 0] for r in condition.runs]), said, laboratory.decimation
 
 
 SCATTERS = 0.02
@@ -171,7 +174,7 @@ STARTED = [(0.3, 1.0), (2.1, 4.0), (-1.6, 2.2), (3.0, 5.5), (1.1, 0.2), (-2.5, 3
 
 
 def test_runs_that_begin_at_any_angle_are_brought_to_one() -> None:
-    before, brought, said = turning(STARTED, "begin")
+    before, brought, said, _ = turning(STARTED, "begin")
     assert [f.kind for f in said] == ["phase"]
     t = 0.004 * np.arange(before.shape[1])
     there = 2.0 * (np.cos(SPEED * t) + 0.8 * np.cos(2.0 * SPEED * t)) + 3.0 * (t > 3.0)
@@ -182,21 +185,32 @@ def test_runs_that_begin_at_any_angle_are_brought_to_one() -> None:
 
 
 def test_without_a_start_two_harmonics_are_not_of_one_phase() -> None:
-    _, alone, _ = turning(STARTED, "")
+    _, alone, *_ = turning(STARTED, "")
     assert float(np.std(alone - alone.mean(axis=0))) > 5.0 * 0.1
 
 
 def test_what_a_phase_does_to_the_mean_stays_in_the_runs() -> None:
     """All runs have the phase 0.5 and other starts: what is brought is the wave, with phase zero; the mean is that of phase 0.5."""
     of_one = [(0.5, s) for _, s in STARTED]
-    _, plain, _ = turning(of_one, "begin")
-    _, brought, _ = turning(of_one, "begin", missed=4.0)
+    _, plain, *_ = turning(of_one, "begin")
+    _, brought, *_ = turning(of_one, "begin", missed=4.0)
     kept = 2.0 * 4.0 * math.cos(3.0 * 0.5)
     late = 0.004 * np.arange(brought.shape[1]) > 3.0
     assert float((brought - plain)[:, late].mean()) == pytest.approx(kept, abs=physics(2.0 * 4.0, SCATTERS))
 
 
+@pytest.mark.parametrize(("decimation", "whole"), [(1, 1), (2, 3), (3, 3), (4, 6), (5, 6), (7, 9)])
+def test_samples_are_means_over_whole_turns(decimation: int, whole: int) -> None:
+    """A turn takes one and a half steps (10 000 rev/min at 4 ms): three steps are two turns. Samples that are no means stay so."""
+    assert turning(STARTED, "begin", speed=2.0 * math.pi / (1.5 * 0.004), decimation=decimation)[3] == whole
+
+
+def test_where_no_samples_hold_whole_turns_they_hold_least_of_a_part() -> None:
+    """A turn of 9.5 steps: of up to eight steps eight leave least."""
+    assert turning(STARTED, "begin", speed=2.0 * math.pi / (9.5 * 0.004), decimation=4)[3] == 8
+
+
 def test_runs_that_begin_alike_are_left_alone() -> None:
-    before, brought, said = turning(STARTED[:1] * 6, "begin")
+    before, brought, said, _ = turning(STARTED[:1] * 6, "begin")
     assert said == []
     assert np.array_equal(before, brought)

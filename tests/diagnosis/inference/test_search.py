@@ -28,7 +28,7 @@ from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
 from robomill.orchestration.system.definition import Component, System
 from tests.diagnosis.demo import SYSTEM, WELL, Part, catalogue, changed, measure, real, resolve
-from tests.diagnosis.formula import candidate
+from tests.diagnosis.formula import Calculated, candidate
 from tests.diagnosis.inference.test_machines import Known
 from tests.tolerances import ROUNDOFF, chance
 
@@ -100,6 +100,27 @@ def test_a_fault_of_the_log_must_explain_most_of_what_is_left_and_an_effect_a_pa
             assert not s._worth(fit(s, values, left=1.0 - share + 0.01), [alone])
         # beside a clock that is there already, an effect is asked for its part only
         assert s._worth(fit(s, {GAIN: 0.04, CLOCK: 0.02}, left=0.9), [fit(s, {CLOCK: 0.02}, left=1.0)])
+
+
+def test_a_fault_of_the_log_that_explains_too_little_takes_no_place_from_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An effect leaves a clock 60 % and another effect 40 % of what it leaves. The clock comes first by evidence, and last by FAULT."""
+    monkeypatch.setattr(search_module, "BASES", 1)
+    monkeypatch.setattr(search_module, "EXTENSIONS", 1)
+    monkeypatch.setattr(search_module, "SINGLES", 1)
+    t = np.arange(600)
+    signals = {("a", "first"): np.sin(0.05 * t), ("a", "second"): np.sin(0.11 * t), ("logging", "lag a.*"): np.sin(0.19 * t)}
+
+    def formula(_: int, values: Mapping[Address, float]) -> FloatArray:
+        return np.asarray(sum((v * signals[a] for a, v in values.items()), np.zeros(len(t))))[:, None]
+
+    truth = {("a", "first"): 4.0, ("a", "second"): math.sqrt(0.4), ("logging", "lag a.*"): math.sqrt(0.6)}
+    rng = np.random.default_rng(1)
+    groups = [[formula(0, truth) + 0.01 * rng.normal(size=(len(t), 1)) for _ in range(4)]]
+    clock = replace(candidate("lag a.*"), component="logging", effect="clock")
+    entries = (candidate("first"), candidate("second"), clock)
+    found = Search(Catalogue(Path("made up"), entries), Simulator(Calculated(formula, len(t))), groups, ()).run()
+    best = max(found, key=lambda f: f.log_evidence)
+    assert [c.effect for c in best.model] == ["first", "second", "clock"]
 
 
 class Swing(Part):
