@@ -16,6 +16,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -312,6 +313,9 @@ class Catalogue:
         Entries about the log stay.
         """
         left_out: dict[str, dict[str, dict[str, None]]] = {}
+        used: dict[str, set[str]] = {}  # what another effect names is not what this one meant
+        for c in self.candidates:
+            used.setdefault(c.component, set()).update(c.named)
 
         def there(kind: str, entry: str, component: str, *names: str) -> bool:
             if component == LOGGING:
@@ -323,7 +327,10 @@ class Catalogue:
                 lack = (
                     f"component {component!r} has no parameters for" if elements is not None else f"there is no component {component!r} for"
                 )
-                left_out.setdefault(lack, {}).setdefault(kind, {})[entry] = None
+                missed = [n for n in names if n not in known] if elements is not None else []
+                near = [match for n in missed for match in get_close_matches(n, sorted(known - used.get(component, set())), n=1)]
+                meant = f" (no {missed[0]!r}; did you mean {near[0]!r}?)" if near else ""
+                left_out.setdefault(lack, {}).setdefault(kind, {})[entry + meant] = None
             return fits
 
         candidates = tuple(c for c in self.candidates if there("effects", c.effect, c.component, *c.named))

@@ -282,10 +282,11 @@ def lines(answer: Answer) -> list[str]:
         out.append(f"where: {answer.not_replayed}")
     for e in answer.which[:6]:
         values = ", ".join(f"{k} = {v.value:.4g} [{v.interval[0]:.4g} .. {v.interval[1]:.4g}] {v.unit}" for k, v in e.parameters.items())
-        out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}, {values}")
+        idle = "" if e.material else "; closes next to nothing: listed, no cause"
+        out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}, {values}{idle}")
     if t := answer.transfer:
         gain = f"gains {t.gain:.4g} nats of {t.expected_gain:.4g} expected"
-        out.append(f"new conditions: {gain}, leaves {t.after:.2f} times the chi2 of noise, nominal {t.before:.2f}")
+        out.append(f"new conditions: {gain}, leaves {t.after:.2f} times the chi2 of noise and discrepancy, nominal {t.before:.2f}")
     for h in answer.how_far:
         if h.unit != "1":
             closed = "not measurable" if h.closure is None else f"closure {100 * h.closure:.0f} %"
@@ -293,7 +294,8 @@ def lines(answer: Answer) -> list[str]:
     if answer.unknown:
         for x in answer.unknown.instead:
             there = ", ".join(x.ports)
-            out.append(f"stand-in: {x.effect}; {x.law} in its place does better in {there}, by {100 * x.gain:.1f} % of the gap there")
+            part = "more than all" if x.gain > 1.0 else f"{100 * x.gain:.1f} %"  # an effect may make the gap larger
+            out.append(f"stand-in: {x.effect}; {x.law} in its place does better in {there}, by {part} of the gap there")
     if answer.onset:
         out.append(f"onset: {answer.onset.text}")
     if answer.form:

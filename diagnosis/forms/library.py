@@ -48,7 +48,10 @@ class Factor:
     @property
     def text(self) -> str:
         """As a formula has it."""
-        return TEXTS[self.kind].format(x=self.variable.text, p=self.shape, u=self.variable.unit)
+        x = self.variable.text
+        if self.kind in ("square", "cube") and self.variable.rate:
+            x = f"({x})"  # d(q)/dt^2 would be an acceleration
+        return TEXTS[self.kind].format(x=x, p=self.shape, u=self.variable.unit)
 
     def pattern(self, index: str) -> str:
         """What is the same in all joints: the text with `index` as `i`, without the scale of a root, which its coefficient takes up."""

@@ -137,9 +137,13 @@ class Conclusion:
         instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if tried else Laws()
         if instead.found:
             verdict = "unknown"
+        if verdict != "none":
+            self.known = by_least_squares(search, self.best)
         said = [c for c in clocks if self.repair or (believed[c] >= IDENTIFIED and verdict != "unknown")]
         for c in said if verdict != "none" else []:
-            value, (kind, _, pattern) = self.best.values[c.addresses[0]], c.parameters[0].partition(" ")
+            (address,), (kind, _, pattern) = c.addresses, c.parameters[0].partition(" ")
+            known = self.known.get(c.name)
+            value = self.best.values[address] if known is None else known.values[address]  # as `which` has it
             text = SAID[kind].format(
                 place=c.location, value=1e3 * value if c.unit == "s" else value, unit="ms" if c.unit == "s" else c.unit
             )
@@ -157,8 +161,6 @@ class Conclusion:
             min(share_left(search, nominal, self.best), 1.0),
             self.search.evidence.whitening.guessed,
         )
-        if verdict != "none":
-            self.known = by_least_squares(search, self.best)
         which = self.which(marginal, pairs, {c: tests.p_fit * instead.belief(c) for c in marginal})
         answer = Answer(
             verdict,

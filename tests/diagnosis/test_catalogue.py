@@ -348,6 +348,11 @@ sampled = ["sensor", "controller"]
         assert [(c.effect, c.location) for c in found.candidates] == [("a", "x"), ("late", "x")]
         assert notes == ("c.toml: component 'drive' has no parameters for effects a: skipped",)
 
+    def test_a_parameter_that_no_other_effect_names_may_be_meant(self, tmp_path: Path) -> None:
+        full = {"sensor": ["k", "m", "seed", "resolution"], "controller": []}
+        _, notes = self.catalogue(tmp_path).within({"drive": ["p_[1]", "p[2]"], **full})
+        assert notes == ("c.toml: component 'drive' has no parameters for effects a (no 'p[1]'; did you mean 'p_[1]'?): skipped",)
+
     def test_a_seed_names_the_effects_that_it_draws(self, tmp_path: Path) -> None:
         plain = 'parameter = "seed"'
         assert self.catalogue(tmp_path).drawn == frozenset()

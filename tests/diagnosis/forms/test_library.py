@@ -25,6 +25,7 @@ TIME = Variable("t", False, "s", 0)
         (Term(), "1", "N.m"),
         (Term((Factor("value", SPEED),)), "qd[1]", "N.m.s/rad"),
         (Term((Factor("sign", TURN, 0.02),)), "sgn(d(q[1])/dt)", "N.m"),
+        (Term((Factor("square", TURN),)), "(d(q[1])/dt)^2", "N.m.s2/rad2"),
         (Term((Factor("square", SPEED),)), "qd[1]^2", "N.m.s2/rad2"),
         (Term((Factor("root", SPEED, 2.0),)), "sgn(qd[1]) sqrt(|qd[1]|/(2 rad/s))", "N.m"),
         (Term((Factor("sign", SPEED, 0.1), Factor("size", LOAD))), "sgn(qd[1]) |load|", "m"),

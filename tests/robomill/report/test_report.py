@@ -198,9 +198,20 @@ class TestContent:
         said = [line for line in lines(subject("identified").answer) if line.startswith("new conditions")]
         assert len(said) == 1
         assert re.fullmatch(
-            r"new conditions: gains \S+ nats of \S+ expected, leaves [\d.]+ times the chi2 of noise, nominal [\d.]+", said[0]
+            r"new conditions: gains \S+ nats of \S+ expected, leaves [\d.]+ times the chi2 of noise and discrepancy, nominal [\d.]+",
+            said[0],
         )
         assert not [line for line in lines(subject("ambiguous").answer) if line.startswith("new conditions")]  # nothing was held out
+
+    def test_what_closes_next_to_nothing_is_listed_as_no_cause(self, subject: Callable[[str], Subject]) -> None:
+        answer = subject("identified").answer
+        (first, *_) = answer.which
+        for closes, ends in (
+            (0.004, "; closes next to nothing: listed, no cause"),
+            (0.006, first.parameters[next(iter(first.parameters))].unit),
+        ):
+            said = lines(replace(answer, which=(replace(first, closes=closes),)))
+            assert next(line for line in said if line.startswith("which")).endswith(ends)
 
     def test_a_bad_log_is_shown_with_the_reason(self, page: Callable[[str], Path]) -> None:
         text = _text(page("bad_log"))
