@@ -170,7 +170,7 @@ class Candidate:
         return replace(self, parameters=tuple(p.partition(AT)[0] + text for p in self.parameters), fixed=fixed, variants=())
 
     def with_phases(self, count: int) -> Candidate:
-        """Of a candidate that has a phase the amplitude alone; a variant for each of `count` phases over a turn but the nominal one."""
+        """The amplitude alone, of a candidate that has a phase; a variant for each of `count` phases over a turn but the nominal one."""
         amplitude, phase = self.named
         step = 2.0 * math.pi / count
         turned = tuple(step * k for k in range(1 - count // 2, count // 2 + 1) if k)

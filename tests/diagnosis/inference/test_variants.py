@@ -138,7 +138,7 @@ ONE, TWO = (T > 2.0) * (T < 5.0) * 1.0, (T > 4.0) * (T < 6.0) * 1.0
 
 @pytest.mark.parametrize("angle", [0.0, 0.26, 1.05, -2.3])
 def test_of_what_does_not_turn_with_its_phase_the_amplitude_is_fitted_at_several_phases(angle: float) -> None:
-    """Of eight phases of a turn the nearest within the pitch of three teeth is off by 7.5 degrees at most: 22.5 degrees of the wave."""
+    """The nearest of eight phases within the pitch of three teeth is off by 7.5 degrees at most: 22.5 degrees of the wave."""
     found = Found(blurred, {("a", "runout"): 0.5, ("a", "angle"): angle}, RUNOUT, candidate("other"))
     assert [c.name for c in found.best.model] == ["runout @ cutter"]
     values = physical(found.best.values)

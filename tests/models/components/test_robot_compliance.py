@@ -506,7 +506,7 @@ def test_the_robot_does_not_follow_what_changes_within_a_turn_of_the_spindle() -
     alone = started(f_T_B=force - turning, m_T_B=moment - 0.1 * turning, **effects)
     beside = started(f_T_B=force, m_T_B=moment, f_turn_T_B=turning, m_turn_T_B=0.1 * turning, **effects)
     assert np.array_equal(outputs(alone), outputs(beside))
-    assert not np.allclose(outputs(beside), outputs(started(f_T_B=force, m_T_B=moment, **effects)), rtol=0.0, atol=1e-6)
+    assert np.abs(outputs(beside) - outputs(started(f_T_B=force, m_T_B=moment, **effects))).max() > 1e-6
     assert init(instance(f_turn_T_B=[np.nan, 0.0, 0.0])) != 0
     assert init(instance(m_turn_T_B=[0.0, np.inf, 0.0])) != 0
 
