@@ -23,6 +23,7 @@ from robomill.cell.experiments import prepare as prepare_condition
 from robomill.cell.milling import PARTS
 from robomill.cell.scenario import ScenarioError
 from robomill.files import FILES
+from robomill.models.components.applied_load import MODEL as APPLIED_LOAD
 from robomill.orchestration.errors import unknown
 from robomill.orchestration.system import keys
 from robomill.orchestration.system.definition import Component, Connection, System
@@ -277,10 +278,14 @@ def with_load(cell: System) -> System:
     if not any(c.name == _CUT for c in cell.components):
         return cell
     components = tuple(Component(_LOAD, "applied_load") if c.name == _CUT else c for c in cell.components)
+    outputs = {v.name for v in APPLIED_LOAD.variables if v.causality == "output"}
     connections = []
     for c in cell.connections:
         if c.target.partition(".")[0] == _CUT:
             continue
         part, _, port = c.source.partition(".")
-        connections.append(Connection(f"{_LOAD}.{port}", c.target, c.delayed) if part == _CUT else c)
+        if part != _CUT:
+            connections.append(c)
+        elif port in outputs:  # a load has no part that turns with a spindle
+            connections.append(Connection(f"{_LOAD}.{port}", c.target, c.delayed))
     return replace(cell, components=components, connections=tuple(connections))
