@@ -24,7 +24,8 @@ BINS = 90
 LEAST_SPEED = 1e-9
 """Speed [m/s] and spindle speed [rad/s] below which there is none."""
 
-_PORTS = tuple(v for v in MILLING.variables if v.causality in ("input", "output") and v.name not in ("f_turn_T_B", "m_turn_T_B"))
+_PORTS = tuple(v for v in MILLING.variables if v.causality in ("input", "output"))
+"""f_turn_T_B and m_turn_T_B stay zero: the force is a mean over the teeth."""
 _BLOCK = ("p_BP_B", "quat_BP", "block_size", "stock_error")
 _BAD_PARAMETER, _BAD_QUATERNION, _TOO_MANY_CELLS, _NOT_FINITE, _REVERSE, _TOO_DEEP, _BAD_STEP = range(1, 8)
 
