@@ -47,9 +47,8 @@ _OWN = (
     "spindle_start_angle",
     "cutting_length",
 )
-_WITHOUT = ("spring_back_loss", "f_turn_T_B", "m_turn_T_B")
-"""What belongs to the lagging height field, which the tri-dexels do not have, and the part of the force within a turn, which they do not
-part from the rest."""
+_WITHOUT = ("spring_back_loss",)
+"""What belongs to the lagging height field, which the tri-dexels do not have."""
 _SHARED = tuple(v for v in MILLING.variables if v.causality != "state" and v.name not in (*_OWN, *_WITHOUT))
 
 VARIABLES = (

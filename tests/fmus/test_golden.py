@@ -40,6 +40,7 @@ def test_the_inputs_on_file_exercise_the_component(name: str) -> None:
         "deformation_compensation": {"correction_q", "pilot_blend"},
         "spindle_holder": {"m_S_raw", "m_T_T"},
         "face_milling_force": {"f_turn_T_B", "m_turn_T_B"},
+        "tridexel_milling_force": {"f_turn_T_B", "m_turn_T_B"},
     }
     assert idle <= allowed.get(name, set())
 
