@@ -101,7 +101,7 @@ class TestMillingLoop:
             assert np.max(np.abs(d[:3] - found)) <= 10 * ROUNDOFF * np.max(np.abs(r["compliance.d_T_B"])), k
 
     def test_what_a_runout_does_to_the_mean_does_not_depend_on_the_step(self):
-        """A robot without inertia that followed the spindle (10 000 rev/min, two turns in 12 ms) would follow another part of it at each step."""
+        """A robot that followed the spindle (10 000 rev/min, two turns in 12 ms) would follow another part of it at each step."""
 
         def mean(h, turns):
             """What a runout adds to the mean over two turns [m], the robot's along the feed."""
