@@ -116,6 +116,8 @@ class Evidence:
     """Communication steps that a sample is the mean over."""
     discrepancy: FloatArray
     """Standard deviation of what two formulations leave, of each active channel [its unit]."""
+    dispersion: float
+    """What the best model leaves over what noise and discrepancy do [1]: so many samples more are worth one."""
 
     @property
     def once(self) -> bool:
@@ -143,7 +145,8 @@ class Evidence:
         """chi2 of a residual [n] over what noise and discrepancy leave, of each judged channel in each condition: [conditions, judged].
 
         With b = (I + B'B)^-1 B' u, <u, u> = u'(u - B b) = |u - B b|^2 + |b|^2: the part of a channel in it has what nuisances leave there,
-        and what it costs to move them so far. Both have one sample more, as expected: without noise less than that says nothing.
+        and what it costs to move them so far. Both have one sample more, as expected: without noise less than that says nothing. The
+        `dispersion` makes it dearer to move them, and divides both.
         """
         rest = left * (left - self.space.explained(left))
         return self._over([rest[block].reshape(-1, len(self.arrays)).sum(axis=0) for block in self.space.blocks.values()])
@@ -160,7 +163,7 @@ class Evidence:
     def _over(self, chi2: Sequence[FloatArray]) -> FloatArray:
         """chi2 of each channel, [channels] by condition, over what noise and discrepancy leave: [conditions, judged]."""
         allowed = [self.allowed[block].reshape(-1, len(self.arrays)).sum(axis=0) for block in self.space.blocks.values()]
-        over = (np.stack(chi2) / self.guess + 1.0) / (np.stack(allowed) + 1.0)
+        over = (np.stack(chi2) * self.dispersion / self.guess + 1.0) / (np.stack(allowed) * self.dispersion + 1.0)
         return np.asarray(over[:, self.judged])
 
     def signature(self, results: Sequence[FloatArray | None]) -> FloatArray | None:
@@ -224,6 +227,7 @@ def gather(
     like: Evidence | None = None,
     doubts: Mapping[Address, float] | None = None,
     beyond: Sequence[Sequence[FloatArray]] = (),
+    dispersion: float = 1.0,
 ) -> Evidence:
     """Evidence from the repeats and nominal simulations of each of these conditions, [samples, channels].
 
@@ -232,8 +236,8 @@ def gather(
     component. `left`: what a model leaves of each run, from which the noise is guessed where there are no repeats (else what the nominal
     one leaves). `like`: channels, whitening and what is no nuisance are those of this one, so that chi2 can be compared. `doubts`: the
     standard deviations that a discrepancy goes with (None: `tolerances`). `beyond`: what calibrated numbers do together beyond the sum of
-    what they do alone, in each condition; each of these may be there or not, in every condition anew. DataError if no parameter changes
-    anything.
+    what they do alone, in each condition; each of these may be there or not, in every condition anew. `dispersion`: see `Evidence`; with `like`
+    that of this one. DataError if no parameter changes anything.
     """
     active = _moved(changes) if like is None else like.active
     groups = [[x[:, active] for x in g] for g in groups]
@@ -271,7 +275,8 @@ def gather(
         (w.apply(np.mean(g[::2], axis=0) - m, 1.0, s, on), w.apply(np.mean(g[1::2] or g, axis=0) - m, 1.0, s, on))
         for w, g, m, s, on in zip(ws, nominals, means, sudden, there, strict=True)
     ]
-    counts = [n / dependence(apart) for n, apart in zip(counts, independent, strict=True)]
+    dispersion = dispersion if like is None else like.dispersion
+    counts = [n / dependence(apart) / dispersion for n, apart in zip(counts, independent, strict=True)]
 
     def white(change: Sequence[FloatArray]) -> FloatArray:
         return np.concatenate([w.apply(c, n, s, on) for w, c, n, s, on in zip(ws, change, counts, sudden, there, strict=True)])
@@ -314,14 +319,14 @@ def gather(
         )
         seen = (doubt[i] / np.hypot(sudden[i], np.sqrt((w.factor**2).sum(axis=1)))) ** 2  # part of a whitened sample that is discrepancy
         expected[block].reshape(-1, len(names))[:] = level
-        allowed[block].reshape(-1, len(names))[:] = level + seen.mean(axis=0) * there[i] / dependence(independent[i])
+        allowed[block].reshape(-1, len(names))[:] = level + seen.mean(axis=0) * there[i] / dependence(independent[i]) / dispersion
         if independent[i]:  # neither drifts nor spells
             continue
         held = [_padded(r.deviations, means[i]) for r in spare if r.name == conditions[i] and len(group) == 1]
         others = [[ws[i].apply(x, 1.0, sudden[i], there[i]) for x in runs] for runs in held]
         spells = own_noise([group, simulated, *others], len(names), spell)
         padded = np.zeros((y.size, spells.shape[1]))
-        padded[block] = spells / np.sqrt(DEPENDENCE)
+        padded[block] = spells / np.sqrt(DEPENDENCE * dispersion)
         own.append(csc_array(padded))
     doubtful = [
         *nuisances,
@@ -355,6 +360,7 @@ def gather(
         independent,
         laboratory.decimation,
         size,
+        dispersion,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
-from robomill.diagnosis.inference.adequacy import COHERENT
+from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, SPREAD
 from robomill.diagnosis.inference.estimation import Fit, Gram, Model, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
 from robomill.diagnosis.inference.evidence import dependence
 from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Sensitivities, per_scale
@@ -22,7 +22,7 @@ SHARPENED, ROUGH = 2, 1.15
 SHARPER, BETTER = 5, 0.99
 """How often slopes are taken anew at most, and the part of chi2 that must not be left for it to go on."""
 GROWTH_GAIN = 12.0
-"""Gain in evidence [nats], as sensitivities have it, from which models with a further effect are simulated."""
+"""Gain in evidence [nats], as sensitivities and noise have it, from which models with a further effect are simulated."""
 SUBSTANTIAL = 0.05
 """Part of what is left beyond noise that another effect must explain."""
 FAULT = 0.67
@@ -52,11 +52,12 @@ class Search:
         groups: Sequence[Sequence[FloatArray]],
         nuisances: Sequence[Nuisance],
         left: Sequence[Sequence[FloatArray]] = (),
+        dispersion: float = 1.0,
     ) -> None:
-        """`left`: what a model leaves of each run, from which noise is guessed where nothing was repeated."""
+        """`left`: what a model leaves of each run, from which noise is guessed where nothing was repeated; `dispersion`: see `Evidence`."""
         self.nuisances = nuisances
         self.catalogue, self.simulator, self.groups = catalogue, simulator, groups
-        sensitivities = Sensitivities(catalogue, simulator, groups, nuisances, left)
+        sensitivities = Sensitivities(catalogue, simulator, groups, nuisances, left, dispersion)
         self.evidence, self.candidates, self.starts = sensitivities.evidence, sensitivities.candidates, sensitivities.starts
         self.bent = sensitivities.bent
 
@@ -68,6 +69,11 @@ class Search:
         """
         columns = np.stack([per_scale(self.evidence, self.starts, a) for a in addresses_of(self.candidates)], axis=1)
         return columns, self.evidence.space.gram(columns)
+
+    @property
+    def growth(self) -> float:
+        """Gain in evidence [nats] from which models with a further effect are simulated: GROWTH_GAIN of noise alone."""
+        return GROWTH_GAIN / self.evidence.dispersion
 
     def nominal(self) -> Fit:
         """The fit of the nominal model, which has no effect: log evidence 0, signature 0."""
@@ -85,7 +91,8 @@ class Search:
         gram = space.within(space.beside(known, columns, left[:, None]), range(k + 1))
         inverse = np.linalg.inv(gram[:-1, :-1] + np.eye(k))
         freedom = float(np.trace(inverse @ gram[:-1, :-1]))
-        return 1.0 + COHERENT * (float(gram[:-1, -1] @ inverse @ gram[:-1, -1]) / max(freedom, 1.0) / self.evidence.guess - 1.0)
+        noise = max(freedom, 1.0) * self.evidence.guess / self.evidence.dispersion
+        return 1.0 + COHERENT * (float(gram[:-1, -1] @ inverse @ gram[:-1, -1]) / noise - 1.0)
 
     def linear_fits(self, bases: Sequence[Fit]) -> list[Fit]:
         """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion: s + (ds/dx) (x - best) + v x'.
@@ -274,11 +281,11 @@ class Search:
             grown = sorted(self.linear_fits(bases), key=_evidence, reverse=True)
             # a fault of the log does what its signature says: one that explains too little takes no place from others
             exact = [f for f in grown if not any(c.component == LOGGING for c in f.model) or self._worth(f, fits)]
-            chosen = _first([f for f in exact if f.log_evidence > best + GROWTH_GAIN], EXTENSIONS * len(bases))
+            chosen = _first([f for f in exact if f.log_evidence > best + self.growth], EXTENSIONS * len(bases))
             hidden = {frozenset(f.model) for f in grown if f not in chosen and self._hidden(f)}
             chosen += [f for f in grown if frozenset(f.model) in hidden]
             level = [f for f in self._sharpened(self.polish(self.refine(chosen), chosen)) if self._worth(f, fits)]
-            level = [f for f in level if frozenset(f.model) not in hidden or f.log_evidence > best + GROWTH_GAIN]
+            level = [f for f in level if frozenset(f.model) not in hidden or f.log_evidence > best + self.growth]
             smaller = self._smaller(level, fits)
             again = {frozenset(f.model) for f in smaller}
             fits = [f for f in fits if frozenset(f.model) not in again] + level + smaller
@@ -297,7 +304,7 @@ class Search:
         fewer = [_without(best, c) for c in best.model]
         seen = {frozenset(f.model) for f in known}
         swapped = sorted(self.linear_fits(fewer), key=_evidence, reverse=True)
-        trials = [f for f in swapped if frozenset(f.model) not in seen and f.log_evidence > best.log_evidence - GROWTH_GAIN][:EXTENSIONS]
+        trials = [f for f in swapped if frozenset(f.model) not in seen and f.log_evidence > best.log_evidence - self.growth][:EXTENSIONS]
         trials += [f for f in fewer if frozenset(f.model) not in seen]
         return self._sharpened(self.polish(self.refine(trials), trials))
 
@@ -375,7 +382,7 @@ class Search:
             a, b = left - one, left - other  # independent simulations on both sides: their scatter does not count as a gap
             products, same = float(a.sum(axis=0) @ b.sum(axis=0)), float((a * b).sum())
             total += (products - same) / (n * (n - 1)) if n > 1 else same - size
-            variance += 2.0 * size / (weight * dependence(apart)) ** 2 if n > 1 else 2.0 * size
+            variance += 2.0 * size / (weight * dependence(apart) * e.dispersion) ** 2 if n > 1 else 2.0 * size
         return total, float(np.sqrt(variance)) * 1.5
 
 
@@ -387,6 +394,10 @@ def searched(
     Where nothing was repeated, noise is what the best model leaves: guessed from what the nominal one leaves, and again from what is left
     of the best one, until that is the same model. What is measured itself says nothing of noise: it moves. What all candidates together
     leave of independent samples does not depend on the best model: it is not guessed again.
+
+    Where noise is known, and the best model leaves more than right ones do, whatever is there besides takes part in every difference of
+    two models. The search is made once more, with all log-likelihoods divided by what is left over noise and discrepancy (the dispersion
+    of quasi-likelihood, Wedderburn 1974).
     """
     search = Search(catalogue, simulator, groups, nuisances)
     fits = search.run()
@@ -401,7 +412,17 @@ def searched(
         fits = search.run()
         if set(max(fits, key=_evidence).model) == set(best.model):
             break
+    if not evidence.whitening.guessed and (left := _dispersion(search, fits)) > LEVEL + 3.0 * SPREAD:
+        search = Search(catalogue, simulator, groups, nuisances, dispersion=left / LEVEL)
+        fits = search.run()
     return search, fits
+
+
+def _dispersion(search: Search, fits: Sequence[Fit]) -> float:
+    """What the best model leaves over what noise and discrepancy do [1]: the mean over judged channels and conditions."""
+    best, evidence = max(fits, key=_evidence), search.evidence
+    assert best.signature is not None
+    return float(np.mean(evidence.levels(evidence.space.y - best.signature))) if evidence.judged.any() else 1.0
 
 
 def likely_count(catalogue: Catalogue, nuisances: Sequence[Nuisance], conditions: int) -> int:

@@ -65,10 +65,11 @@ class Sensitivities:
         groups: Sequence[Sequence[FloatArray]],
         nuisances: Sequence[Nuisance],
         left: Sequence[Sequence[FloatArray]] = (),
+        dispersion: float = 1.0,
     ) -> None:
         """`groups`: measured repeats [samples, channels] of each of the first conditions of the simulator's laboratory.
 
-        `left`: what a model leaves of them, from which noise is guessed where nothing was repeated.
+        `left`: what a model leaves of them, from which noise is guessed where nothing was repeated; `dispersion`: see `Evidence`.
         """
         self.simulator, self.conditions = simulator, range(len(groups))
         self.scales = {a: c.prior.scale for c in catalogue.candidates for a in c.addresses}
@@ -85,7 +86,19 @@ class Sensitivities:
         clocks = [c for c in catalogue.candidates if c.unit == "s" and (c.component != LOGGING or c.parameters[0].startswith("lag "))]
         beyond = interplay(simulator, self.conditions, unknown, sizes, changes, nominals)
         self.evidence = gather(
-            simulator.laboratory, names, groups, nominals, changes, sizes, self.scales, unknown, clocks, left, doubts=doubts, beyond=beyond
+            simulator.laboratory,
+            names,
+            groups,
+            nominals,
+            changes,
+            sizes,
+            self.scales,
+            unknown,
+            clocks,
+            left,
+            doubts=doubts,
+            beyond=beyond,
+            dispersion=dispersion,
         )
         self.bent: set[str] = set()
         """Candidates that are not proportional to their size, as far as these runs show."""
