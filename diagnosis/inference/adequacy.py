@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
@@ -91,8 +92,8 @@ def left_by(before: float, after: float, misfit: float = MISFIT, kinds: int = 1,
 
     after ~ N(LEVEL + u (before - LEVEL), SPREAD^2), or the largest of `conditions` / CONDITIONS such levels. The share u that is left is
     Beta(1, 1 / m - 1) for a right model, of mean m. How far laws are off differs by orders of magnitude: m is log-uniform between TRUST^2
-    and `misfit`. For a stand-in u could be anything between 0 and 1; of several `kinds` of effects that were fitted together it is the
-    least of as many such shares: Beta(1, kinds).
+    and `misfit`. For a stand-in u could be anything between 0 and 1. Each further one of several `kinds` of effects that were fitted
+    together does what two such shares would: it is the least of 2 kinds - 1, Beta(1, 2 kinds - 1) (measured, decision 111).
     """
     gap = max(before - LEVEL, 0.0)
     centre, width = (after - LEVEL) / (gap + 1e-12), SPREAD / (gap + 1e-12)
@@ -107,8 +108,18 @@ def left_by(before: float, after: float, misfit: float = MISFIT, kinds: int = 1,
     b = 1.0 / (TRUST**2 * (misfit / TRUST**2) ** (0.5 * (nodes[:, None] + 1.0))) - 1.0
     rest = np.log(np.maximum(1.0 - u, 1e-300))
     right = logsumexp(np.log(0.5 * weights[:, None] * b) + (b - 1.0) * rest, axis=0)
-    other = math.log(kinds) + (kinds - 1.0) * rest
+    other = math.log(2 * kinds - 1) + (2 * kinds - 2) * rest
     return float(logsumexp(log_likelihood + right + step) - logsumexp(log_likelihood + other + step))
+
+
+def most_left(looks: Sequence[tuple[float, float]]) -> float:
+    """Log Bayes factor for a right model against a stand-in [nats], from several looks at what it leaves of one gap.
+
+    Each look has its log Bayes factor, and that which it would have if nothing were left (`left_by`). The look with the largest gap is
+    the sharpest. The share that is left is the largest that any of them sees: what the others close is no merit, where a catalogue has
+    nothing for the rest.
+    """
+    return max(most for _, most in looks) + min(odds - most for odds, most in looks)
 
 
 def worsened(evidence: Evidence, nominal: FloatArray, left: FloatArray, signature: FloatArray) -> float:

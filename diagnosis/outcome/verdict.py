@@ -18,6 +18,7 @@ from scipy.special import expit
 
 from robomill.diagnosis.catalogue import LOGGING, Candidate
 from robomill.diagnosis.inference.adequacy import (
+    CONDITIONS,
     LEVEL,
     MISFIT,
     SPREAD,
@@ -26,6 +27,7 @@ from robomill.diagnosis.inference.adequacy import (
     kept,
     left_by,
     misfit,
+    most_left,
     together,
     unexplained,
     worsened,
@@ -106,11 +108,10 @@ def tested(
     assert best.signature is not None
     before, after = (evidence.space.y - x for x in (nominal.signature, best.signature))
     channels, catalogue = zip(looks(search, nominal), looks(search, best), strict=True)
-    # the first look is at the worst condition, the second at all together
-    worst = left_by(*channels, *shape, len(evidence.space.blocks))
-    worst = together(worst, worsened(evidence, before, after, best.signature))
-    seen = sorted([(channels[0], worst), (catalogue[0], left_by(*catalogue, *shape)), (scatter[0], left_by(*scatter, *shape))])
-    fits += seen[-1][1] + sum(min(x, 0.0) for _, x in seen[:-1])  # where the gap is larger it is seen whether it closes; others may refute
+    # the first look is at the worst condition, the others at all together
+    ways = ((channels, len(evidence.space.blocks)), (catalogue, CONDITIONS), (scatter, CONDITIONS))
+    seen = [(left_by(b, a, *shape, n), left_by(b, min(a, LEVEL), *shape, n)) for (b, a), n in ways]
+    fits += together(most_left(seen), worsened(evidence, before, after, best.signature))
     holds = held_together(search, best)
     if moved is not None:
         odds += moved.gain
