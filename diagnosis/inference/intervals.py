@@ -155,19 +155,24 @@ class Problem:
         return Problem(list(moved), scales, low, high, here, named, left, slopes, step) if left else None
 
     def solved(self) -> Solution:
-        """The values by least squares, as if slopes were the same everywhere."""
+        """The values by least squares, as if slopes were the same everywhere.
+
+        Channels are weighed by what the model leaves, and then by what least squares leave; so noise is found. Of noise that remembers
+        the samples are worth fewer than they are (`Noise.worth`): else it would outweigh the priors where the data say little.
+        """
         prior = np.where(self.named, 0.0, 1.0)
         gaps = [r + J @ self.at for r, J in zip(self.left, self.slopes, strict=True)]
-        rest = self.left
-        for _ in range(2):  # channels are weighed by what the model leaves, and then by what these least squares leave
-            weights = np.array([v.weight for v in self._noise(rest)])
+        noise = self._noise(self.left)
+        for counted in (False, False, True):
+            weights = np.array([v.weight * (math.sqrt(v.worth) if counted else 1.0) for v in noise])
             gram = np.diag(prior) + sum(np.einsum("tci,tcj,c->ij", J, J, weights**2, optimize=True) for J in self.slopes)
             product = sum(np.einsum("tci,tc,c->i", J, y, weights**2, optimize=True) for J, y in zip(self.slopes, gaps, strict=True))
             x = _bounded(gram, np.asarray(product), self.low / self.scales, self.high / self.scales)
             rest = [y - J @ x for y, J in zip(gaps, self.slopes, strict=True)]
+            noise = noise if counted else self._noise(rest)
         inverse = np.linalg.inv(gram + 1e-12 * np.diag(np.diag(gram) + 1e-300))
-        middle = np.diag(prior) + sum(self._scatter(self._noise(rest), weights, inverse))
-        return Solution(x, np.sqrt(np.diag(inverse @ middle @ inverse)), gaps, rest)
+        middle = np.diag(prior) + sum(self._scatter(noise, weights, inverse))
+        return Solution(x, np.sqrt(np.diag(inverse @ middle @ inverse)), gaps, rest, noise)
 
     def _scatter(self, noise: Sequence[Noise], weights: FloatArray, inverse: FloatArray) -> list[FloatArray]:
         """Covariance of the products of the slopes and the noise of each channel, both weighed, [numbers, numbers].
@@ -190,7 +195,7 @@ class Problem:
         N(G x, M), with G = J'WJ and M what noise does to them, and what an effect may do in each channel otherwise than its law says
         (FORM of it). Then P = G M^-1 G, and P x = G M^-1 g.
         """
-        noise = self._noise(solution.rest)
+        noise = solution.noise
         weights = np.array([v.weight for v in noise])
         grams = [weights[c] ** 2 * sum(J[:, c].T @ J[:, c] for J in self.slopes) for c in range(len(noise))]
         G = np.sum(grams, axis=0)
@@ -233,6 +238,8 @@ class Solution:
     """What is left of each condition without any of them [samples, channels]."""
     rest: Sequence[FloatArray]
     """What is left with all of them [samples, channels]."""
+    noise: Sequence[Noise]
+    """That of each channel."""
 
 
 def _bounded(gram: FloatArray, product: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:

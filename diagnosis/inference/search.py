@@ -9,7 +9,7 @@ import numpy as np
 
 from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
-from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, SPREAD
+from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, MISFIT, SPREAD, unexplained
 from robomill.diagnosis.inference.estimation import Fit, Gram, Model, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
 from robomill.diagnosis.inference.evidence import dependence
 from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Sensitivities, per_scale
@@ -395,9 +395,9 @@ def searched(
     of the best one, until that is the same model. What is measured itself says nothing of noise: it moves. What all candidates together
     leave of independent samples does not depend on the best model: it is not guessed again.
 
-    Where noise is known, and the best model leaves more than right ones do, whatever is there besides takes part in every difference of
-    two models. The search is made once more, with all log-likelihoods divided by what is left over noise and discrepancy (the dispersion
-    of quasi-likelihood, Wedderburn 1974).
+    Where noise is known, the best model may explain a large gap as well as laws do, and still leave more than noise and discrepancy are.
+    Whatever that is takes part in every difference of two models. So the search is made once more, with all log-likelihoods divided by
+    what is left over noise and discrepancy (the dispersion of quasi-likelihood, Wedderburn, Biometrika 61 (1974) 439).
     """
     search = Search(catalogue, simulator, groups, nuisances)
     fits = search.run()
@@ -412,17 +412,18 @@ def searched(
         fits = search.run()
         if set(max(fits, key=_evidence).model) == set(best.model):
             break
-    if not evidence.whitening.guessed and (left := _dispersion(search, fits)) > LEVEL + 3.0 * SPREAD:
-        search = Search(catalogue, simulator, groups, nuisances, dispersion=left / LEVEL)
-        fits = search.run()
+    if not evidence.whitening.guessed and evidence.judged.any():
+        before, after = (_over(search, f) for f in (fits[0], max(fits, key=_evidence)))
+        if after > LEVEL + 3.0 * SPREAD and unexplained(before, after) < MISFIT:
+            search = Search(catalogue, simulator, groups, nuisances, dispersion=after / LEVEL)
+            fits = search.run()
     return search, fits
 
 
-def _dispersion(search: Search, fits: Sequence[Fit]) -> float:
-    """What the best model leaves over what noise and discrepancy do [1]: the mean over judged channels and conditions."""
-    best, evidence = max(fits, key=_evidence), search.evidence
-    assert best.signature is not None
-    return float(np.mean(evidence.levels(evidence.space.y - best.signature))) if evidence.judged.any() else 1.0
+def _over(search: Search, fit: Fit) -> float:
+    """What a model leaves over what noise and discrepancy do [1]: the mean over judged channels and conditions."""
+    assert fit.signature is not None
+    return float(np.mean(search.evidence.levels(search.evidence.space.y - fit.signature)))
 
 
 def likely_count(catalogue: Catalogue, nuisances: Sequence[Nuisance], conditions: int) -> int:
