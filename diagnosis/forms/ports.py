@@ -3,8 +3,8 @@
 - A measured output of the component itself: what a term adds is seen as it is.
 - An output that was not measured, behind which another component has measured ones: what a small constant shift of the output does there,
   at each time, tells what a term does there.
-- An input of a component whose outputs add up what goes in (it is not replayed alone): what a term does to all that is measured is
-  simulated in the closed loop.
+- An input of a component that measured outputs are behind which add up what goes in (they are not replayed alone): what a term does to all
+  that is measured is simulated in the closed loop.
 """
 
 from __future__ import annotations
@@ -173,8 +173,8 @@ def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
 
 
 def into(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: str) -> list[Problem]:
-    """One problem for the inputs of a component with outputs that add up what goes in; each term is simulated in the closed loop."""
-    if not any(a.partition(".")[0] == component for r in replays for a in r.adding):
+    """One problem for the inputs of a component that measured outputs are behind which add up; each term is simulated in the closed loop."""
+    if not any(a.partition(".")[0] in _reached(replays[0], component) for r in replays for a in r.adding):
         return []
     seen = Seen.of(laboratory, replays, component, "input")
     channels = replays[0].channels
@@ -199,6 +199,15 @@ def into(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: 
                 extra[element, term] = made
     step, scaled = replays[0].step, [g / scale for g in gap]
     return [Problem(seen, tuple(dict.fromkeys(arrays)), terms, scaled, [], laboratory.decimation, step, extra)] if terms else []
+
+
+def _reached(replay: ComponentReplay, component: str) -> set[str]:
+    """The component, and those that its outputs reach without being measured."""
+    found, new = set(), {component}
+    while new:
+        found |= new
+        new = {target for array, target in replay.hidden() if array.partition(".")[0] in new} - found
+    return found
 
 
 def _rms(replays: Sequence[ComponentReplay], gap: Sequence[FloatArray], channels: Sequence[int]) -> float:

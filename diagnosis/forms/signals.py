@@ -118,7 +118,8 @@ def series(replay: ComponentReplay, host: Host, side: str, laboratory: Laborator
     """Values of the ports of the component in a condition, element -> [n]; what was never measured nor replayed is not there.
 
     Inputs as they were measured, or else as they were replayed, a step late where they arrive so. Outputs as the component gives them with
-    these inputs, where it is they that are corrected; else as they were measured, a step late: what the component has when it steps.
+    these inputs, where it is they that are corrected; else as they were measured, or else as they are in the nominal closed loop, a step
+    late: what the component has when it steps.
     """
     found: dict[str, FloatArray] = {}
     given = replay.inputs[host.name]
@@ -138,6 +139,8 @@ def series(replay: ComponentReplay, host: Host, side: str, laboratory: Laborator
         if side == "input":
             if column in measured:
                 found[element] = _late(measured[column])
+            elif column in replay.closed[0].columns:
+                found[element] = _late(np.interp(replay.grid, replay.closed[0].t, replay.closed[0].columns[column]))
         elif column in replay.base.columns:
             found[element] = np.interp(replay.grid, replay.base.t, replay.base.columns[column])
     return found
