@@ -112,7 +112,8 @@ class Replay:
         if not any(np.any(x) for parts in seen.values() for x in parts):
             raise DataError(
                 "no component is replayed alone: nothing that the catalogue has in one changes a measured output of that component"
-                "; which effect it is does not depend on that: effects are fitted in the whole system"
+                "; which effect it is does not depend on that, as effects are fitted in the whole system"
+                "; give a channel of what comes out of one to have it looked at alone"
             )
         self.adding = tuple(dict.fromkeys(a for b in self.replayed for a in b.adding))
         """Measured outputs that are not replayed: alone, they add up what goes in."""

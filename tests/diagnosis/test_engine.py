@@ -242,7 +242,7 @@ class TestGate:
         assert finding["text"].endswith("; without that, the log is explained no better: it is kept")
 
     def test_a_way_is_not_in_kilogram_force(self, tmp_path: Path) -> None:
-        """The same with the factor of a force: the channel is in metres."""
+        """The channel is in metres, and 9.8 is the factor of a force."""
         result = answer(tmp_path, changed(measure(), "sensors.y[2]", lambda t, y: 9.8 * y + 3.0 * np.abs(y))).result
         assert result["verdict"] == "unknown"
         assert "unit" not in {f["kind"] for f in result["gate"]["findings"]}
