@@ -118,7 +118,7 @@ def diagnose_campaign(
         if all(f.kind in EXPLAINABLE for f in fatal):
             search, fits = searched_beside(catalogue, simulator, groups[:n], nuisances)
             if fatal:  # is it the machine, after all?
-                best = _best(search, fits)
+                best = _simulated(search, _best(search, fits))
                 if _little(search, fits, best) and not any(c.component == LOGGING for c in best.model):
                     findings = told + gate.findings(setting(best.values))
                 faults = [f for f in findings if f.fatal and f.kind in log_faults.KINDS]
@@ -197,14 +197,24 @@ def _explained(
 
     It does where it leaves no gap, or LITTLE of one. Faults that keep the size of a signal (`log_faults.KEEPING`) have a gap of their own,
     that of the log as it is: LITTLE of that may be left, too. A unit that is undone divides whatever is left, so that it has none.
+    What a model leaves is what simulations with it leave (`_simulated`).
     """
     other, found = searched(catalogue, search.simulator, groups, nuisances)
-    best = _best(other, found)
+    best = _simulated(other, _best(other, found))
     left = over_noise(other, best)
     little = _little(other, found, best)
     if faults and all(f.kind in log_faults.KEEPING for f in faults):
         little = little or unexplained(over_noise(search, fits[0]), left) < LITTLE
-    return best if little and left < over_noise(search, _best(search, fits)) else None
+    return best if little and left < over_noise(search, _simulated(search, _best(search, fits))) else None
+
+
+def _simulated(search: Search, fit: Fit) -> Fit:
+    """The fit with the signature [n] that simulations at its values have; as it is where the system cannot run there.
+
+    The last step of a fit goes along slopes. What comes to rest does not turn round there, but its slope does.
+    """
+    signature = search.mean_signature(setting(fit.values))
+    return fit if signature is None else replace(fit, signature=signature)
 
 
 def _rest(search: Search, best: Fit, groups: Sequence[Sequence[FloatArray]], name: str) -> float:

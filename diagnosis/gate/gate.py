@@ -53,9 +53,10 @@ class Gate:
             if models is not None:
                 at = self._shown(condition)
                 middle, channels = np.mean(models, axis=0)[:, at], [self.laboratory.channels[i] for i in at]
+                units = [self.laboratory.ports[c].unit for c in channels]
                 for k, x in enumerate(group):
                     group[k] = x.copy()
-                    group[k][:, at] = log_faults.undone(faults, x[:, at], middle, channels)
+                    group[k][:, at] = log_faults.undone(faults, x[:, at], middle, channels, units)
         return groups
 
     def _of(self, condition: Condition, group: Sequence[FloatArray], models: Sequence[FloatArray]) -> list[Finding]:
@@ -109,8 +110,8 @@ class Gate:
 def beside(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], step: float, noise: FloatArray) -> list[Finding]:
     """What a measured run [samples, channels] says beside its simulation; `step` [s] between samples, `noise` [unit] per channel."""
     still = checks.standstill(run, x, s, channels, step, noise)
-    wrong = {f.channel for f in still}
-    return still + log_faults.judged(x, s, channels, noise, frozenset(i for i, c in enumerate(channels) if c in wrong))
+    wrong, units = {f.channel for f in still}, [run.ports[c].unit for c in channels]
+    return still + log_faults.judged(x, s, channels, units, noise, frozenset(i for i, c in enumerate(channels) if c in wrong))
 
 
 def once(findings: Sequence[Finding]) -> list[Finding]:

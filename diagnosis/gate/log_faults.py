@@ -7,7 +7,8 @@ mistake in units, interchanged axes and another frame have no size that is fitte
     e ~ N(0, noise^2 + max(TOLERANCE^2 var, left)),
 
 coherent over the record, so that a channel counts as one observation. `var` is the variance of the simulated signal under the operator.
-A mistake in units is tried where the measured signal is as many times the simulated one, within TOLERANCE: its factor is exact.
+A mistake in units is tried where the measured signal is as many times the simulated one, within TOLERANCE: its factor is exact. It is one
+that can be made in the unit of the channel: no speed is logged in pound-force.
 `left` is the mean square that the fault leaves: an effect may be there besides, and one of that size (in the unit of the simulation) is
 allowed for without the fault, too.
 """
@@ -16,32 +17,35 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from robomill.diagnosis.experiment.segments import by_array
 from robomill.diagnosis.gate.checks import SINGLE, Finding
+from robomill.models.model.units import Unit, unit_of
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
-FACTORS = {
-    1e3: "milli- for units",
-    1e-3: "units for milli-",
-    1e6: "micro- for units",
-    1e-6: "units for micro-",
-    180.0 / np.pi: "degrees for radians",
-    np.pi / 180.0: "radians for degrees",
-    9.80665: "newtons for kilogram-force",
-    1 / 9.80665: "kilogram-force for newtons",
-    60 / (2 * np.pi): "rpm for rad/s",
-    2 * np.pi / 60: "rad/s for rpm",
-    25.4: "millimetres for inches",
-    1 / 25.4: "inches for millimetres",
-    4.4482216: "newtons for pound-force",
-    1 / 4.4482216: "pound-force for newtons",
+ANGLES, SPEEDS, LENGTHS, FORCES = ("rad",), ("rad/s",), ("m",), ("N", "N.m")
+"""SI units in which some mistakes are made, and in their rates: `m` stands for `m/s` and `m/s2`, too."""
+FACTORS: Mapping[float, tuple[str, tuple[str, ...]]] = {
+    1e3: ("milli- for units", ()),
+    1e-3: ("units for milli-", ()),
+    1e6: ("micro- for units", ()),
+    1e-6: ("units for micro-", ()),
+    180.0 / np.pi: ("degrees for radians", ANGLES),
+    np.pi / 180.0: ("radians for degrees", ANGLES),
+    9.80665: ("newtons for kilogram-force", FORCES),
+    1 / 9.80665: ("kilogram-force for newtons", FORCES),
+    60 / (2 * np.pi): ("rpm for rad/s", SPEEDS),
+    2 * np.pi / 60: ("rad/s for rpm", SPEEDS),
+    25.4: ("millimetres for inches", LENGTHS),
+    1 / 25.4: ("inches for millimetres", LENGTHS),
+    4.4482216: ("newtons for pound-force", FORCES),
+    1 / 4.4482216: ("pound-force for newtons", FORCES),
 }
-"""Usual mistakes in units: measured over simulated."""
+"""Usual mistakes in units: measured over simulated, what it is called, and the units in which it is made (none: in any)."""
 KEEPING = ("sign", "axes", "rotation")
 """Kinds of faults that keep the size of a signal: orthogonal operators."""
 KINDS = (*KEEPING, "unit")
@@ -74,14 +78,19 @@ class _Operator:
 
 
 def judged(
-    x: FloatArray, s: FloatArray, channels: Sequence[str], noise: FloatArray, suspects: frozenset[int] = frozenset()
+    x: FloatArray,
+    s: FloatArray,
+    channels: Sequence[str],
+    units: Sequence[str | None],
+    noise: FloatArray,
+    suspects: frozenset[int] = frozenset(),
 ) -> list[Finding]:
     """Faults of sign, unit, place and frame of measured `x` beside simulated `s`, both [samples, channels]; `noise` [unit] per channel.
 
-    `suspects` are channels that are wrong anyway. The clearest fault of a channel is named, and one without fitted numbers
-    before a turn: one wrong sign beside an element that is nearly zero is half a turn, too.
+    `units` of the channels: None where it is not known. `suspects` are channels that are wrong anyway. The clearest fault of a channel
+    is named, and one without fitted numbers before a turn: one wrong sign beside an element that is nearly zero is half a turn, too.
     """
-    tried = [o for o in _operators(x, s, channels) if not suspects & set(o.members)]
+    tried = [o for o in _operators(x, s, channels, units) if not suspects & set(o.members)]
     gains = [(o, _log_bayes_factor(o, x, s, noise)) for o in tried]
     clear = [(o, gain) for o, gain in gains if gain > math.log(DECISIVE * len(tried))]
     found: list[Finding] = []
@@ -101,13 +110,13 @@ def together(faults: Sequence[Finding]) -> list[list[Finding]]:
     return [list(faults), *groups.values()] if len(groups) > 1 else list(groups.values())
 
 
-def undone(faults: Sequence[Finding], x: FloatArray, s: FloatArray, channels: Sequence[str]) -> FloatArray:
-    """Measured `x` [samples, channels] as it was before these `faults` (of KINDS); `s` is its simulation.
+def undone(faults: Sequence[Finding], x: FloatArray, s: FloatArray, channels: Sequence[str], units: Sequence[str | None]) -> FloatArray:
+    """Measured `x` [samples, channels] as it was before these `faults` (of KINDS); `s` is its simulation, `units` those of the channels.
 
     A fault is one of a channel and a kind; where several operators are, the one that leaves least. What none of them fits stays.
     """
     x = x.copy()
-    tried = list(_operators(x, s, channels))
+    tried = list(_operators(x, s, channels, units))
     for fault in faults:
         same = [o for o in tried if (o.finding.channel, o.finding.kind) == (fault.channel, fault.kind)]
         if same:
@@ -116,7 +125,27 @@ def undone(faults: Sequence[Finding], x: FloatArray, s: FloatArray, channels: Se
     return x
 
 
-def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str]) -> Iterator[_Operator]:
+def made_in(unit: str | None, these: Sequence[str]) -> bool:
+    """Whether a mistake that is made in `these` units (none: in any) is made in `unit`: one of them, or a rate of one.
+
+    In a unit that is not known any mistake is.
+    """
+    if not these or unit is None:
+        return True
+    try:
+        known = unit_of(unit)
+    except ValueError:
+        return True
+    return any(_is_rate(known, unit_of(u)) for u in these)
+
+
+def _is_rate(unit: Unit, of: Unit) -> bool:
+    """Whether one unit is another one, or that divided by a power of the time."""
+    powers = {b: unit.exponents.get(b, 0) - of.exponents.get(b, 0) for b in (*unit.exponents, *of.exponents)}
+    return powers.pop("s", 0) <= 0 and not any(powers.values())
+
+
+def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str], units: Sequence[str | None]) -> Iterator[_Operator]:
     pooled = {i: float(s[:, members].var(axis=0).mean()) for members in by_array(channels).values() for i in members}
     for i, name in enumerate(channels):
         own = s[:, [i]]
@@ -125,8 +154,9 @@ def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str]) -> Iterato
         turned = Finding(name, "sign", -1.0, "1", "has the wrong sign; expected that of its simulation: turn it")
         yield _Operator((i,), np.array([[-1.0]]), turned, pooled[i])
         slope = float(x[:, i] @ s[:, i] / (s[:, i] @ s[:, i]))
-        for factor, mistake in FACTORS.items():
-            if abs(slope / factor - 1.0) > TOLERANCE:  # a unit is exact: what is larger by another factor has an effect
+        for factor, (mistake, where) in FACTORS.items():
+            # a unit is exact: what is larger by another factor has an effect
+            if abs(slope / factor - 1.0) > TOLERANCE or not made_in(units[i], where):
                 continue
             text = f"is {slope:.4g} times what it should be: {mistake}; expected 1 (give the unit that it is logged in)"
             yield _Operator((i,), np.array([[factor]]), Finding(name, "unit", slope, "1", text), pooled[i])

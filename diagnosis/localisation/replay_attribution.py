@@ -111,8 +111,9 @@ class Replay:
         seen = {a: [b.observed(x) for b, x in zip(self.replayed, m, strict=True)] for a, m in direct.items()}
         if not any(np.any(x) for parts in seen.values() for x in parts):
             raise DataError(
-                "no parameter of the catalogue changes a measured output of its component: there is nothing to replay"
-                "; give another catalogue, or measure more channels"
+                "no component is replayed alone: nothing that the catalogue has in one changes a measured output of that component"
+                "; which effect it is does not depend on that, as effects are fitted in the whole system"
+                "; give a channel of what comes out of one to have it looked at alone"
             )
         self.adding = tuple(dict.fromkeys(a for b in self.replayed for a in b.adding))
         """Measured outputs that are not replayed: alone, they add up what goes in."""

@@ -233,13 +233,19 @@ class TestGate:
         assert finding["text"] == "has the wrong sign: with the other one, gain @ sensor 2 explains the log"
 
     def test_what_looks_like_a_fault_and_explains_nothing_is_kept(self, tmp_path: Path) -> None:
-        """9.8 times as much, and a third of that more whatever the sign: in no catalogue, and no kilogram-force."""
-        result = answer(tmp_path, changed(measure(), "sensors.y[2]", lambda t, y: 9.8 * y + 3.0 * np.abs(y))).result
+        """25.4 times as much, and a third of that more whatever the sign: in no catalogue, and no inches."""
+        result = answer(tmp_path, changed(measure(), "sensors.y[2]", lambda t, y: 25.4 * y + 8.0 * np.abs(y))).result
         assert result["verdict"] == "unknown"
         (finding,) = (f for f in result["gate"]["findings"] if f["kind"] == "unit")
         assert not finding["fatal"]
-        assert "newtons for kilogram-force" in finding["text"]
+        assert "millimetres for inches" in finding["text"]
         assert finding["text"].endswith("; without that, the log is explained no better: it is kept")
+
+    def test_a_way_is_not_in_kilogram_force(self, tmp_path: Path) -> None:
+        """The channel is in metres, and 9.8 is the factor of a force."""
+        result = answer(tmp_path, changed(measure(), "sensors.y[2]", lambda t, y: 9.8 * y + 3.0 * np.abs(y))).result
+        assert result["verdict"] == "unknown"
+        assert "unit" not in {f["kind"] for f in result["gate"]["findings"]}
 
     def test_a_wrong_sign_stops_the_log_though_something_else_is_in_no_catalogue(self, tmp_path: Path) -> None:
         """What is left of the log with the sign put right is a part in four hundred of the gap with the wrong one."""

@@ -7,7 +7,7 @@ import pytest
 
 from robomill.diagnosis.experiment.observation import observe
 from robomill.diagnosis.gate.checks import Finding
-from robomill.diagnosis.gate.log_faults import FACTORS, judged, together, undone
+from robomill.diagnosis.gate.log_faults import FACTORS, judged, made_in, together, undone
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import ROUNDOFF
 
@@ -16,11 +16,13 @@ SINE, COSINE, OTHER = np.sin(2.0 * np.pi * T), np.cos(2.0 * np.pi * T), np.sin(6
 """Over ten whole periods: orthogonal, mean square 1/2."""
 VECTOR = np.stack([SINE, 2.0 * COSINE, 0.5 * OTHER], axis=1)
 NAMES = ["a.f[1]", "a.f[2]", "a.f[3]"]
+ANY = [None] * len(NAMES)
+"""Units that nobody knows."""
 
 
 def kinds(x: FloatArray, s: FloatArray, noise: float = 1e-9) -> list[tuple[str, str]]:
     """Channel and kind of what is believed."""
-    return [(f.channel, f.kind) for f in judged(x, s, NAMES[: x.shape[1]], np.full(x.shape[1], noise))]
+    return [(f.channel, f.kind) for f in judged(x, s, NAMES[: x.shape[1]], ANY[: x.shape[1]], np.full(x.shape[1], noise))]
 
 
 class TestJudged:
@@ -31,10 +33,47 @@ class TestJudged:
     @pytest.mark.parametrize("factor", FACTORS)
     def test_each_usual_mistake_is_found_with_a_gain_of_a_tenth_besides(self, factor: float) -> None:
         for gain in (0.9, 1.0, 1.1):
-            (finding,) = judged(gain * factor * VECTOR[:, :1], VECTOR[:, :1], NAMES[:1], np.array([1e-9]))
+            (finding,) = judged(gain * factor * VECTOR[:, :1], VECTOR[:, :1], NAMES[:1], ANY[:1], np.array([1e-9]))
             assert (finding.kind, finding.fatal) == ("unit", True)
             assert finding.value == pytest.approx(gain * factor, rel=ROUNDOFF)
             assert "; expected 1 (give the unit that it is logged in)" in finding.text
+
+    @pytest.mark.parametrize(
+        ("unit", "tried"),
+        [
+            ("rad/s", {"degrees for radians", "rpm for rad/s"}),
+            ("deg", {"degrees for radians"}),
+            ("mm/s2", {"millimetres for inches"}),
+            ("N", {"newtons for kilogram-force", "newtons for pound-force"}),
+            ("N.m/s", {"newtons for kilogram-force", "newtons for pound-force"}),
+            ("kg", set()),
+            ("V", set()),
+            ("1", set()),
+        ],
+    )
+    def test_a_mistake_is_one_that_can_be_made_in_the_unit_of_the_channel(self, unit: str, tried: set[str]) -> None:
+        """Beside the prefixes, which are there in every unit."""
+        larger = {mistake: where for factor, (mistake, where) in FACTORS.items() if factor > 1.0}
+        smaller = {mistake: where for factor, (mistake, where) in FACTORS.items() if factor < 1.0}
+        prefixes = {"milli- for units", "micro- for units"}
+        assert {mistake for mistake, where in larger.items() if made_in(unit, where)} == tried | prefixes
+        back = {" for ".join(mistake.split(" for ")[::-1]) for mistake, where in smaller.items() if made_in(unit, where)}
+        assert back == tried | prefixes
+        for unknown in (None, "furlong"):
+            assert all(made_in(unknown, where) for _, where in FACTORS.values())
+
+    def test_no_speed_is_in_pounds(self) -> None:
+        """0.2344 of a simulation whose friction is too low (HSM150): in newtons that is a unit, in rad/s it is an effect."""
+
+        def found(unit: str) -> list[str]:
+            s = VECTOR[:, :1]
+            return [f.text for f in judged(0.2344 * s, s, NAMES[:1], [unit], np.array([1e-9]))]
+
+        assert found("rad/s") == []
+        assert found("N") == ["is 0.2344 times what it should be: pound-force for newtons; expected 1 (give the unit that it is logged in)"]
+        logged = 0.2344 * VECTOR
+        faults = judged(logged, VECTOR, NAMES, ["N"] * 3, np.full(3, 1e-9))
+        np.testing.assert_array_equal(undone(faults, logged, VECTOR, NAMES, ["rad/s"] * 3), logged)
 
     @pytest.mark.parametrize("factor", [85.6, 41.2, 19.8, 13.6, 7.96, 5.31])
     def test_an_effect_that_makes_a_small_signal_large_by_another_factor_is_no_unit(self, factor: float) -> None:
@@ -42,7 +81,7 @@ class TestJudged:
         assert kinds(factor * VECTOR[:, :1], VECTOR[:, :1]) == []
 
     def test_the_text_names_the_mistake_that_is_nearest(self) -> None:
-        (finding,) = judged(1.05e-3 * VECTOR[:, :1], VECTOR[:, :1], NAMES[:1], np.array([1e-9]))
+        (finding,) = judged(1.05e-3 * VECTOR[:, :1], VECTOR[:, :1], NAMES[:1], ANY[:1], np.array([1e-9]))
         assert finding.text == "is 0.00105 times what it should be: units for milli-; expected 1 (give the unit that it is logged in)"
 
     @pytest.mark.parametrize("factor", FACTORS)
@@ -99,7 +138,7 @@ class TestJudged:
 
     def test_a_channel_that_is_wrong_anyway_is_not_judged(self) -> None:
         x = VECTOR * [-1.0, 1.0, 1.0]
-        assert judged(x, VECTOR, NAMES, np.full(3, 1e-9), frozenset({0})) == []
+        assert judged(x, VECTOR, NAMES, ANY, np.full(3, 1e-9), frozenset({0})) == []
 
 
 class TestObserved:
@@ -145,13 +184,13 @@ class TestUndone:
     def test_what_is_undone_is_as_it_was(self, kind: str, matrix: FloatArray) -> None:
         true = VECTOR + 1e-3 * np.cos(10.0 * np.pi * T)[:, None]
         logged = true @ matrix
-        found = judged(logged, VECTOR, NAMES, np.full(3, 1e-9))
+        found = judged(logged, VECTOR, NAMES, ANY, np.full(3, 1e-9))
         assert {f.kind for f in found} == {kind}
         # a turn is fitted to the simulation, of which the log is off by 1e-3; the others are exact
-        np.testing.assert_allclose(undone(found, logged, VECTOR, NAMES), true, rtol=0.0, atol=1e-3 if kind == "rotation" else ROUNDOFF)
+        np.testing.assert_allclose(undone(found, logged, VECTOR, NAMES, ANY), true, rtol=0.0, atol=1e-3 if kind == "rotation" else ROUNDOFF)
 
     def test_what_has_no_fault_stays(self) -> None:
-        np.testing.assert_array_equal(undone([], VECTOR, VECTOR, NAMES), VECTOR)
+        np.testing.assert_array_equal(undone([], VECTOR, VECTOR, NAMES, ANY), VECTOR)
 
 
 def test_faults_are_tried_all_together_and_array_by_array() -> None:

@@ -207,8 +207,14 @@ class TestReplay:
     def test_nothing_to_replay_is_said(self, tmp_path: Path) -> None:
         runs = measure(arrays=["masses.x"])
         only = [Run(r.folder, r.t, {"force.f": np.zeros(len(r.t))}, {"force.f": real("f", "output", "N")}, r.info) for r in runs[:1]]
-        with pytest.raises(DataError, match="nothing to replay"):
+        text = (
+            "no component is replayed alone: nothing that the catalogue has in one changes a measured output of that component"
+            "; which effect it is does not depend on that, as effects are fitted in the whole system"
+            "; give a channel of what comes out of one to have it looked at alone"
+        )
+        with pytest.raises(DataError) as error:
             replay(tmp_path, only)
+        assert str(error.value) == text
 
 
 class TestSwap:

@@ -1,0 +1,95 @@
+"""A channel with the wrong sign, on a rotor with dry friction: what comes to rest does not turn round."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.diagnosis.engine import diagnose
+from robomill.orchestration.assembly import run
+from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system.definition import Component, Connection, System
+from tests.diagnosis.demo import Part, changed, real
+
+NOISE = 0.01
+"""rad/s"""
+DRY = """
+[[effect]]
+name = "coulomb"
+component = "rotor"
+description = "dry friction of the bearings"
+source = "made up"
+unit = "N.m"
+minimum = 0.001
+maximum = 10.0
+sign = "positive"
+prior = {kind = "log-normal", scale = 0.3, spread = 0.8}
+locations = [{name = "bearings", parameters = ["coulomb"]}]
+"""
+
+
+class Motor(Part):
+    """A torque from the beginning on; `gain_error` is in no catalogue."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, [real("gain_error", "parameter", "1"), real("m", "output", "N.m", dependencies=())])
+
+    def advance(self, t: float, h: float) -> None:
+        self.y[0] = 1.0 + self.p["gain_error"]
+
+
+class Rotor(Part):
+    """dw/dt = m - w - coulomb sgn(w), each divided by 1 kg.m2: it stays at rest once it is."""
+
+    def __init__(self, name: str) -> None:
+        ports = [real("m", "input", "N.m"), real("coulomb", "parameter", "N.m"), real("w", "output", "rad/s", dependencies=())]
+        super().__init__(name, ports)
+        self.w = 0.0
+
+    def advance(self, t: float, h: float) -> None:
+        self.w += h * (self.u[0] - self.w)
+        self.w = math.copysign(max(abs(self.w) - h * self.p["coulomb"], 0.0), self.w)
+        self.y[0] = self.w
+
+
+PARTS = {"motor": Motor, "rotor": Rotor}
+SYSTEM = System("rotor", 0.01, tuple(Component(name, name) for name in PARTS), (Connection("motor.m", "rotor.m"),))
+
+
+def resolve(source: str, name: str) -> Any:
+    return PARTS[source](name)
+
+
+def measure(**truth: dict[str, float]) -> list[Run]:
+    """Three noisy runs of 8 s with `truth`, component -> parameter -> value."""
+    system = SYSTEM
+    for component, values in truth.items():
+        system = system.with_parameters(component, values)
+    clean, random = run(system, None, stop=8.0, resolver=resolve), np.random.default_rng(1)
+    column = "rotor.w"
+    noisy = [clean[column] + NOISE * random.standard_normal(len(clean.t)) for _ in range(3)]
+    told = [{"labels": {"condition": "on", "repeat": i}} for i in range(len(noisy))]
+    ports = {column: clean.ports[column]}
+    return [Run(Path(f"run{i}"), clean.t, {column: x}, ports, info) for i, (x, info) in enumerate(zip(noisy, told, strict=True))]
+
+
+def answer(folder: Path, runs: list[Run]) -> dict[str, Any]:
+    (folder / "dry.toml").write_text(DRY)
+    return diagnose(SYSTEM, runs, Catalogue.load(folder / "dry.toml"), resolver=resolve).result
+
+
+def test_no_sign_is_wrong_because_a_slope_goes_on_where_the_machine_rests(tmp_path: Path) -> None:
+    """A motor too strong by a fifth: along its slope dry friction would turn the rotor round, which with the other sign is the log."""
+    result = answer(tmp_path, measure(motor={"gain_error": 0.2}))
+    assert result["gate"]["findings"] == []
+    assert result["verdict"] == "unknown"
+
+
+def test_a_wrong_sign_is_no_dry_friction_whose_slope_turns_the_rotor_round(tmp_path: Path) -> None:
+    result = answer(tmp_path, changed(measure(rotor={"coulomb": 0.2}), "rotor.w", lambda t, w: -w))
+    assert result["verdict"] == "bad_log"
+    assert [(f["kind"], f["channel"]) for f in result["gate"]["findings"]] == [("sign", "rotor.w")]
