@@ -258,7 +258,7 @@ def rank() -> float:
 
 def explainable() -> float:
     """What is explained by a candidate that explains 100 times what it explains of noise."""
-    seen = SimpleNamespace(space=NOTHING_SEEN, sensitivities={EFFECT.addresses[0]: np.full(1, 10.0)}, guess=1.0)
+    seen = SimpleNamespace(space=NOTHING_SEEN, sensitivities={EFFECT.addresses[0]: np.full(1, 10.0)}, guess=1.0, dispersion=1.0)
     of = Known((EFFECT,), seen, {})
     return search.Search.explainable(of, np.full(1, math.sqrt(101.0)))
 

@@ -24,6 +24,7 @@ from robomill.diagnosis.inference.adequacy import (
     kept,
     left_by,
     misfit,
+    most_left,
     together,
     unexplained,
     worsened,
@@ -52,7 +53,7 @@ def right_density(u: FloatArray, share: float) -> FloatArray:
 
 
 def integrated(before: float, after: float, share: float, kinds: int = 1, levels: float = 1.0) -> float:
-    """Log of the ratio of the integrals over the share that is left, with the density of a right model and with Beta(1, kinds).
+    """Log of the ratio of the integrals over the share that is left, with the density of a right model and with Beta(1, 2 kinds - 1).
 
     What is left is the largest of so many `levels`.
     """
@@ -62,7 +63,7 @@ def integrated(before: float, after: float, share: float, kinds: int = 1, levels
     u = np.unique(np.clip(finely, 0.0, 1.0))
     likelihood = norm.logpdf(u, centre, width) + (levels - 1.0) * norm.logcdf(centre, u, width)
     likelihood = np.exp(likelihood - likelihood.max())
-    return math.log(trapezoid(likelihood * right_density(u, share), u)) - math.log(trapezoid(likelihood * beta.pdf(u, 1.0, kinds), u))
+    return math.log(trapezoid(likelihood * right_density(u, share), u)) - math.log(trapezoid(likelihood * beta.pdf(u, 1.0, 2 * kinds - 1), u))
 
 
 @pytest.mark.parametrize("share", [MISFIT, EXACT])
@@ -76,7 +77,7 @@ def test_it_is_the_ratio_of_the_integrals_over_what_may_be_left(share: float, be
 @pytest.mark.parametrize("kinds", [2, 9])
 @pytest.mark.parametrize("before", GAPS)
 @pytest.mark.parametrize("part", [0.0, 0.05, 0.2, 0.9])
-def test_several_stand_ins_together_leave_the_least_of_as_many_shares(kinds: int, before: float, part: float) -> None:
+def test_several_stand_ins_together_leave_the_least_of_twice_as_many_shares_less_one(kinds: int, before: float, part: float) -> None:
     after = LEVEL + part * (before - LEVEL)
     assert left_by(before, after, MISFIT, kinds) == pytest.approx(integrated(before, after, MISFIT, kinds), abs=QUADRATURE)
 
@@ -112,9 +113,22 @@ def test_the_more_is_left_the_less_it_speaks_for_the_model(share: float, before:
 @pytest.mark.parametrize("share", [MISFIT, EXACT])
 @pytest.mark.parametrize("kinds", [1, 4])
 def test_a_model_that_leaves_nothing_of_a_large_gap_gains_at_most_the_odds_of_the_densities_there(share: float, kinds: int) -> None:
-    """Beta(1, b) has the density b at 0: a right model has the mean of 1 / m - 1 there, where a stand-in has `kinds`."""
+    """Beta(1, b) has the density b at 0: a right model has the mean of 1 / m - 1 there, where a stand-in has 2 `kinds` - 1."""
     mean = (TRUST**-2 - 1.0 / share) / math.log(share / TRUST**2) - 1.0
-    assert left_by(1e7, LEVEL, share, kinds) == pytest.approx(math.log(mean / kinds), abs=QUADRATURE)
+    assert left_by(1e7, LEVEL, share, kinds) == pytest.approx(math.log(mean / (2 * kinds - 1)), abs=QUADRATURE)
+
+
+def test_of_several_looks_the_sharpest_says_how_much_and_the_one_that_sees_most_left_what_it_is_worth() -> None:
+    """A catalogue that explains nothing of what is left sees no gap there; the channels do."""
+
+    def seen(before: float, after: float) -> tuple[float, float]:
+        return left_by(before, after), left_by(before, LEVEL)
+
+    sharp, blunt = seen(26000.0, LEVEL), seen(3.0, LEVEL)
+    assert most_left([sharp, blunt]) == pytest.approx(sharp[0], abs=QUADRATURE)
+    left = LEVEL + 0.08 * 7000.0
+    assert most_left([sharp, seen(7000.0, left)]) == pytest.approx(left_by(7000.0, left) + sharp[1] - left_by(7000.0, LEVEL), abs=QUADRATURE)
+    assert most_left([sharp, seen(7000.0, left)]) < 0.0 < most_left([sharp, seen(0.5, 0.5)])
 
 
 @pytest.mark.parametrize("left", [0.005, 0.01, 0.02])

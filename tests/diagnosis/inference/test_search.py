@@ -224,7 +224,7 @@ class TestExplainable:
         starts = {turns: Start(0.2, 0.2 * sensitivities[turns], np.zeros(self.N))}
         sensitivities[turns] = rng.normal(size=self.N)
         space = Space(np.zeros(self.N), {"all": slice(0, self.N)}, nuisances)
-        evidence = SimpleNamespace(space=space, sensitivities=sensitivities, guess=guess)
+        evidence = SimpleNamespace(space=space, sensitivities=sensitivities, guess=guess, dispersion=1.0)
         return Known(self.ENTRIES, evidence, starts), does, np.eye(self.N) + nuisances @ nuisances.T
 
     def smoother(self, does: FloatArray, covariance: FloatArray) -> FloatArray:
