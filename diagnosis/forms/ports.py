@@ -3,7 +3,7 @@
 - A measured output of the component itself: what a term adds is seen as it is.
 - An output that was not measured, behind which another component has measured ones: what a small constant shift of the output does there,
   at each time, tells what a term does there.
-- An input of a component that measured outputs are behind which add up what goes in (they are not replayed alone): what a term does to all
+- An input of a component with measured outputs behind it that add up what goes in (they are not replayed alone): what a term does to all
   that is measured is simulated in the closed loop.
 """
 
@@ -173,7 +173,7 @@ def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
 
 
 def into(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: str) -> list[Problem]:
-    """One problem for the inputs of a component that measured outputs are behind which add up; each term is simulated in the closed loop."""
+    """One problem for the inputs of a component with measured outputs behind it that add up; each term is simulated in the closed loop."""
     if not any(a.partition(".")[0] in _reached(replays[0], component) for r in replays for a in r.adding):
         return []
     seen = Seen.of(laboratory, replays, component, "input")

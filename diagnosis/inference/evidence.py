@@ -236,8 +236,8 @@ def gather(
     component. `left`: what a model leaves of each run, from which the noise is guessed where there are no repeats (else what the nominal
     one leaves). `like`: channels, whitening and what is no nuisance are those of this one, so that chi2 can be compared. `doubts`: the
     standard deviations that a discrepancy goes with (None: `tolerances`). `beyond`: what calibrated numbers do together beyond the sum of
-    what they do alone, in each condition; each of these may be there or not, in every condition anew. `dispersion`: see `Evidence`; with `like`
-    that of this one. DataError if no parameter changes anything.
+    what they do alone, in each condition; each of these may be there or not, in every condition anew. `dispersion`: see `Evidence`; that of
+    `like`, if there is one. DataError if no parameter changes anything.
     """
     active = _moved(changes) if like is None else like.active
     groups = [[x[:, active] for x in g] for g in groups]

@@ -63,7 +63,9 @@ def integrated(before: float, after: float, share: float, kinds: int = 1, levels
     u = np.unique(np.clip(finely, 0.0, 1.0))
     likelihood = norm.logpdf(u, centre, width) + (levels - 1.0) * norm.logcdf(centre, u, width)
     likelihood = np.exp(likelihood - likelihood.max())
-    return math.log(trapezoid(likelihood * right_density(u, share), u)) - math.log(trapezoid(likelihood * beta.pdf(u, 1.0, 2 * kinds - 1), u))
+    return math.log(trapezoid(likelihood * right_density(u, share), u)) - math.log(
+        trapezoid(likelihood * beta.pdf(u, 1.0, 2 * kinds - 1), u)
+    )
 
 
 @pytest.mark.parametrize("share", [MISFIT, EXACT])
@@ -127,7 +129,9 @@ def test_of_several_looks_the_sharpest_says_how_much_and_the_one_that_sees_most_
     sharp, blunt = seen(26000.0, LEVEL), seen(3.0, LEVEL)
     assert most_left([sharp, blunt]) == pytest.approx(sharp[0], abs=QUADRATURE)
     left = LEVEL + 0.08 * 7000.0
-    assert most_left([sharp, seen(7000.0, left)]) == pytest.approx(left_by(7000.0, left) + sharp[1] - left_by(7000.0, LEVEL), abs=QUADRATURE)
+    assert most_left([sharp, seen(7000.0, left)]) == pytest.approx(
+        left_by(7000.0, left) + sharp[1] - left_by(7000.0, LEVEL), abs=QUADRATURE
+    )
     assert most_left([sharp, seen(7000.0, left)]) < 0.0 < most_left([sharp, seen(0.5, 0.5)])
 
 

@@ -71,6 +71,21 @@ def test_the_truth_is_in_nine_of_ten_intervals_also_with_an_effect_that_is_not_n
     assert alone < 0.5 * RUNS  # it stands for what nobody named
 
 
+def test_what_the_data_hardly_say_is_left_to_the_priors_however_long_the_noise_remembers() -> None:
+    """Two friction terms are named, and a gain of both is not: it is free against them. Noise that remembers would else give it a size."""
+    J, far, inside = columns(), 0, 0
+    for seed in range(RUNS):
+        rng = np.random.default_rng([7, seed])
+        scale = J[:, 0] + J[:, 1] + 0.02 * J[:, 2]  # of one more term it does a fiftieth
+        y = 2.0 * J[:, 0] + 2.0 * J[:, 1] + noise(rng, 0.05, 1.0, 0.2)
+        of = known(y, np.column_stack([J[:, :2], 2.0 * scale]), "p0", "p1")["p0 @ place"]
+        value, deviation = (x["a", "p0"] for x in (of.values, of.deviations))
+        far += abs(value - 2.0) > 2.0  # a gain of one, which is its prior scale
+        inside += abs(value - 2.0) < 1.645 * deviation
+    assert far <= 0.1 * RUNS
+    assert inside >= 0.85 * RUNS
+
+
 def test_a_sign_is_hard_and_what_closes_little_is_said_to() -> None:
     J = columns()
     y = J @ [2.0, -0.4, 0.03] + 0.1 * noise(np.random.default_rng(4))
