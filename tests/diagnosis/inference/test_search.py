@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import Address, Candidate, Catalogue
+from robomill.diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import sort_by_condition
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
 from robomill.diagnosis.inference import search as search_module
-from robomill.diagnosis.inference.adequacy import COHERENT
+from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL
 from robomill.diagnosis.inference.estimation import Fit, Space
-from robomill.diagnosis.inference.search import FAULT, SUBSTANTIAL, Search
+from robomill.diagnosis.inference.search import FAULT, SUBSTANTIAL, Search, searched
 from robomill.diagnosis.inference.sensitivities import Start
 from robomill.diagnosis.outcome.verdict import UNKNOWN
 from robomill.orchestration.assembly import run
@@ -267,3 +267,50 @@ class TestExplainable:
         variance = 2.0 * float(np.trace(product @ product)) + 4.0 * float(added @ smoother @ covariance @ smoother @ added)
         assert float(np.mean(found)) == pytest.approx(1.0 + more, abs=chance(math.sqrt(variance / self.DRAWS) / float(np.trace(product))))
         assert min(found) > UNKNOWN
+
+
+class TestDispersion:
+    """What is there besides an effect: none of it is in the catalogue, and it is much larger than the noise."""
+
+    ROWS, NOISE = 600, 1e-3
+
+    def made(self, besides: float) -> tuple[Catalogue, Simulator, list[list[FloatArray]], list[Nuisance]]:
+        """A signal of ten deviations, and a slower one of `besides`; a second candidate is a little like the latter."""
+        t = np.arange(self.ROWS)
+        slow = np.sin(0.031 * t)
+        signals = {("a", "first"): np.sin(0.11 * t), ("a", "second"): np.sin(0.19 * t) + 0.3 * slow, ("a", "number"): np.cos(0.11 * t)}
+
+        def formula(_: int, values: Mapping[Address, float]) -> FloatArray:
+            return np.asarray(sum((v * signals[a] for a, v in values.items()), np.zeros(self.ROWS)))[:, None]
+
+        rng = np.random.default_rng(1)
+        clean = formula(0, {("a", "first"): 10.0})[:, 0] + besides * slow
+        groups = [[(clean + self.NOISE * rng.normal(size=self.ROWS))[:, None] for _ in range(4)]]
+        entries = (candidate("first"), candidate("second"))
+        simulator = Simulator(Calculated(formula, self.ROWS))
+        return Catalogue(Path("made up"), entries), simulator, groups, [Nuisance(("a", "number"), 0.01, 1.0)]
+
+    def best(self, fits: Sequence[Fit]) -> list[str]:
+        return [c.effect for c in max(fits, key=lambda f: f.log_evidence).model]
+
+    def test_of_a_model_that_leaves_noise_there_is_none(self) -> None:
+        search, fits = searched(*self.made(0.0))
+        assert (search.evidence.dispersion, self.best(fits)) == (1.0, ["first"])
+
+    def test_what_a_model_leaves_that_may_be_right_takes_part_in_every_difference(self) -> None:
+        plain = Search(*self.made(1.0))
+        named = plain.run()
+        assert self.best(named) == ["first", "second"]  # which closes a part of it, as sure as the noise is small
+        search, fits = searched(*self.made(1.0))
+        assert self.best(fits) == ["first"]
+        best = max(named, key=lambda f: f.log_evidence)
+        assert best.signature is not None
+        left = plain.evidence.level(plain.evidence.space.y - best.signature)
+        assert search.evidence.dispersion == pytest.approx(left / LEVEL, rel=WELL)
+        first, before = (next(f for f in some if [c.effect for c in f.model] == ["first"]) for some in (fits, named))
+        wider = first.deviations["a", "first"] / before.deviations["a", "first"]
+        assert wider == pytest.approx(math.sqrt(search.evidence.dispersion), rel=0.5)
+
+    def test_of_a_model_that_leaves_too_much_nothing_is_known(self) -> None:
+        search, _ = searched(*self.made(5.0))
+        assert search.evidence.dispersion == 1.0
