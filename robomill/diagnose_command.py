@@ -24,6 +24,7 @@ from robomill.diagnosis.experiment.campaign import Campaign, load_campaign
 from robomill.diagnosis.experiment.design import Kind, Offer, Quantity
 from robomill.diagnosis.experiment.simulation import Report
 from robomill.diagnosis.experiment.store import Store
+from robomill.diagnosis.forms.layout import Form
 from robomill.diagnosis.outcome import adopt
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, as_json
 from robomill.diagnosis.outcome.verdict import FALSE_ALARM
@@ -299,13 +300,21 @@ def lines(answer: Answer) -> list[str]:
     if answer.onset:
         out.append(f"onset: {answer.onset.text}")
     if answer.form:
-        out += [f"form: {p.port} lacks {p.formula} ({p.unit}), which closes {100 * p.closure:.0f} %" for p in answer.form.ports]
-        out += [f"form: {text}" for text in (*answer.form.like, answer.form.note) if text]
-        for h in answer.form.how_far:
-            if h.unit != "1" and h.closure is not None:
-                out.append(
-                    f"form in the loop: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}, closure {100 * h.closure:.0f} %"
-                )
+        out += _form_lines(answer.form)
     if answer.next_run:
         out.append(f"next run: {answer.next_run.text}")
+    return out
+
+
+def _form_lines(form: Form) -> list[str]:
+    """A form in sentences. What one closes that the loop refutes is no merit: it is not said."""
+    out = []
+    for p in form.ports:
+        worth = ": of no use" if form.refuted else f", which closes {100 * p.closure:.0f} %"
+        out.append(f"form: {p.port} lacks {p.formula} ({p.unit}){worth}")
+    out += [f"form: {text}" for text in (*form.like, form.note) if text]
+    for h in form.how_far:
+        if h.unit != "1" and h.closure is not None:
+            closed = "" if form.refuted else f", closure {100 * h.closure:.0f} %"
+            out.append(f"form in the loop: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}{closed}")
     return out

@@ -245,7 +245,9 @@ def discovered(
         note=note,
     )
     if any(h.channel == WHOLE and h.on == closing.hardest and h.after > h.before for h in closures):
-        refuted = f"on {closing.hardest} the whole gap is larger with the form: it is said as it was found, and not adopted"
+        refuted = (
+            f"in the loop the whole gap on {closing.hardest} is larger with the form than without it: it is of no use, and not adopted"
+        )
         return replace(form, note=f"{refuted}; {note}" if note else refuted)
     return replace(form, specification=fitted_there)
 

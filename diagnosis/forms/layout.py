@@ -141,3 +141,8 @@ class Form:
     """Why it was not put into the loop, or is refuted by new conditions, or what to keep in mind; empty if nothing."""
     specification: dict[str, Any] = field(default_factory=dict)
     """The form as plain data, which `models.components.correction` makes a model of (an FMU, too)."""
+
+    @property
+    def refuted(self) -> bool:
+        """Whether the closed loop was tried with it, and is farther off than without it: then it is not adopted."""
+        return bool(self.how_far) and not self.specification

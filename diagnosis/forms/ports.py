@@ -55,9 +55,10 @@ class Seen:
         return max(float(t[-1] - t[0]) for t in self.t)
 
     def library(self, element: str, alone: bool) -> list[Term]:
-        """Terms for a port; `alone`: it is looked at by itself."""
+        """Terms for a port; `alone`: it is looked at by itself. Of an input none is about an output that shows it (`Host.shows`)."""
         index, unit = element.partition("[")[2].rstrip("]"), self.host.ports[element].unit or "1"
-        return library(self.known, index, self.longest, OF_ONE if alone else OTHERS, unit)
+        known = [{v: x for v, x in k.items() if self.side == "output" or not self.host.shows(v.name, element)} for k in self.known]
+        return library(known, index, self.longest, OF_ONE if alone else OTHERS, unit)
 
     def angles(self, element: str) -> list[Variable]:
         """Variables that a port may be periodic in: angles and ways of its index, or all if it has none."""

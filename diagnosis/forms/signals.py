@@ -83,6 +83,16 @@ class Host:
         """Whether a port goes in."""
         return self.ports[element].causality == "input"
 
+    def shows(self, name: str, element: str) -> bool:
+        """Whether an output shows what goes into an input: it may take it in the same step, and is the same quantity.
+
+        As it was measured it holds what the input should have been, and so says nothing of why; in the loop it follows the input.
+        """
+        port, given = self.ports.get(name), self.ports[element]
+        if port is None or port.causality != "output" or (port.dependencies is not None and element not in port.dependencies):
+            return False
+        return (port.unit or "1") == (given.unit or "1") or compatible(port.unit or "1", given.unit or "1")
+
 
 def _pairs(c: Connection, known: Mapping[str, Sequence[Port]]) -> list[tuple[str, str]]:
     """(column, element of the input) of a connection."""

@@ -23,16 +23,23 @@ CURVES = 6
 
 
 def section(s: Subject, figures: Mapping[str, str]) -> str:
-    """Formula, terms and curve of each port; how far the gap shrinks with it; where it was seen, and where it is worse."""
+    """Formula, terms and curve of each port; how far the gap shrinks with it; where it was seen, and where it is worse.
+
+    Of a form that the closed loop refutes only the formula, and why it is of no use.
+    """
     f = s.answer.form
     if f is None or not f.ports:
         return ""
     what = "added to what comes out of" if f.side == "output" else "added to what goes into"
+    fitted = f"a sum of terms, {what} {f.component}, chosen and fitted on the diagnosed runs"
     text = (
-        f"No entry of the catalogue says it, but it has a form: a sum of terms, {what} {f.component}, chosen and fitted on the diagnosed runs. "
-        "It describes the gap; it does not name the cause."
+        f"No entry of the catalogue says it, and no form was found for it that is of use. This one is {fitted}."
+        if f.refuted
+        else f"No entry of the catalogue says it, but it has a form: {fitted}. It describes the gap; it does not name the cause."
     )
     parts = [paragraph(text), *("<pre><code>" + escape(f"{p.port} += {p.formula}   [{p.unit}]") + "</code></pre>" for p in f.ports)]
+    if f.refuted:  # what it closes outside of the loop is no merit
+        return "\n".join([*parts, paragraph(f.note)])
     parts += [paragraph(f"It is {listed(f.like, 'or')}.")] if f.like else []
     caption = "What the nominal simulation leaves, and the form, over the variable of its first term (means of samples with like values)."
     parts += [figure(figures, "form", caption), _terms(f.ports), _closes(s, f), _ranges(f), paragraph(f.note) if f.note else ""]
@@ -91,7 +98,7 @@ def _ranges(f: Form) -> str:
 def draw(s: Subject, sheet: Sheet) -> Figure | None:
     """For each port the mean gap and the form over a variable."""
     f = s.answer.form
-    shown = [(p, p.curve) for p in f.ports if p.curve is not None][:CURVES] if f is not None else []
+    shown = [(p, p.curve) for p in f.ports if p.curve is not None][:CURVES] if f is not None and not f.refuted else []
     if not shown:
         return None
     columns = 1 if sheet.narrow else min(3, len(shown))

@@ -267,8 +267,8 @@ def _answer(s: Subject) -> str:
 
 
 def _formed(s: Subject) -> str:
-    """How much of the whole gap goes with the form of the unknown in the loop."""
-    known = s.answer.form.how_far if s.answer.form else ()
+    """How much of the whole gap goes with the form of the unknown in the loop; nothing of one that is of no use there."""
+    known = s.answer.form.how_far if s.answer.form and not s.answer.form.refuted else ()
     kind = hardest(known)
     whole = next((h for h in known if h.on == kind and h.channel == WHOLE and h.closure is not None), None)
     if whole is None:

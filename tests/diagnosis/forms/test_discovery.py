@@ -74,6 +74,7 @@ def test_it_closes_the_gap_of_runs_that_were_held_out(cubic: Form) -> None:
     closures = {(h.on, h.channel): h.closure for h in cubic.how_far}
     assert (closures["held-out condition", "sensors.y"] or 0.0) > 0.9
     assert not cubic.worse
+    assert not cubic.refuted
     (seen,) = {r.variable: r for r in cubic.ranges}.values()
     assert seen.held_out is not None
     assert seen.held_out[1] > seen.seen[1]  # a larger force
@@ -103,7 +104,10 @@ def test_a_form_that_other_runs_refute_is_said_and_not_adopted(tmp_path: Path) -
     assert form is not None
     assert form.ports[0].terms[0].term in ("y[2]^3", "x[2]^3")
     assert form.specification == {}
-    assert form.note == "on held-out condition the whole gap is larger with the form: it is said as it was found, and not adopted"
+    assert form.refuted
+    assert form.note == (
+        "in the loop the whole gap on held-out condition is larger with the form than without it: it is of no use, and not adopted"
+    )
     whole = [w for w in form.worse if w.on == "held-out condition" and w.channel == "all channels, whitened rms"]
     assert whole
     assert whole[0].after > whole[0].before

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robomill.diagnosis.forms.ports import _rms
+from robomill.diagnosis.forms.ports import Seen, _rms
+from robomill.diagnosis.forms.signals import Host, Variable
+from robomill.orchestration.slaves.protocol import PortData
 from tests.tolerances import ROUNDOFF
 
 
@@ -18,3 +20,25 @@ def test_a_gap_that_is_roundoff_of_what_was_measured_is_none(size: float, there:
     gap = [np.full((100, 1), size)]
     assert _rms([replay], gap, [0]) == pytest.approx(size if there else 0.0, rel=ROUNDOFF)
     assert _rms([replay], gap, [1]) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("unit", "dependencies", "shown"),
+    [("mm", None, True), ("m", ("q",), True), ("m", (), False), ("m", ("other",), False), ("V", None, False)],
+)
+def test_what_goes_into_an_input_is_not_explained_by_an_output_that_shows_it(
+    unit: str, dependencies: tuple[str, ...] | None, shown: bool
+) -> None:
+    """An encoder: put in place of its input, what it showed explains all of the gap, and nothing."""
+    ports = [PortData("q", "input", unit="m"), PortData("shown", "output", unit=unit, dependencies=dependencies)]
+    host = Host("encoder", {p.name: p for p in ports}, {"q": 0, "shown": 0}, {"q": ("axis.q", False)})
+    known = {Variable("q", False, "m", 0): np.sin(np.arange(100.0)), Variable("shown", False, unit, 0): np.cos(np.arange(100.0))}
+
+    def read(side: Any, element: str) -> set[str]:
+        terms = Seen(host, side, [known], [np.arange(100.0)]).library(element, alone=True)
+        return {f.variable.name for t in terms for f in t.factors}
+
+    assert read("input", "q") == ({"q"} if shown else {"q", "shown"})
+    assert read("output", "shown") == {"q", "shown"}
+    assert not host.shows("q", "q")
+    assert not host.shows("t", "q")

@@ -280,7 +280,9 @@ class TestContent:
         port = PortForm("masses.force", "N", "0.3 sgn(v)", (term,), 0.97, curve)
         far = HowFar("x rms", "all channels, whitened", "1", "held-out condition", 9.0, 2.0, 1.0, 0.95, [0.9, 0.97], 1.0, "repeats", 0.95)
         bad = (Worse("sensors.y[2]", "held-out condition", 1e-6, 2e-6, "m"),)
-        form = Form("masses", "input", 0.0, (port,), ("like friction",), (far,), (Range("v", "m/s", [-1.0, 2.0], None),), bad)
+        form = Form(
+            "masses", "input", 0.0, (port,), ("like friction",), (far,), (Range("v", "m/s", [-1.0, 2.0], None),), bad, "", {"name": "x"}
+        )
         formed = _saying(s, form=form)
         text = _text(report.write(formed, tmp_path))
         for said in ("masses.force += 0.3 sgn(v) [N]", "0.300 N 0.280 to 0.330 70 %", "It is like friction.", "v −1.00 to 2.00 m/s –"):
@@ -288,6 +290,30 @@ class TestContent:
         assert "It makes worse: sensors.y[2] (new conditions: from 1.00 µm to 2.00 µm)" in text
         assert "a form that was found for it closes 95 % of the gap in new conditions" in text
         assert {"form.svg", "form.png"} <= _figures(tmp_path / "report.html")
+        assert "form: masses.force lacks 0.3 sgn(v) (N), which closes 97 %" in lines(formed.answer)
+
+    def test_a_form_that_the_loop_refutes_is_said_to_be_of_no_use(self, subject: Callable[[str], Subject], tmp_path: Path) -> None:
+        """What it closes outside of the loop is no merit: no closure is printed."""
+        curve = Curve("v", "m/s", [-1.0, 1.0], [-0.31, 0.29], [-0.3, 0.3])
+        port = PortForm("masses.force", "N", "0.3 sgn(v)", (TermFound("sgn(v)", 0.3, [0.28, 0.33], "N", 0.7),), 0.97, curve)
+        far = HowFar("y rms", "sensors.y[2]", "m", "diagnosed runs", 1e-3, 2e-3, 2e-3, -3.0, [-3.5, -2.5], 1.0, "repeats", -3.0)
+        note = "in the loop the whole gap on diagnosed runs is larger with the form than without it: it is of no use, and not adopted"
+        form = Form("masses", "input", 0.0, (port,), (), (far,), (), (), note)
+        assert form.refuted
+        assert not replace(form, how_far=()).refuted
+        refuted = _saying(subject("unknown"), form=form)
+        said = [line for line in lines(refuted.answer) if line.startswith("form")]
+        assert said == [
+            "form: masses.force lacks 0.3 sgn(v) (N): of no use",
+            f"form: {note}",
+            "form in the loop: y rms, diagnosed runs: 0.001 -> 0.002 m",
+        ]
+        text = _text(report.write(refuted, tmp_path))
+        assert "no form was found for it that is of use. This one is a sum of terms, added to what goes into masses" in text
+        assert note in text
+        for merit in ("but it has a form", "97 %", "a form that was found for it closes"):
+            assert merit not in text
+        assert not {"form.svg", "form.png"} & _figures(tmp_path / "report.html")
 
     def test_runs_date_and_version_are_said(self, subject: Callable[[str], Subject]) -> None:
         s = subject("identified")
