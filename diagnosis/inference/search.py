@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -171,7 +172,7 @@ class Search:
         """
         if not self.simulator.laboratory.seeds:  # there is no noise to take out, and what has been simulated holds
             ran = [(f, f.signature, f.sensitivities) for f in fits]
-            return [self.about(f, s, d) for f, s, d in ran if s is not None and d is not None]  # the others could not run at any size
+            return [self._kept(f, self.about(f, s, d)) for f, s, d in ran if s is not None and d is not None]  # the others never ran
         polished = []
         best = max((f.log_evidence for f in fits), default=0.0)
         expected = {f.model: max(f.log_evidence, p.log_evidence) for f, p in zip(fits, linear, strict=True)}
@@ -197,6 +198,16 @@ class Search:
         move = np.array([better.values[a] for a in addresses]) / scales - x
         better.sensitivities, better.signature = sensitivities, signature + sensitivities @ move
         return better
+
+    def _kept(self, ran: Fit, better: Fit) -> Fit:
+        """`better`, which slopes say of a fit that was simulated; that fit with its chi2, if it has not settled: slopes reach so far only."""
+        assert ran.signature is not None
+        if all(_settled(better.values[a] - v, better.deviations[a], v) for a, v in ran.values.items()):
+            return better
+        left = self.evidence.space.y - ran.signature
+        chi2 = float(self.evidence.space.without(list(ran.values)).dot(left, left))
+        evidence = better.log_evidence - 0.5 * max(chi2 - better.chi2, 0.0)
+        return replace(better, values=ran.values, signature=ran.signature, chi2=chi2, log_evidence=evidence)
 
     def sharpen(self, fit: Fit) -> Fit:
         """The fit again with the slopes of the signature where it is: those of the way there miss an effect that turns with its size."""
@@ -473,6 +484,11 @@ def _first(fits: Sequence[Fit], count: int) -> list[Fit]:
     return [f for f in fits if _names(f) in sets[:count] and (f is best[_names(f)] or _names(f) in sets[:SHARPENED])]
 
 
+def _settled(step: float, width: float, value: float) -> bool:
+    """Whether a step of a fit matters little beside the deviation of the value, or the value."""
+    return abs(step) < max(0.3 * width, 0.002 * abs(value))
+
+
 class _State:
     """One model under refinement."""
 
@@ -504,7 +520,5 @@ class _State:
             values = dict(self.fit.values)
             evidence = fit.log_evidence - 0.5 * max(chi2 - fit.chi2, 0.0)
             self.best = Fit(self.fit.model, values, spread, evidence, chi2, signature, self.sensitivities)
-        step = np.array([fit.values[a] for a in addresses]) / self.scales - new
-        width = np.array([fit.deviations[a] for a in addresses]) / self.scales
-        self.settled = bool(np.all(np.abs(step) < np.maximum(0.3 * width, 0.002 * np.abs(new))))
+        self.settled = all(_settled(fit.values[a] - self.fit.values[a], fit.deviations[a], self.fit.values[a]) for a in addresses)
         self.x, self.signature, self.fit = new, signature, fit
