@@ -200,7 +200,10 @@ class Search:
         return better
 
     def _kept(self, ran: Fit, better: Fit) -> Fit:
-        """`better`, which slopes say of a fit that was simulated; that fit with its chi2, if it has not settled: slopes reach so far only."""
+        """`better`, which slopes say of a fit that was simulated; the simulated one, where they would have it move on.
+
+        Slopes reach so far only: where a machine rests, those of the way there go on.
+        """
         assert ran.signature is not None
         if all(_settled(better.values[a] - v, better.deviations[a], v) for a, v in ran.values.items()):
             return better
