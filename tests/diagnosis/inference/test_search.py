@@ -273,6 +273,8 @@ class TestDispersion:
     """What is there besides an effect: none of it is in the catalogue, and it is much larger than the noise."""
 
     ROWS, NOISE = 600, 1e-3
+    TOLERANCE_AND_FORM = 0.5
+    """Relative: a tolerance and the form of the effect are in the deviation, too, and do not grow."""
 
     def made(self, besides: float) -> tuple[Catalogue, Simulator, list[list[FloatArray]], list[Nuisance]]:
         """A signal of ten deviations, and a slower one of `besides`; a second candidate is a little like the latter."""
@@ -309,7 +311,7 @@ class TestDispersion:
         assert search.evidence.dispersion == pytest.approx(left / LEVEL, rel=WELL)
         first, before = (next(f for f in some if [c.effect for c in f.model] == ["first"]) for some in (fits, named))
         wider = first.deviations["a", "first"] / before.deviations["a", "first"]
-        assert wider == pytest.approx(math.sqrt(search.evidence.dispersion), rel=0.5)
+        assert wider == pytest.approx(math.sqrt(search.evidence.dispersion), rel=self.TOLERANCE_AND_FORM)
 
     def test_of_a_model_that_leaves_too_much_nothing_is_known(self) -> None:
         search, _ = searched(*self.made(5.0))
