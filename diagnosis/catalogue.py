@@ -219,6 +219,8 @@ class Nuisance:
     nominal: float = 0.0
     usual: float | None = None
     """Standard deviation of machines that are calibrated as usual [unit]; None: `scale`."""
+    unit: str = "1"
+    """Unit of the number, that of the parameter of its component."""
 
     @property
     def doubt(self) -> float:

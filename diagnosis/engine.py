@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.gate import log_faults, phases
 from robomill.diagnosis.gate.checks import Finding, stopped
 from robomill.diagnosis.gate.gate import Gate
-from robomill.diagnosis.inference.adequacy import left_by, unexplained
+from robomill.diagnosis.inference.adequacy import FALSE_ALARM, UNKNOWN, left_by, unexplained
 from robomill.diagnosis.inference.dormant import searched_beside
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import probabilities
@@ -29,7 +29,7 @@ from robomill.diagnosis.inference.sensitivities import NOMINAL
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, curves_of, effort_of, titles_of
 from robomill.diagnosis.outcome.conclusion import Conclusion
 from robomill.diagnosis.outcome.how_far import CLOSING
-from robomill.diagnosis.outcome.verdict import FALSE_ALARM, UNKNOWN, over_noise, share_left
+from robomill.diagnosis.outcome.verdict import over_noise, share_left
 from robomill.orchestration.assembly import Resolver
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -127,7 +127,7 @@ def diagnose_campaign(
                 kept = "; without that, the log is explained no better: it is kept"
                 findings = [replace(f, text=f.text + kept, fatal=False) if f in faults and f not in right else f for f in findings]
                 fatal = [f for f in findings if f.fatal]
-            elif (finding := _wrong_channel(catalogue, search, fits, groups[:n], nuisances)) is not None:
+            elif (finding := _wrong_channel(catalogue, search, fits, groups[:n], nuisances, gate.limits)) is not None:
                 findings.append(finding)
                 fatal = [finding]
         if fatal:
@@ -160,7 +160,12 @@ def _little(search: Search, fits: Sequence[Fit], best: Fit) -> bool:
 
 
 def _wrong_channel(
-    catalogue: Catalogue, search: Search, fits: Sequence[Fit], groups: Sequence[Sequence[FloatArray]], nuisances: Sequence[Nuisance]
+    catalogue: Catalogue,
+    search: Search,
+    fits: Sequence[Fit],
+    groups: Sequence[Sequence[FloatArray]],
+    nuisances: Sequence[Nuisance],
+    limits: Mapping[str, tuple[float, float]],
 ) -> Finding | None:
     """The channel that has nearly all of a gap that nothing explains, if it stands still, or a model explains the log with its sign turned.
 
@@ -176,7 +181,7 @@ def _wrong_channel(
     if chi2.max() < DOMINANT * chi2.sum():
         return None
     name = names[int(chi2.argmax())]
-    if left_by(over_noise(search, fits[0]), over_noise(search, best)) < 0.0 and (rest := _rest(search, best, groups, name)):
+    if left_by(over_noise(search, fits[0]), over_noise(search, best)) < 0.0 and (rest := _rest(search, best, groups, name, limits)):
         return Finding(name, "constant", rest, "s", f"stands still for {rest:.3g} s, which nothing explains")
     sign = np.where(np.array(search.simulator.laboratory.channels) == name, -1.0, 1.0)
     other = _explained(catalogue, search, fits, [[sign * x for x in group] for group in groups], nuisances)
@@ -213,16 +218,16 @@ def _simulated(search: Search, fit: Fit) -> Fit:
 
     The last step of a fit goes along slopes. What comes to rest does not turn round there, but its slope does.
     """
-    signature = search.mean_signature(setting(fit.values))
+    signature = search.mean_signature(fit.values, fit.calibrated)
     return fit if signature is None else replace(fit, signature=signature)
 
 
-def _rest(search: Search, best: Fit, groups: Sequence[Sequence[FloatArray]], name: str) -> float:
+def _rest(search: Search, best: Fit, groups: Sequence[Sequence[FloatArray]], name: str, limits: Mapping[str, tuple[float, float]]) -> float:
     """The shortest time [s] for which a channel stands still in any of the runs, while the best model moves."""
     laboratory = search.simulator.laboratory
     i = laboratory.channels.index(name)
     simulated = search.simulator.repeated(range(len(groups)), setting(best.values), NOMINAL, "the log")
-    rests = []
+    rests, known = [], [limits[name]] if name in limits else []
     for k, (group, models) in enumerate(zip(groups, simulated, strict=True)):
         if not laboratory.conditions[k].has(name):
             continue
@@ -230,5 +235,5 @@ def _rest(search: Search, best: Fit, groups: Sequence[Sequence[FloatArray]], nam
             return 0.0
         step = laboratory.conditions[k].step * laboratory.factor(k)
         noise = float(np.std(np.stack(group)[..., i] - np.mean(group, axis=0)[:, i])) if len(group) > 1 else 0.0
-        rests += [stopped(x[:, i], np.mean(models, axis=0)[:, i], step, noise) for x in group]
+        rests += [stopped(x[:, i], np.mean(models, axis=0)[:, i], step, noise, *known) for x in group]
     return min(rests)

@@ -37,8 +37,8 @@ from robomill.cell.scenario import Scenario, load_scenario
 from robomill.diagnose_command import answered, catalogue_file, catalogue_of, kinds_file, systems_of
 from robomill.diagnosed import Diagnosed
 from robomill.diagnosis.experiment.campaign import Campaign
+from robomill.diagnosis.inference.adequacy import FALSE_ALARM
 from robomill.diagnosis.outcome import adopt as adoption
-from robomill.diagnosis.outcome.verdict import FALSE_ALARM
 from robomill.loading import load
 from robomill.orchestration.assembly import run as run_system
 from robomill.orchestration.errors import unknown

@@ -25,9 +25,9 @@ from robomill.diagnosis.experiment.design import Kind, Offer, Quantity
 from robomill.diagnosis.experiment.simulation import Report
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.forms.layout import Form
+from robomill.diagnosis.inference.adequacy import FALSE_ALARM
 from robomill.diagnosis.outcome import adopt
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, as_json
-from robomill.diagnosis.outcome.verdict import FALSE_ALARM
 from robomill.files import FILES, vacant
 from robomill.fmus.components import NAMES, companion, component, home, is_component
 from robomill.fmus.python.builder import build
@@ -285,6 +285,7 @@ def lines(answer: Answer) -> list[str]:
         values = ", ".join(f"{k} = {v.value:.4g} [{v.interval[0]:.4g} .. {v.interval[1]:.4g}] {v.unit}" for k, v in e.parameters.items())
         idle = "" if e.material else "; closes next to nothing: listed, no cause"
         out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}, {values}{idle}")
+    out += [f"calibrated: {p.text}" for p in answer.calibrated or ()]
     if t := answer.transfer:
         gain = f"gains {t.gain:.4g} nats of {t.expected_gain:.4g} expected"
         out.append(f"new conditions: {gain}, leaves {t.after:.2f} times the chi2 of noise and discrepancy, nominal {t.before:.2f}")

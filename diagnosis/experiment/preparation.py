@@ -71,7 +71,7 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
         within[component].append(name)
     catalogue, skipped = catalogue.within(within)
     catalogue.check_units(units, convert)
-    nuisances = _nuisances(catalogue, first)
+    nuisances = _nuisances(catalogue, first, units)
     addresses = [*(u.address for u in nuisances), *((c.component, c.start) for c in catalogue.candidates if c.start)]
     conditions = [
         replace(c, settable=s.names, nominal={a: s.values[a] for a in addresses if s.values.get(a)})
@@ -110,13 +110,14 @@ def _settable(system: System, resolver: Resolver | None, convert: Convert) -> _S
     return _Settable(units, values)
 
 
-def _nuisances(catalogue: Catalogue, values: Mapping[Address, float]) -> tuple[Nuisance, ...]:
-    """The catalogue's tolerances about the values that the parameters have in the first condition that has them."""
+def _nuisances(catalogue: Catalogue, values: Mapping[Address, float], units: Mapping[Address, str]) -> tuple[Nuisance, ...]:
+    """The catalogue's tolerances about the values that the parameters have in the first condition that has them; clocks in s."""
     of: dict[str, dict[str, float]] = {}
     for (component, name), value in values.items():
         of.setdefault(component, {})[name] = value
-    clocks = [Nuisance(t.address, t.size) for t in catalogue.tolerances if t.address[0] == LOGGING]
-    return (*clocks, *(u for t in catalogue.tolerances if t.address[0] != LOGGING for u in t.nuisances(of.get(t.address[0], {}))))
+    clocks = [Nuisance(t.address, t.size, unit="s") for t in catalogue.tolerances if t.address[0] == LOGGING]
+    numbers = [u for t in catalogue.tolerances if t.address[0] != LOGGING for u in t.nuisances(of.get(t.address[0], {}))]
+    return (*clocks, *(replace(u, unit=units.get(u.address, u.unit)) for u in numbers))
 
 
 def _with_channels(laboratory: Laboratory, n: int) -> tuple[list[Condition], dict[str, PortData]]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -112,17 +113,44 @@ def raw(run: Run, channels: Sequence[str], ranges: Mapping[str, tuple[float | No
     return found
 
 
-def standstill(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], step: float, noise: FloatArray) -> list[Finding]:
+def limits(runs: Sequence[FloatArray]) -> tuple[float, float]:
+    """The least and the largest value of a channel in these runs, [samples] each; NaN where that is no limit.
+
+    A limit is met in several runs, at the same value, and never exceeded. What is broken keeps the value that it had by chance, and what is
+    not connected shows the same all the time, or zero.
+    """
+    found = []
+    for extreme in (min(float(x.min()) for x in runs), max(float(x.max()) for x in runs)):
+        met = sum(_rests(x, extreme) > 0 for x in runs) > 1
+        found.append(extreme if met and extreme != 0.0 and any(np.any(x != extreme) for x in runs) else np.nan)
+    return found[0], found[1]
+
+
+def standstill(
+    run: Run,
+    x: FloatArray,
+    s: FloatArray,
+    channels: Sequence[str],
+    step: float,
+    noise: FloatArray,
+    limits: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+) -> list[Finding]:
     """Channels of a measured run [samples, channels] that rest beside their simulation; `step` [s] between samples, `noise` [unit].
 
     At rest at zero is what a dead band makes of an output, too. At rest where the simulation goes as far or further, or at an extreme to
-    which the channel comes back after it has left it, is what a limit does.
+    which the channel comes back after it has left it, is what a limit does. While a channel is at one of its `limits`, what its component
+    makes of it may rest, too.
     """
     found: list[Finding] = []
+    held = {name: np.zeros(len(x), dtype=bool) for name in map(_component, channels)}
+    for i, name in enumerate(channels):  # a component at a limit to which its simulation does not go
+        if name in limits:
+            held[_component(name)] |= np.isin(x[:, i], limits[name]) & (np.abs(x[:, i] - s[:, i]) > MOVED * noise[i])
     for i, name in enumerate(channels):
         spread = float(np.ptp(s[:, i]))
         known = run.columns[name][np.isfinite(run.columns[name])]
-        if not known.size or (np.ptp(known) == 0.0 and spread > MOVED * noise[i] and spread > UNMOVED):
+        beside = held[_component(name)]
+        if not known.size or (np.ptp(known) == 0.0 and spread > MOVED * noise[i] and spread > UNMOVED and not beside.all()):
             unit = run.ports[name].unit or ""
             text = f"does not change, but it should by {spread:.3g} {unit}; see whether it was connected"
             found.append(Finding(name, "constant", float(x[0, i]), unit, text))
@@ -131,7 +159,7 @@ def standstill(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], 
         over = (s[:, i] >= high - LIMIT * spread) | _again(x[:, i], high)
         under = (s[:, i] <= low + LIMIT * spread) | _again(x[:, i], low)
         limited = ((x[:, i] == high) & over) | ((x[:, i] == low) & under)
-        moving = (x[:, i] != 0.0) & ~limited
+        moving = (x[:, i] != 0.0) & ~limited & ~beside
         single = SINGLE * float(np.abs(s[:, i]).max())  # a log in single precision stands still where a simulation creeps
         stretch = _still(x[moving, i])
         still, longest = len(stretch), len(_still(s[:, i], single))
@@ -143,10 +171,10 @@ def standstill(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], 
     return found
 
 
-def stopped(x: FloatArray, s: FloatArray, step: float, noise: float) -> float:
-    """How long [s] a measured channel stands still while its simulation moves; 0.0 if it does not, or if that is at a limit (`_again`)."""
+def stopped(x: FloatArray, s: FloatArray, step: float, noise: float, limits: tuple[float, float] = (np.nan, np.nan)) -> float:
+    """How long [s] a measured channel stands still while its simulation moves; 0.0 if it does not, or if that is at a limit."""
     stretch = _still(x)
-    if stretch and x[stretch[0]] in (x.max(), x.min()) and _again(x, float(x[stretch[0]])):
+    if stretch and (x[stretch[0]] in limits or (x[stretch[0]] in (x.max(), x.min()) and _again(x, float(x[stretch[0]])))):
         return 0.0
     return len(stretch) * step if len(stretch) > REST * len(x) and np.ptp(s[stretch]) > MOVED * noise else 0.0
 
@@ -156,8 +184,17 @@ def _again(x: FloatArray, extreme: float) -> bool:
 
     A limit is left and met again, always at one value that is never exceeded. What is broken keeps the value that it had by chance.
     """
-    rests = np.append(x == extreme, False) & np.append(False, x == extreme)
-    return int(np.count_nonzero(np.diff(rests.astype(int)) > 0)) > 1
+    return _rests(x, extreme) > 1
+
+
+def _rests(x: FloatArray, value: float) -> int:
+    """How often a channel is at a value for several samples."""
+    rests = np.append(x == value, False) & np.append(False, x == value)
+    return int(np.count_nonzero(np.diff(rests.astype(int), prepend=0) > 0))
+
+
+def _component(channel: str) -> str:
+    return channel.partition(".")[0]
 
 
 def _still(x: FloatArray, tolerance: float = 0.0) -> range:

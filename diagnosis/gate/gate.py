@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
@@ -71,7 +73,18 @@ class Gate:
         found += repeats.copies(measured, simulated, names) or repeats.compared(measured, simulated, channels, names, step)
         for r, x in zip(condition.runs, measured, strict=True):
             found += checks.raw(r, channels, ranges, condition.step)
-            found += beside(r, x, middle, channels, step, noise)
+            found += beside(r, x, middle, channels, step, noise, self.limits)
+        return found
+
+    @cached_property
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Channels that are at a limit in some runs, and their `checks.limits`."""
+        found = {}
+        for i, name in enumerate(self.laboratory.channels):
+            there = [group for c, group in zip(self.laboratory.conditions, self.groups, strict=True) if c.has(name)]
+            both = checks.limits([x[:, i] for group in there for x in group]) if there else (np.nan, np.nan)
+            if not np.all(np.isnan(both)):
+                found[name] = both
         return found
 
     def _other_programs(self) -> list[Finding]:
@@ -107,9 +120,17 @@ class Gate:
         return [i for i, name in enumerate(self.laboratory.channels) if condition.has(name)]
 
 
-def beside(run: Run, x: FloatArray, s: FloatArray, channels: Sequence[str], step: float, noise: FloatArray) -> list[Finding]:
+def beside(
+    run: Run,
+    x: FloatArray,
+    s: FloatArray,
+    channels: Sequence[str],
+    step: float,
+    noise: FloatArray,
+    limits: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+) -> list[Finding]:
     """What a measured run [samples, channels] says beside its simulation; `step` [s] between samples, `noise` [unit] per channel."""
-    still = checks.standstill(run, x, s, channels, step, noise)
+    still = checks.standstill(run, x, s, channels, step, noise, limits)
     wrong, units = {f.channel for f in still}, [run.ports[c].unit for c in channels]
     return still + log_faults.judged(x, s, channels, units, noise, frozenset(i for i, c in enumerate(channels) if c in wrong))
 

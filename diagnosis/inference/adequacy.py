@@ -16,6 +16,10 @@ from robomill.orchestration.slaves.protocol import FloatArray
 LEVEL, SPREAD, CONDITIONS = 1.3, 0.3, 2
 """Level [1] that a right model leaves (`outcome.verdict.over_noise`), its standard deviation, and of how many conditions it is the worst.
 Fitted to eleven machines without effects (twelve cells of both generators, development seed 101): 0.7 to 1.7 in the worst channel."""
+UNKNOWN = LEVEL + 3.0 * SPREAD
+"""Level [1] from which there is a gap even if no candidate explains any of it (`over_noise`): LEVEL and three times SPREAD."""
+FALSE_ALARM = 0.02
+"""Probability [1] of an effect on a machine that has none, where the user asks for no other (DIAGNOSIS: at most 2 % of the nulls)."""
 COHERENT = 0.6
 """Part that counts of what all candidates together explain beyond noise (`Search.explainable`) [1]: what two formulations leave is more
 like effects than noise is. Fitted to eleven machines without effects (decision 73)."""

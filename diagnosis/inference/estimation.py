@@ -50,13 +50,16 @@ class Fit:
     chi2: float
     """Whitened sum of squares that remains, <y - s, y - s>: nuisances fitted, `form` not."""
     signature: FloatArray | None = None
-    """s(x) at the best values: whitened change against the nominal simulation, [n]."""
+    """s(x) at the best values: whitened change against the nominal simulation, [n]. What `calibrated` numbers do is in it as far as their
+    slopes do not have it."""
     sensitivities: FloatArray | None = None
     """ds/dx at the best values, per prior scale, [n, parameters]."""
     predictive: dict[str, float] = field(default_factory=dict)
     """condition -> gain in log score there [nats], when fitted to all the others."""
     form: FloatArray | None = None
     """What its effects may do otherwise than their laws say, [n, k]: see `Evidence.form`. None: too little to see."""
+    calibrated: Mapping[Address, float] = field(default_factory=dict)
+    """Calibrated numbers it was simulated with, as far off as the data have them [unit]; none: as they are given (`Search.calibrate`)."""
 
     @property
     def name(self) -> str:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
+from scipy.stats import norm
 
 from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
-from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
-from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, MISFIT, SPREAD, unexplained
+from robomill.diagnosis.experiment.simulation import Simulator, setting
+from robomill.diagnosis.inference.adequacy import COHERENT, FALSE_ALARM, LEVEL, MISFIT, UNKNOWN, unexplained
 from robomill.diagnosis.inference.estimation import Fit, Gram, Model, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
 from robomill.diagnosis.inference.evidence import dependence
 from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Sensitivities, per_scale
@@ -37,6 +39,9 @@ HIDDEN = 0.1
 """Part of a gap without the tolerances like it that a candidate leaves, which is looked at though with them it seems to be of no use."""
 GUESSES = 4
 """How often noise is guessed anew from what the best model leaves: once more than a model has effects, at most."""
+
+Values = Mapping[Address, float]
+"""What numbers are changed by [unit]."""
 
 
 class Search:
@@ -124,11 +129,12 @@ class Search:
                 if there is not None:
                     sensitivities = np.concatenate([base.sensitivities, there.sensitivity[:, None]], axis=1)
                     start = np.append(best, there.x)
-                    found[key] = quadratic_fit(model, base.signature + there.signature, sensitivities, start, space, base.form)
-                    continue
-                own = wide.without([a for m in model for a in m.addresses])
-                products = own.within(gram, [*own_columns, *(place[a] for a in c.addresses), count + len(best)])
-                found[key] = solved(model, products, space, own)
+                    fit = quadratic_fit(model, base.signature + there.signature, sensitivities, start, space, base.form)
+                else:
+                    own = wide.without([a for m in model for a in m.addresses])
+                    products = own.within(gram, [*own_columns, *(place[a] for a in c.addresses), count + len(best)])
+                    fit = solved(model, products, space, own)
+                found[key] = replace(fit, calibrated=base.calibrated)
         kept: dict[frozenset[tuple[str, object]], Fit] = {}
         for fit in sorted(found.values(), key=_evidence):
             kept[frozenset((m.name, m.fixed if m.name in self.bent else ()) for m in fit.model)] = fit
@@ -148,21 +154,61 @@ class Search:
                 [self.evidence.sensitivities[a] if t is None else t.sensitivity for a, t in zip(addresses, there, strict=True)], axis=1
             )
             beginning: FloatArray = sum((t.signature for t in there if t is not None), np.zeros_like(space.y))
-            states.append(_State(f, sensitivities, np.array([0.0 if t is None else t.x for t in there]), beginning))
+            # where calibrated numbers are off, slopes are taken anew from the first simulation on
+            x = [f.values[a] / s for a, s in zip(addresses, scaled_bounds(f.model)[0], strict=True)]
+            begin = x if f.calibrated else [0.0 if t is None else t.x for t in there]
+            states.append(_State(f, sensitivities, np.array(begin), beginning))
         for _ in range(rounds):
             active = [s for s in states if not s.settled]
             if not active:
                 break
-            n = len(self.groups)
-            results = self.simulator.many([(i, self.simulator.seeded(setting(s.fit.values))) for s in active for i in range(n)], "fits")
-            for k, s in enumerate(active):
-                signature = self.evidence.signature(results[k * n : (k + 1) * n])
+            for s, signature in zip(active, self._single([s.fit.values for s in active], [s.fit.calibrated for s in active]), strict=True):
                 s.update(signature, space)
         return [s.best for s in states]
 
-    def mean_signature(self, changes: Setting) -> FloatArray | None:
-        """Whitened change that these settings make, [n], as a mean over POLISH simulations; None where the system cannot run."""
-        return self.evidence.mean_signature(self.simulator.repeated(range(len(self.groups)), changes, POLISH, "fits"))
+    def _single(self, values: Sequence[Values], calibrated: Sequence[Values]) -> list[FloatArray | None]:
+        """As `mean_signature`, of one simulation each."""
+        n = len(self.groups)
+        settings = [self.simulator.seeded(setting({**v, **c})) for v, c in zip(values, calibrated, strict=True)]
+        results = self.simulator.many([(i, changes) for changes in settings for i in range(n)], "fits")
+        whole = [self.evidence.signature(results[k * n : (k + 1) * n]) for k in range(len(settings))]
+        return [None if s is None else s - self._by_slopes(c) for s, c in zip(whole, calibrated, strict=True)]
+
+    def mean_signature(self, values: Values, calibrated: Values = MappingProxyType({})) -> FloatArray | None:
+        """Whitened change that these values [unit] make, [n], as a mean over POLISH simulations; None where the system cannot run.
+
+        What `calibrated` numbers [unit] do by their slopes is no part of it: nuisances have that.
+        """
+        changes = setting({**values, **calibrated})
+        whole = self.evidence.mean_signature(self.simulator.repeated(range(len(self.groups)), changes, POLISH, "fits"))
+        return None if whole is None else whole - self._by_slopes(calibrated)
+
+    def _by_slopes(self, calibrated: Values) -> FloatArray:
+        """What calibrated numbers [unit] do by their slopes, whitened, [n]."""
+        space = self.evidence.space
+        deviations = {n.address: calibrated[n.address] / n.scale for n in self.nuisances if n.address in calibrated}
+        return np.asarray(space.nuisances @ np.array([deviations.get(name, 0.0) for name in space.names]))
+
+    def calibrate(self, fit: Fit) -> Fit:
+        """The fit again with its calibrated numbers as far off as the data have them, simulated, while that explains more.
+
+        Slopes say what a small change does. A loop that is at a limit does something else with a larger one, and an effect that is the same
+        as a tolerance would be named for the rest. It ends where a number is farther off than one of so many is with FALSE_ALARM.
+        """
+        own, scales = self.evidence.space.without(list(fit.values)), {n.address: n.scale for n in self.nuisances}
+        far = float(norm.isf(0.5 * FALSE_ALARM / max(len(scales), 1)))
+        for _ in range(SHARPER):
+            assert fit.signature is not None
+            assert fit.sensitivities is not None
+            moved = dict(zip(own.names, own.moved(own.y - fit.signature), strict=True))
+            calibrated = {a: float(moved[a]) * scale for a, scale in scales.items() if moved.get(a, 0.0) != 0.0}
+            if any(abs(moved[a]) > far for a in calibrated):
+                break
+            there = self.mean_signature(fit.values, calibrated)
+            if there is None or own.chi2_of((own.y - there)[:, None])[0] > BETTER * fit.chi2:
+                break
+            fit = replace(self.about(fit, there, fit.sensitivities), calibrated=calibrated)
+        return fit
 
     def polish(self, fits: Sequence[Fit], linear: Sequence[Fit]) -> list[Fit]:
         """The best of `fits` again, with simulations that are means over noise; a single one scatters as a measured run does.
@@ -178,7 +224,7 @@ class Search:
         expected = {f.model: max(f.log_evidence, p.log_evidence) for f, p in zip(fits, linear, strict=True)}
         near = [f for f in fits if expected[f.model] > best - max(FAR, NEARBY * best)]
         for f in sorted(near, key=lambda f: -expected[f.model])[:POLISHED]:
-            signature = self.mean_signature(setting(f.values))
+            signature = self.mean_signature(f.values, f.calibrated)
             if signature is None:
                 continue
             assert f.sensitivities is not None
@@ -197,6 +243,7 @@ class Search:
             better.values, better.deviations, better.chi2 = plain.values, plain.deviations, plain.chi2
         move = np.array([better.values[a] for a in addresses]) / scales - x
         better.sensitivities, better.signature = sensitivities, signature + sensitivities @ move
+        better.calibrated = fit.calibrated
         return better
 
     def _kept(self, ran: Fit, better: Fit) -> Fit:
@@ -220,13 +267,13 @@ class Search:
         def chi2(signature: FloatArray) -> float:
             return float(own.dot(space.y - signature, space.y - signature))
 
-        here = self.mean_signature(setting(fit.values))
+        here = self.mean_signature(fit.values, fit.calibrated)
         for _ in range(SHARPER):
             slopes = self.slopes(fit) if here is not None else None
             if here is None or slopes is None:
                 break
             trial = self.about(fit, here, slopes)
-            there = self.mean_signature(setting(trial.values))
+            there = self.mean_signature(trial.values, trial.calibrated)
             if there is None or chi2(there) > BETTER * chi2(here):
                 break
             assert trial.sensitivities is not None
@@ -239,11 +286,11 @@ class Search:
         `deviations` [unit]: steps of the slopes.
         """
         start = Fit(model, dict(values), dict(deviations), -np.inf, np.inf)
-        here, slopes = self.mean_signature(setting(values)), self.slopes(start)
+        here, slopes = self.mean_signature(values), self.slopes(start)
         if here is None or slopes is None:
             return None
         best = self.sharpen(self.about(start, here, slopes))
-        there = self.mean_signature(setting(best.values))
+        there = self.mean_signature(best.values, best.calibrated)
         assert best.sensitivities is not None
         return None if there is None else self.about(best, there, best.sensitivities)
 
@@ -255,26 +302,29 @@ class Search:
         for a, scale, bound in zip(addresses, scales, high, strict=True):
             step = max(fit.deviations[a], 0.05 * abs(fit.values[a]))
             moved.append((a, step if fit.values[a] + step < bound * scale else -step))
-        settings = [setting(fit.values), *(setting({**fit.values, a: fit.values[a] + step}) for a, step in moved)]
-        n = len(self.groups)
-        results = self.simulator.many([(i, self.simulator.seeded(changes)) for changes in settings for i in range(n)], "fits")
-        signatures = [self.evidence.signature(results[k * n : (k + 1) * n]) for k in range(len(settings))]
+        trials = [fit.values, *({**fit.values, a: fit.values[a] + step} for a, step in moved)]
+        signatures = self._single(trials, [fit.calibrated] * len(trials))
         known = [x for x in signatures if x is not None]
         if len(known) < len(signatures):
             return None
         return np.stack([(x - known[0]) * (scale / step) for x, scale, (_, step) in zip(known[1:], scales, moved, strict=True)], axis=1)
 
     def _sharpened(self, fits: Sequence[Fit]) -> list[Fit]:
-        """These fits, best first; the SHARPENED best `sharpen`ed where they leave more than ROUGH times noise."""
-        noise = float(self.evidence.expected.sum())
-        best = sorted(fits, key=_evidence, reverse=True)
-        return [self.sharpen(f) if k < SHARPENED and f.chi2 > ROUGH * noise else f for k, f in enumerate(best)]
+        """These fits, best first; the SHARPENED best `sharpen`ed, and `calibrate`d, where they leave more than ROUGH times noise."""
+        found = sorted(fits, key=_evidence, reverse=True)
+        for finer in (self.sharpen, self.calibrate):
+            found = [finer(f) if k < SHARPENED and self._rough(f) else f for k, f in enumerate(found)]
+        return found
+
+    def _rough(self, fit: Fit) -> bool:
+        return fit.chi2 > ROUGH * float(self.evidence.expected.sum())
 
     def run(self) -> list[Fit]:
         """All models that were fitted on real simulations, the nominal one first."""
         space = self.evidence.space
-        fits = [self.nominal()]
-        singles = sorted(self.linear_fits(fits), key=_evidence, reverse=True)
+        nominal = self.nominal()
+        singles = sorted(self.linear_fits([nominal]), key=_evidence, reverse=True)
+        fits = [self.calibrate(nominal) if self._rough(nominal) else nominal]
         gain = space.chi2 - min((f.chi2 for f in singles), default=space.chi2)
         chosen = _first([f for f in singles if space.chi2 - f.chi2 > WORTH * gain], SINGLES) or _first(singles, SINGLES)
         chosen += [f for f in singles if f not in chosen and self._hidden(f)]
@@ -351,10 +401,10 @@ class Search:
             addresses = [a for c in fit.model for a in c.addresses]
             kept = [i for i, a in enumerate(addresses) if any(a in c.addresses for c in model)]
             values = {addresses[i]: fit.values[addresses[i]] for i in kept}
-            signature = self.mean_signature(setting(values))
+            signature = self.mean_signature(values, fit.calibrated)
             if signature is None:
                 continue
-            trial = Fit(model, values, {a: fit.deviations[a] for a in values}, 0.0, 0.0)
+            trial = Fit(model, values, {a: fit.deviations[a] for a in values}, 0.0, 0.0, calibrated=fit.calibrated)
             better = self.sharpen(self.about(trial, signature, fit.sensitivities[:, kept]))
             same = [f for f in (*known, *found) if set(f.model) == set(model)]
             if all(better.log_evidence > f.log_evidence for f in same):
@@ -428,7 +478,7 @@ def searched(
             break
     if not evidence.whitening.guessed and evidence.judged.any():
         before, after = (_over(search, f) for f in (fits[0], max(fits, key=_evidence)))
-        if after > LEVEL + 3.0 * SPREAD and unexplained(before, after) < MISFIT:
+        if after > UNKNOWN and unexplained(before, after) < MISFIT:
             search = Search(catalogue, simulator, groups, nuisances, dispersion=after / LEVEL)
             fits = search.run()
     return search, fits
@@ -470,7 +520,8 @@ def _without(fit: Fit, candidate: Candidate) -> Fit:
     model = tuple(c for c in fit.model if c != candidate)
     values, deviations = ({a: known[a] for c in model for a in c.addresses} for known in (fit.values, fit.deviations))
     signature = fit.signature - fit.sensitivities[:, here] @ x[here]
-    return Fit(model, values, deviations, -np.inf, np.inf, signature, fit.sensitivities[:, kept], form=fit.form)
+    kept_columns = fit.sensitivities[:, kept]
+    return Fit(model, values, deviations, -np.inf, np.inf, signature, kept_columns, form=fit.form, calibrated=fit.calibrated)
 
 
 def _names(fit: Fit) -> frozenset[str]:
@@ -522,6 +573,6 @@ class _State:
             spread = fit.deviations
             values = dict(self.fit.values)
             evidence = fit.log_evidence - 0.5 * max(chi2 - fit.chi2, 0.0)
-            self.best = Fit(self.fit.model, values, spread, evidence, chi2, signature, self.sensitivities)
+            self.best = Fit(self.fit.model, values, spread, evidence, chi2, signature, self.sensitivities, calibrated=self.fit.calibrated)
         self.settled = all(_settled(fit.values[a] - self.fit.values[a], fit.deviations[a], self.fit.values[a]) for a in addresses)
-        self.x, self.signature, self.fit = new, signature, fit
+        self.x, self.signature, self.fit = new, signature, replace(fit, calibrated=self.fit.calibrated)

@@ -28,6 +28,7 @@ from robomill.diagnosis.localisation.localise import Projection
 from robomill.diagnosis.localisation.replay_attribution import Reading
 from robomill.diagnosis.localisation.swap import Share
 from robomill.diagnosis.localisation.where import Where
+from robomill.diagnosis.outcome.calibration import Pulled
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.families import Family
 from robomill.diagnosis.outcome.next_run import NextRun
@@ -204,6 +205,8 @@ class Answer:
     """What the law is like that is in no catalogue (`forms.layout`)."""
     onset: Onset | None = None
     """When an effect began, where something speaks for it that it was not there all the time."""
+    calibrated: tuple[Pulled, ...] | None = None
+    """Calibrated numbers that the answer needs farther off than their tolerances say."""
     effort: Effort = field(default_factory=Effort)
     """What the diagnosis took."""
     skipped: tuple[str, ...] = ()

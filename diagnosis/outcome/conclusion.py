@@ -16,6 +16,7 @@ from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, sett
 from robomill.diagnosis.forms.instead import Laws, laws
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.inference import isolability
+from robomill.diagnosis.inference.adequacy import UNKNOWN
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.intervals import Known, by_least_squares
 from robomill.diagnosis.inference.machines import p_none
@@ -31,10 +32,11 @@ from robomill.diagnosis.localisation.swap import shapley
 from robomill.diagnosis.localisation.where import Located, Where, combined, direction_of, located
 from robomill.diagnosis.outcome import next_run
 from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Menu, Unknown, Visible, Which, curves_of, titles_of
+from robomill.diagnosis.outcome.calibration import pulled
 from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, Closing, metrics
 from robomill.diagnosis.outcome.steps import steps
-from robomill.diagnosis.outcome.verdict import IDENTIFIED, UNKNOWN, changes, judged, over_noise, share_left, tested
+from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, over_noise, share_left, tested
 from robomill.orchestration.slaves.protocol import FloatArray
 
 SAID = {
@@ -112,7 +114,7 @@ class Conclusion:
 
     def answer(self) -> tuple[Answer, dict[Address, float]]:
         """Verdict, where, which, how far, next run; and the values that are adopted [unit]."""
-        before, noise = self.search.gap(self.fits[0], calibrated=False)
+        before, noise = self.search.gap(self.search.nominal(), calibrated=False)
         calibrated, _ = self.search.gap(self.fits[0])
         after, _ = self.search.gap(self.best)
         search, nominal = self.search, self.fits[0]
@@ -172,6 +174,8 @@ class Conclusion:
             tests=tests,
             families=self.families(tests.p_fit, instead),
             smallest_visible=self.smallest(),
+            # what nothing explains moves numbers, too: that says nothing of them
+            calibrated=() if verdict == "unknown" else pulled(search, self.best, self.false_alarm),
         )
         acts = verdict in ("identified", "ambiguous", "unknown")
         adopted = physical(self.best.values) if acts else {}
@@ -297,12 +301,12 @@ class Conclusion:
         The worth of a subset of components is 1 - G(their effects) / G(nothing).
         """
         parts = list(dict.fromkeys(c.component for c in self.best.model))
-        before, noise = self.search.gap(self.fits[0], calibrated=False)
+        before, noise = self.search.gap(self.search.nominal(), calibrated=False)
 
         def closed(members: frozenset[str]) -> FloatArray:
             """Part of the gap that the effects in these components close."""
             values = {a: v for a, v in self.best.values.items() if a[0] in members}
-            signature = self.search.mean_signature(setting(values)) if values else None
+            signature = self.search.mean_signature(values) if values else None
             if signature is None or before <= 0.0:
                 return np.zeros(())
             trial = Fit((), {}, {}, 0.0, 0.0, signature)

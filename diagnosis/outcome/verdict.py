@@ -21,7 +21,7 @@ from robomill.diagnosis.inference.adequacy import (
     CONDITIONS,
     LEVEL,
     MISFIT,
-    SPREAD,
+    UNKNOWN,
     agreement,
     in_common,
     kept,
@@ -40,13 +40,9 @@ from robomill.diagnosis.inference.transfer import Transfer
 
 Verdict = Literal["none", "identified", "ambiguous", "unknown", "bad_log"]
 
-FALSE_ALARM = 0.02
-"""Probability [1] of an effect on a machine that has none, where the user asks for no other (DIAGNOSIS: at most 2 % of the nulls)."""
 UNLISTED = 0.4
 """Probability [1] before the data that what is wrong is in no catalogue (judgement): more than 1 - IDENTIFIED, so that no answer is given
 as the only one where the data say nothing of whether it is right, and less than a half, so that it is given as one of several."""
-UNKNOWN = LEVEL + 3.0 * SPREAD
-"""Level [1] from which there is a gap even if no candidate explains any of it (`over_noise`): LEVEL and three times SPREAD."""
 IDENTIFIED = 0.8
 """Probability from which one answer is given."""
 

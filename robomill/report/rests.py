@@ -67,6 +67,12 @@ def sure(s: Subject) -> str:
             f"{share} of the gap in the diagnosed runs lies within the tolerances of calibrated numbers: no effect is needed for that part."
         )
         numbers.append(f"Whitened squares of the gap, noise taken off: {number(gap.before)} before, {number(gap.after)} after.")
+    if s.answer.calibrated:
+        off = "; ".join(p.text for p in s.answer.calibrated)
+        lines.append(
+            f"Is all that is calibrated what it is said to be? Not if this answer is right: {off}. Measure these numbers anew. "
+            "If they are right, something is wrong that the catalogue does not have."
+        )
     body = "".join(paragraph(text, "note" if text.startswith(GUESS) else "") for text in lines)
     return body + fold("The numbers behind that", "".join(paragraph(n) for n in numbers))
 

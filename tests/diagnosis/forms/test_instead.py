@@ -15,8 +15,9 @@ from robomill.diagnosis.forms.instead import LITTLE, Exchanged, Instead, Laws, P
 from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.ports import Problem
 from robomill.diagnosis.forms.selection import Rows
+from robomill.diagnosis.inference.adequacy import FALSE_ALARM
 from robomill.diagnosis.inference.machines import MACHINES
-from robomill.diagnosis.outcome.verdict import FALSE_ALARM, IDENTIFIED
+from robomill.diagnosis.outcome.verdict import IDENTIFIED
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis import axis
 from tests.diagnosis.forms.test_selection import NAMES, T, noise, rows, terms

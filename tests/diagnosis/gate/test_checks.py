@@ -71,6 +71,60 @@ class TestLimit:
             assert checks.stopped(stuck, np.sin(T), STEP, 1e-12) > 1.9
 
 
+class TestLimitOfSeveralRuns:
+    """A channel that is met at one value in several runs, stays there, and is elsewhere in others."""
+
+    HELD = np.minimum(T, 3.0)
+    """As a push that goes on until the end: the limit is met once."""
+
+    def test_one_value_in_several_runs_that_is_never_exceeded_is_a_limit(self) -> None:
+        low, high = checks.limits([self.HELD, self.HELD, np.full(1000, 3.0), 2.0 * SINE])
+        assert (np.isnan(low), high) == (True, 3.0)
+        assert checks.limits([-self.HELD, -self.HELD, SINE])[0] == -3.0
+
+    @pytest.mark.parametrize(
+        "runs",
+        [
+            [HELD, 1.001 * HELD, SINE],  # each has its own
+            [HELD, SINE, SINE],  # one run only
+            [HELD, HELD, 4.0 * SINE],  # exceeded
+            [np.full(1000, 3.0), np.full(1000, 3.0)],  # it never moves
+            [3.0 - HELD, 3.0 - HELD, 1.0 + SINE],  # zero is what is not connected
+        ],
+    )
+    def test_all_else_is_none(self, runs: list[FloatArray]) -> None:
+        assert np.all(np.isnan(checks.limits(runs)))
+
+    def beside(self, measured: list[FloatArray], limits: tuple[float, float], noise: float = 1e-12) -> list[str]:
+        """As `beside` of the module, with limits of the first channel; its simulation moves, and not as far."""
+        run, x = recorded(*measured), np.stack(measured, axis=1)
+        s = np.stack([0.2 * SINE] * len(measured), axis=1)
+        found = checks.standstill(run, x, s, list(run.columns), STEP, np.full(len(measured), noise), {CHANNEL: limits})
+        return [f.channel for f in found]
+
+    def test_what_rests_at_its_limit_is_not_broken_nor_what_its_component_makes_of_that(self) -> None:
+        made_of_it = 0.5 * self.HELD + 0.25
+        none = (np.nan, np.nan)
+        assert self.beside([self.HELD, made_of_it], none) == [CHANNEL, "sensors.y[2]"]
+        assert self.beside([self.HELD, made_of_it], (np.nan, 3.0)) == []
+        assert self.beside([np.full(1000, 3.0), np.full(1000, 2.0)], (np.nan, 3.0)) == []
+        assert checks.stopped(self.HELD, T, STEP, 1e-12) == pytest.approx(7.0, rel=0.01)  # a sample
+        assert checks.stopped(self.HELD, T, STEP, 1e-12, (np.nan, 3.0)) == 0.0
+
+    def test_what_stands_still_before_the_limit_is_met_is_broken(self) -> None:
+        assert self.beside([self.HELD, np.minimum(T, 1.0)], (np.nan, 3.0)) == ["sensors.y[2]"]
+
+    def test_a_channel_that_rests_where_its_simulation_does_says_nothing_of_others(self) -> None:
+        """A motor at the end of its way is where it should be, and its encoder does not excuse another one."""
+        broken = np.minimum(T, 1.0)
+        run, x = recorded(self.HELD, broken), np.stack([self.HELD, broken], axis=1)
+        for s in (self.HELD, 0.2 * SINE):
+            beside = np.stack([s, 0.2 * SINE], axis=1)
+            found = checks.standstill(run, x, beside, list(run.columns), STEP, np.full(2, 1e-3), {CHANNEL: (np.nan, 3.0)})
+            still = {f.channel: f.value for f in found}
+            assert still == {"sensors.y[2]": pytest.approx(9.0 if s is self.HELD else 2.0, rel=0.01)}  # a sample
+
+
 class TestSpikes:
     """On a ramp that goes up and down by 1 per sample, so that this is what is usual."""
 

@@ -18,11 +18,10 @@ from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import sort_by_condition
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
 from robomill.diagnosis.inference import search as search_module
-from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL
+from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, UNKNOWN
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.search import FAULT, SUBSTANTIAL, Search, searched
 from robomill.diagnosis.inference.sensitivities import Start
-from robomill.diagnosis.outcome.verdict import UNKNOWN
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -316,3 +315,64 @@ class TestDispersion:
     def test_of_a_model_that_leaves_too_much_nothing_is_known(self) -> None:
         search, _ = searched(*self.made(5.0))
         assert search.evidence.dispersion == 1.0
+
+
+class TestCalibrated:
+    """A calibrated number, and an effect that does the same: beyond 1.2 of its deviations down, a limit bends what both do."""
+
+    ROWS, NOISE = 600, 0.02
+    T = np.arange(ROWS)
+    PROPORTIONAL, BENT, OTHER = np.sin(0.11 * T), np.sin(0.19 * T), np.cos(0.05 * T)
+
+    def made(self, number: float, second: float = 0.0) -> tuple[Catalogue, Simulator, list[list[FloatArray]], list[Nuisance]]:
+        """A machine whose number is off by so many deviations; and so much of an effect that has nothing to do with that."""
+
+        def formula(_: int, values: Mapping[Address, float]) -> FloatArray:
+            off = sum(v for a, v in values.items() if a in (("a", "number"), ("a", "first")))
+            other = values.get(("a", "second"), 0.0) * self.OTHER
+            return np.asarray(off * self.PROPORTIONAL + max(-off - 1.2, 0.0) * self.BENT + other)[:, None]
+
+        rng = np.random.default_rng(1)
+        clean = formula(0, {("a", "number"): number, ("a", "second"): second})
+        groups = [[clean + self.NOISE * rng.normal(size=clean.shape) for _ in range(4)]]
+        catalogue = Catalogue(Path("made up"), (candidate("first", scale=3.0), candidate("second")))
+        return catalogue, Simulator(Calculated(formula, self.ROWS)), groups, [Nuisance(("a", "number"), 1.0, 1.0)]
+
+    def test_what_a_number_does_within_its_tolerance_beyond_its_slope_is_no_effect(self) -> None:
+        s = Search(*self.made(-2.0))
+        plain, found = s.nominal(), s.run()
+        best = max(found, key=lambda f: f.log_evidence)
+        assert best.model == ()
+        assert best.calibrated == {("a", "number"): pytest.approx(-2.0, rel=WELL)}
+        # what it costs to have it there, and noise: chi2 of one degree of freedom for each
+        assert best.chi2 == pytest.approx(4.0 + float(s.evidence.expected.sum()), rel=WELL)
+        assert best.log_evidence == pytest.approx(0.5 * (plain.chi2 - best.chi2), rel=WELL)
+
+    def test_a_number_that_is_farther_off_than_a_tolerance_is_an_effect(self) -> None:
+        """Six deviations: one machine in 500 million."""
+        s = Search(*self.made(-6.0))
+        found = s.run()
+        best = max(found, key=lambda f: f.log_evidence)
+        assert found[0].calibrated == {}
+        assert [c.effect for c in best.model] == ["first"]
+        assert best.values["a", "first"] == pytest.approx(-6.0, rel=WELL)
+
+    @pytest.mark.parametrize(("times", "moves"), [(1.0, True), (2.0, False)])
+    def test_how_far_off_a_number_may_be_depends_on_the_false_alarm_rate(
+        self, times: float, moves: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Of one number 2.33 deviations at 2 %, 2.05 at 4 %."""
+        monkeypatch.setattr(search_module, "FALSE_ALARM", times * search_module.FALSE_ALARM)
+        s = Search(*self.made(-2.2))
+        assert bool(s.calibrate(s.nominal()).calibrated) is moves
+
+    def test_what_grows_from_a_model_has_its_calibrated_numbers(self) -> None:
+        s = Search(*self.made(-2.0, 0.5))
+        base = s.calibrate(s.nominal())
+        assert base.calibrated
+        (second,) = [f for f in s.refine(s.linear_fits([base])) if [c.effect for c in f.model] == ["second"]]
+        assert second.calibrated == base.calibrated
+        assert second.values["a", "second"] == pytest.approx(0.5, rel=WELL)
+        assert second.chi2 < 2.0 * (4.0 + float(s.evidence.expected.sum()))
+        found = s.run()
+        assert [c.effect for c in max(found, key=lambda f: f.log_evidence).model] == ["second"]

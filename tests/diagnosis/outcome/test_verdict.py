@@ -13,12 +13,12 @@ import pytest
 from scipy.special import expit
 
 from robomill.diagnosis.catalogue import LOGGING, Candidate
-from robomill.diagnosis.inference.adequacy import EXACT, LEVEL, MISFIT, kept, left_by, together
+from robomill.diagnosis.inference.adequacy import EXACT, FALSE_ALARM, LEVEL, MISFIT, UNKNOWN, kept, left_by, together
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
 from robomill.diagnosis.outcome import verdict
-from robomill.diagnosis.outcome.verdict import FALSE_ALARM, IDENTIFIED, UNKNOWN, UNLISTED, believed, changes, judged
+from robomill.diagnosis.outcome.verdict import IDENTIFIED, UNLISTED, believed, changes, judged
 from tests.diagnosis.demo import catalogue
 from tests.diagnosis.formula import candidate
 from tests.diagnosis.inference.test_adequacy import QUADRATURE
