@@ -367,10 +367,35 @@ class Search:
             return []
         fewer = [_without(best, c) for c in best.model]
         seen = {frozenset(f.model) for f in known}
-        swapped = sorted(self.linear_fits(fewer), key=_evidence, reverse=True)
-        trials = [f for f in swapped if frozenset(f.model) not in seen and f.log_evidence > best.log_evidence - self.growth][:EXTENSIONS]
+        swapped = [f for f in sorted(self.linear_fits(fewer), key=_evidence, reverse=True) if frozenset(f.model) not in seen]
+        trials = [f for f in swapped if f.log_evidence > best.log_evidence - self.growth][:EXTENSIONS]
         trials += [f for f in fewer if frozenset(f.model) not in seen]
-        return self._sharpened(self.polish(self.refine(trials), trials))
+        level = self._sharpened(self.polish(self.refine(trials), trials))
+        return level + self._replaced(best, fewer, [f for f in swapped if f not in trials])
+
+    def _replaced(self, best: Fit, fewer: Sequence[Fit], swapped: Sequence[Fit]) -> list[Fit]:
+        """Of the models `swapped`, with another effect in place of one of `best`, those that make up for most of what that explains.
+
+        They are fitted with slopes of their own place, however unlikely they are by sensitivities: the others' were taken beside what is
+        out. Where one is as likely as `best`, so are those with one effect less: what was needed beside a stand-in may not be any more.
+        `fewer`: `best` without each of its effects.
+        """
+        found: list[tuple[float, Fit]] = []
+        for c, without in zip(best.model, fewer, strict=True):
+            place = [f for f in swapped if c.name not in _names(f) and set(without.model) < set(f.model)]
+            lost = self._chi2(without) - best.chi2
+            refined = self.refine(_first(place, SHARPENED))
+            found += [((best.chi2 + lost - f.chi2) / lost, f) for f in refined if f.signature is not None and lost > 0.0]
+        likeliest = [self.sharpen(f) for _, f in sorted(found, key=lambda pair: -pair[0])[:EXTENSIONS]]
+        equal = [f for f in likeliest if f.log_evidence > best.log_evidence - self.growth]
+        less = [_without(f, c) for f in equal for c in f.model]
+        return likeliest + self._sharpened(self.polish(self.refine(less), less)) + self._smaller(equal, [])
+
+    def _chi2(self, fit: Fit) -> float:
+        """What a fit leaves by its signature."""
+        assert fit.signature is not None
+        left = self.evidence.space.y - fit.signature
+        return float(self.evidence.space.without(list(fit.values)).dot(left, left))
 
     def _hidden(self, fit: Fit) -> bool:
         """Whether the last effect of a model explains nearly all of a large gap that tolerances explain better, by its linear fit.

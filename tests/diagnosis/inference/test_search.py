@@ -376,3 +376,47 @@ class TestCalibrated:
         assert second.chi2 < 2.0 * (4.0 + float(s.evidence.expected.sum()))
         found = s.run()
         assert [c.effect for c in max(found, key=lambda f: f.log_evidence).model] == ["second"]
+
+
+class TestReplaced:
+    """A stand-in and a helper do what a right effect does. The slope of that was taken elsewhere, and does not fit."""
+
+    ROWS, NOISE = 600, 0.02
+    T = np.arange(ROWS)
+    PARTNER, ONE, TWO = np.sin(0.05 * T), np.sin(0.11 * T), np.sin(0.19 * T)
+
+    def made(self) -> Search:
+        """Partner of 4, and the right effect of 0.4: a wave of 1, and 0.4 of another one."""
+
+        def formula(_: int, values: Mapping[Address, float]) -> FloatArray:
+            partner, wrong, helper, right = (values.get(("a", n), 0.0) for n in ("partner", "wrong", "helper", "right"))
+            turned = 2.5 * right * self.ONE + 10.0 * right * (right - 0.3) * self.TWO
+            return np.asarray(partner * self.PARTNER + wrong * self.ONE + helper * self.TWO + turned)[:, None]
+
+        rng = np.random.default_rng(1)
+        clean = formula(0, {("a", "partner"): 4.0, ("a", "right"): 0.4})
+        groups = [[clean + self.NOISE * rng.normal(size=clean.shape) for _ in range(4)]]
+        entries = tuple(candidate(n) for n in ("partner", "wrong", "helper", "right"))
+        s = Search(Catalogue(Path("made up"), entries), Simulator(Calculated(formula, self.ROWS)), groups, ())
+        s.starts.pop(("a", "right"), None)
+        s.evidence.sensitivities["a", "right"] = s.evidence.sensitivities["a", "helper"] + 0.1 * s.evidence.sensitivities["a", "wrong"]
+        return s
+
+    def fitted(self, s: Search, **values: float) -> Fit:
+        """The model with these values."""
+        at = {("a", n): v for n, v in values.items()}
+        found = s.fitted(model(s, *at), at, dict.fromkeys(at, 0.01))
+        assert found is not None
+        return found
+
+    def test_what_is_unlikely_by_slopes_is_found_in_place_of_a_stand_in_and_what_that_needed_goes(self) -> None:
+        s = self.made()
+        best = self.fitted(s, partner=4.0, wrong=1.0, helper=0.4)
+        right = {"partner", "right"}
+        fewer = [search_module._without(best, c) for c in best.model]
+        by_slopes = {frozenset(c.effect for c in f.model): f.log_evidence for f in s.linear_fits(fewer)}
+        assert by_slopes[frozenset(right | {"helper"})] < best.log_evidence - s.growth
+        found = max(s._exchanged(best, [best]), key=lambda f: f.log_evidence)
+        assert {c.effect for c in found.model} == right
+        assert found.log_evidence > best.log_evidence
+        assert found.values["a", "right"] == pytest.approx(0.4, rel=WELL)
