@@ -251,11 +251,9 @@ class Search:
 
         Slopes reach so far only: where a machine rests, those of the way there go on.
         """
-        assert ran.signature is not None
         if all(_settled(better.values[a] - v, better.deviations[a], v) for a, v in ran.values.items()):
             return better
-        left = self.evidence.space.y - ran.signature
-        chi2 = float(self.evidence.space.without(list(ran.values)).dot(left, left))
+        chi2 = self._chi2(ran)
         evidence = better.log_evidence - 0.5 * max(chi2 - better.chi2, 0.0)
         return replace(better, values=ran.values, signature=ran.signature, chi2=chi2, log_evidence=evidence)
 
@@ -374,7 +372,7 @@ class Search:
         return level + self._replaced(best, fewer, [f for f in swapped if f not in trials])
 
     def _replaced(self, best: Fit, fewer: Sequence[Fit], swapped: Sequence[Fit]) -> list[Fit]:
-        """Of the models `swapped`, with another effect in place of one of `best`, those that make up for most of what that explains.
+        """Models that have another effect in place of one of `best`: those of `swapped` that make up for most of what it explains.
 
         They are fitted with slopes of their own place, however unlikely they are by sensitivities: the others' were taken beside what is
         out. Where one is as likely as `best`, so are those with one effect less: what was needed beside a stand-in may not be any more.

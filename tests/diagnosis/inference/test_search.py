@@ -361,7 +361,7 @@ class TestCalibrated:
     def test_how_far_off_a_number_may_be_depends_on_the_false_alarm_rate(
         self, times: float, moves: bool, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """Of one number 2.33 deviations at 2 %, 2.05 at 4 %."""
+        """One number may be 2.33 deviations off at 2 %, 2.05 at 4 %."""
         monkeypatch.setattr(search_module, "FALSE_ALARM", times * search_module.FALSE_ALARM)
         s = Search(*self.made(-2.2))
         assert bool(s.calibrate(s.nominal()).calibrated) is moves

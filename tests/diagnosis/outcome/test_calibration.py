@@ -50,7 +50,7 @@ def test_a_number_that_is_far_off_is_said_with_its_value() -> None:
 
 @pytest.mark.parametrize(("false_alarm", "said"), [(0.02, False), (0.04, True)])
 def test_what_is_far_depends_on_the_false_alarm_rate_and_on_how_many_there_are(false_alarm: float, said: bool) -> None:
-    """Of two numbers 2.58 deviations at 2 %, 2.33 at 4 %; of one 2.33 at 2 %."""
+    """Two numbers may be 2.58 deviations off at 2 %, 2.33 at 4 %; one may be 2.33 at 2 %."""
     search, best = made(2.45)
     assert bool(pulled(search, best, false_alarm)) is said
     search.nuisances = search.nuisances[:1]

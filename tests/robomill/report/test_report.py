@@ -28,6 +28,7 @@ from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.inference.intervals import MATERIAL
 from robomill.diagnosis.inference.machines import MACHINES
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Estimate, Gap, Menu, Which
+from robomill.diagnosis.outcome.calibration import Pulled
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.verdict import Verdict
 from robomill.models.robot.kinematics import forward
@@ -35,6 +36,7 @@ from robomill.orchestration.runs.run import Run
 from robomill.report import robot, units
 from robomill.report.figures import draw_all, overlay
 from robomill.report.page import page as html
+from robomill.report.rests import sure
 from robomill.report.sheet import Sheet
 from robomill.report.style import COLOURS, MARK, WIDTH
 from robomill.report.subject import Subject, size, verdict_sentence
@@ -515,6 +517,16 @@ def test_what_closes_hardly_anything_is_listed_and_no_cause() -> None:
     assert sentence == "The gap is caused by backlash, joint 3 (80.0 µrad)."
     assert "listed, no cause" in section(_cell(one, small))
     assert "listed, no cause" not in section(_cell(one, replace(small, closes=MATERIAL)))
+
+
+def test_a_number_that_an_answer_needs_far_off_is_on_the_page_and_on_the_lines(subject: Callable[[str], Subject]) -> None:
+    off = Pulled("masses", "damping", 2.0, 2.11, 5.5, "N.s/m")
+    said = "masses.damping is 5.5 times its tolerance above what is given: about 2.11 N.s/m, not 2 N.s/m"
+    s = subject("identified")
+    assert f"{said}. Measure these numbers anew." in sure(_saying(s, calibrated=(off,)))
+    assert "Measure these numbers anew" not in sure(s)
+    assert f"calibrated: {said}" in lines(replace(s.answer, calibrated=(off,)))
+    assert not [line for line in lines(s.answer) if line.startswith("calibrated")]
 
 
 def test_many_causes_are_counted() -> None:
