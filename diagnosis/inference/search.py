@@ -331,7 +331,7 @@ class Search:
         fits = self._grown(fits, self._best(level, BASES))
         while (others := self._exchanged(max(fits, key=_evidence), fits)) and max(others, key=_evidence).log_evidence > _most(fits):
             fits = self._grown(fits + others, self._best(others, 1))
-        fits = [f for f in fits + others if f.large_enough()]
+        fits = self._distinct([f for f in fits + others if f.large_enough()])
         for f in sorted(fits[1:], key=_evidence, reverse=True)[:3]:
             f.predictive = {name: part.predicted for name, part in leave_one_out(f, space).items()}
         return fits
@@ -378,16 +378,18 @@ class Search:
         out. Where one is as likely as `best`, so are those with one effect less: what was needed beside a stand-in may not be any more.
         `fewer`: `best` without each of its effects.
         """
-        found: list[tuple[float, Fit]] = []
+        places: list[float] = []
+        trials: list[Fit] = []
         for c, without in zip(best.model, fewer, strict=True):
-            place = [f for f in swapped if c.name not in _names(f) and set(without.model) < set(f.model)]
-            lost = self._chi2(without) - best.chi2
-            refined = self.refine(_first(place, SHARPENED))
-            found += [((best.chi2 + lost - f.chi2) / lost, f) for f in refined if f.signature is not None and lost > 0.0]
-        likeliest = [self.sharpen(f) for _, f in sorted(found, key=lambda pair: -pair[0])[:EXTENSIONS]]
+            there = [f for f in swapped if c.name not in _names(f) and set(without.model) < set(f.model)]
+            trials += _first(there, SHARPENED)
+            places += [self._chi2(without)] * (len(trials) - len(places))
+        ran = [(f, lost) for f, lost in zip(self.refine(trials), places, strict=True) if f.signature is not None and lost > best.chi2]
+        ranked = sorted(ran, key=lambda pair: (pair[0].chi2 - best.chi2) / (pair[1] - best.chi2))
+        likeliest = [self.sharpen(f) for f, _ in ranked[:EXTENSIONS]]
         equal = [f for f in likeliest if f.log_evidence > best.log_evidence - self.growth]
         less = [_without(f, c) for f in equal for c in f.model]
-        return likeliest + self._sharpened(self.polish(self.refine(less), less)) + self._smaller(equal, [])
+        return likeliest + self._sharpened(self.polish(self.refine(less), less)) + self._smaller(equal, ())
 
     def _chi2(self, fit: Fit) -> float:
         """What a fit leaves by its signature."""
@@ -407,6 +409,11 @@ class Search:
     def _best(self, level: Sequence[Fit], count: int) -> list[Fit]:
         best = {_names(f): f for f in sorted(level, key=_evidence)}  # variants do not grow beside each other
         return sorted(best.values(), key=_evidence, reverse=True)[:count]
+
+    def _distinct(self, fits: Sequence[Fit]) -> list[Fit]:
+        """The best fit of each model, in the order in which they came: a model that was fitted twice is no likelier for that."""
+        best = {frozenset(f.model): f for f in sorted(fits, key=_evidence)}
+        return [f for f in fits if best[frozenset(f.model)] is f]
 
     def _smaller(self, level: Sequence[Fit], known: Sequence[Fit]) -> list[Fit]:
         """Models that are left of others when effects too small to count are out, where they beat all that is known of them.

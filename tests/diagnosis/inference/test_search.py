@@ -420,3 +420,10 @@ class TestReplaced:
         assert {c.effect for c in found.model} == right
         assert found.log_evidence > best.log_evidence
         assert found.values["a", "right"] == pytest.approx(0.4, rel=WELL)
+
+    def test_a_model_that_was_fitted_twice_counts_once(self) -> None:
+        s = self.made()
+        one, other = self.fitted(s, partner=4.0, wrong=1.0), self.fitted(s, partner=4.0)
+        again = replace(one, log_evidence=one.log_evidence + 1.0)
+        nominal = s.nominal()
+        assert [id(f) for f in s._distinct([nominal, one, other, again])] == [id(nominal), id(other), id(again)]
