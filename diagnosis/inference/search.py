@@ -134,7 +134,7 @@ class Search:
                     own = wide.without([a for m in model for a in m.addresses])
                     products = own.within(gram, [*own_columns, *(place[a] for a in c.addresses), count + len(best)])
                     fit = solved(model, products, space, own)
-                found[key] = replace(fit, calibrated=base.calibrated)
+                found[key] = fit
         kept: dict[frozenset[tuple[str, object]], Fit] = {}
         for fit in sorted(found.values(), key=_evidence):
             kept[frozenset((m.name, m.fixed if m.name in self.bent else ()) for m in fit.model)] = fit
@@ -154,25 +154,22 @@ class Search:
                 [self.evidence.sensitivities[a] if t is None else t.sensitivity for a, t in zip(addresses, there, strict=True)], axis=1
             )
             beginning: FloatArray = sum((t.signature for t in there if t is not None), np.zeros_like(space.y))
-            # where calibrated numbers are off, slopes are taken anew from the first simulation on
-            x = [f.values[a] / s for a, s in zip(addresses, scaled_bounds(f.model)[0], strict=True)]
-            begin = x if f.calibrated else [0.0 if t is None else t.x for t in there]
-            states.append(_State(f, sensitivities, np.array(begin), beginning))
+            states.append(_State(f, sensitivities, np.array([0.0 if t is None else t.x for t in there]), beginning))
         for _ in range(rounds):
             active = [s for s in states if not s.settled]
             if not active:
                 break
-            for s, signature in zip(active, self._single([s.fit.values for s in active], [s.fit.calibrated for s in active]), strict=True):
+            for s, signature in zip(active, self._single([s.fit.values for s in active]), strict=True):
                 s.update(signature, space)
         return [s.best for s in states]
 
-    def _single(self, values: Sequence[Values], calibrated: Sequence[Values]) -> list[FloatArray | None]:
+    def _single(self, values: Sequence[Values], calibrated: Values = MappingProxyType({})) -> list[FloatArray | None]:
         """As `mean_signature`, of one simulation each."""
-        n = len(self.groups)
-        settings = [self.simulator.seeded(setting({**v, **c})) for v, c in zip(values, calibrated, strict=True)]
+        n, slopes = len(self.groups), self._by_slopes(calibrated)
+        settings = [self.simulator.seeded(setting({**v, **calibrated})) for v in values]
         results = self.simulator.many([(i, changes) for changes in settings for i in range(n)], "fits")
         whole = [self.evidence.signature(results[k * n : (k + 1) * n]) for k in range(len(settings))]
-        return [None if s is None else s - self._by_slopes(c) for s, c in zip(whole, calibrated, strict=True)]
+        return [None if s is None else s - slopes for s in whole]
 
     def mean_signature(self, values: Values, calibrated: Values = MappingProxyType({})) -> FloatArray | None:
         """Whitened change that these values [unit] make, [n], as a mean over POLISH simulations; None where the system cannot run.
@@ -301,7 +298,7 @@ class Search:
             step = max(fit.deviations[a], 0.05 * abs(fit.values[a]))
             moved.append((a, step if fit.values[a] + step < bound * scale else -step))
         trials = [fit.values, *({**fit.values, a: fit.values[a] + step} for a, step in moved)]
-        signatures = self._single(trials, [fit.calibrated] * len(trials))
+        signatures = self._single(trials, fit.calibrated)
         known = [x for x in signatures if x is not None]
         if len(known) < len(signatures):
             return None
@@ -550,8 +547,7 @@ def _without(fit: Fit, candidate: Candidate) -> Fit:
     model = tuple(c for c in fit.model if c != candidate)
     values, deviations = ({a: known[a] for c in model for a in c.addresses} for known in (fit.values, fit.deviations))
     signature = fit.signature - fit.sensitivities[:, here] @ x[here]
-    kept_columns = fit.sensitivities[:, kept]
-    return Fit(model, values, deviations, -np.inf, np.inf, signature, kept_columns, form=fit.form, calibrated=fit.calibrated)
+    return Fit(model, values, deviations, -np.inf, np.inf, signature, fit.sensitivities[:, kept], form=fit.form)
 
 
 def _names(fit: Fit) -> frozenset[str]:
@@ -603,6 +599,6 @@ class _State:
             spread = fit.deviations
             values = dict(self.fit.values)
             evidence = fit.log_evidence - 0.5 * max(chi2 - fit.chi2, 0.0)
-            self.best = Fit(self.fit.model, values, spread, evidence, chi2, signature, self.sensitivities, calibrated=self.fit.calibrated)
+            self.best = Fit(self.fit.model, values, spread, evidence, chi2, signature, self.sensitivities)
         self.settled = all(_settled(fit.values[a] - self.fit.values[a], fit.deviations[a], self.fit.values[a]) for a in addresses)
-        self.x, self.signature, self.fit = new, signature, replace(fit, calibrated=self.fit.calibrated)
+        self.x, self.signature, self.fit = new, signature, fit

@@ -366,16 +366,13 @@ class TestCalibrated:
         s = Search(*self.made(-2.2))
         assert bool(s.calibrate(s.nominal()).calibrated) is moves
 
-    def test_what_grows_from_a_model_has_its_calibrated_numbers(self) -> None:
+    def test_beside_an_effect_numbers_are_those_of_the_model_that_has_it(self) -> None:
         s = Search(*self.made(-2.0, 0.5))
-        base = s.calibrate(s.nominal())
-        assert base.calibrated
-        (second,) = [f for f in s.refine(s.linear_fits([base])) if [c.effect for c in f.model] == ["second"]]
-        assert second.calibrated == base.calibrated
-        assert second.values["a", "second"] == pytest.approx(0.5, rel=WELL)
-        assert second.chi2 < 2.0 * (4.0 + float(s.evidence.expected.sum()))
-        found = s.run()
-        assert [c.effect for c in max(found, key=lambda f: f.log_evidence).model] == ["second"]
+        assert s.calibrate(s.nominal()).calibrated == {("a", "number"): pytest.approx(-2.0, rel=WELL)}
+        best = max(s.run(), key=lambda f: f.log_evidence)
+        assert [c.effect for c in best.model] == ["second"]
+        assert best.values["a", "second"] == pytest.approx(0.5, rel=WELL)
+        assert best.calibrated == {("a", "number"): pytest.approx(-2.0, rel=WELL)}
 
 
 class TestReplaced:
