@@ -113,7 +113,7 @@ def raw(run: Run, channels: Sequence[str], ranges: Mapping[str, tuple[float | No
     return found
 
 
-def limits(runs: Sequence[FloatArray]) -> tuple[float, float]:
+def limits_of(runs: Sequence[FloatArray]) -> tuple[float, float]:
     """The least and the largest value of a channel in these runs, [samples] each; NaN where that is no limit.
 
     A limit is met in several runs, at the same value, and never exceeded. What is broken keeps the value that it had by chance, and what is

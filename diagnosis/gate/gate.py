@@ -78,11 +78,11 @@ class Gate:
 
     @cached_property
     def limits(self) -> dict[str, tuple[float, float]]:
-        """Channels that are at a limit in some runs, and their `checks.limits`."""
+        """Channels that are at a limit in some runs, and their `checks.limits_of`."""
         found = {}
         for i, name in enumerate(self.laboratory.channels):
             there = [group for c, group in zip(self.laboratory.conditions, self.groups, strict=True) if c.has(name)]
-            both = checks.limits([x[:, i] for group in there for x in group]) if there else (np.nan, np.nan)
+            both = checks.limits_of([x[:, i] for group in there for x in group]) if there else (np.nan, np.nan)
             if not np.all(np.isnan(both)):
                 found[name] = both
         return found

@@ -328,7 +328,7 @@ class Search:
         fits = self._grown(fits, self._best(level, BASES))
         while (others := self._exchanged(max(fits, key=_evidence), fits)) and max(others, key=_evidence).log_evidence > _most(fits):
             fits = self._grown(fits + others, self._best(others, 1))
-        fits = self._distinct([f for f in fits + others if f.large_enough()])
+        fits = _distinct([f for f in fits + others if f.large_enough()])
         for f in sorted(fits[1:], key=_evidence, reverse=True)[:3]:
             f.predictive = {name: part.predicted for name, part in leave_one_out(f, space).items()}
         return fits
@@ -406,11 +406,6 @@ class Search:
     def _best(self, level: Sequence[Fit], count: int) -> list[Fit]:
         best = {_names(f): f for f in sorted(level, key=_evidence)}  # variants do not grow beside each other
         return sorted(best.values(), key=_evidence, reverse=True)[:count]
-
-    def _distinct(self, fits: Sequence[Fit]) -> list[Fit]:
-        """The best fit of each model, in the order in which they came: a model that was fitted twice is no likelier for that."""
-        best = {frozenset(f.model): f for f in sorted(fits, key=_evidence)}
-        return [f for f in fits if best[frozenset(f.model)] is f]
 
     def _smaller(self, level: Sequence[Fit], known: Sequence[Fit]) -> list[Fit]:
         """Models that are left of others when effects too small to count are out, where they beat all that is known of them.
@@ -534,6 +529,12 @@ def _evidence(fit: Fit) -> float:
 
 def _most(fits: Sequence[Fit]) -> float:
     return max(f.log_evidence for f in fits)
+
+
+def _distinct(fits: Sequence[Fit]) -> list[Fit]:
+    """The best fit of each model, in the order in which they came: a model that was fitted twice is no likelier for that."""
+    best = {frozenset(f.model): f for f in sorted(fits, key=_evidence)}
+    return [f for f in fits if best[frozenset(f.model)] is f]
 
 
 def _without(fit: Fit, candidate: Candidate) -> Fit:

@@ -80,9 +80,9 @@ class TestLimitOfSeveralRuns:
     """As a push that goes on until the end: the limit is met once."""
 
     def test_one_value_in_several_runs_that_is_never_exceeded_is_a_limit(self) -> None:
-        low, high = checks.limits([self.HELD, self.HELD, np.full(1000, 3.0), 2.0 * SINE])
+        low, high = checks.limits_of([self.HELD, self.HELD, np.full(1000, 3.0), 2.0 * SINE])
         assert (np.isnan(low), high) == (True, 3.0)
-        assert checks.limits([-self.HELD, -self.HELD, SINE])[0] == -3.0
+        assert checks.limits_of([-self.HELD, -self.HELD, SINE])[0] == -3.0
 
     @pytest.mark.parametrize(
         "runs",
@@ -95,7 +95,7 @@ class TestLimitOfSeveralRuns:
         ],
     )
     def test_all_else_is_none(self, runs: list[FloatArray]) -> None:
-        assert np.all(np.isnan(checks.limits(runs)))
+        assert np.all(np.isnan(checks.limits_of(runs)))
 
     def beside(self, measured: list[FloatArray], limits: tuple[float, float], noise: float = 1e-12) -> list[str]:
         """As `beside` of the module, with limits of the first channel; its simulation moves, and not as far."""

@@ -423,4 +423,4 @@ class TestReplaced:
         one, other = self.fitted(s, partner=4.0, wrong=1.0), self.fitted(s, partner=4.0)
         again = replace(one, log_evidence=one.log_evidence + 1.0)
         nominal = s.nominal()
-        assert [id(f) for f in s._distinct([nominal, one, other, again])] == [id(nominal), id(other), id(again)]
+        assert [id(f) for f in search_module._distinct([nominal, one, other, again])] == [id(nominal), id(other), id(again)]
