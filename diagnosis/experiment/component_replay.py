@@ -41,7 +41,8 @@ PLAYBACK = "playback:"
 """Source of the components that play back measured signals."""
 KNOWN = 1e-3
 """Relative deviation that counts as none: up to it the signal of a component without inputs (a program) is taken as it is simulated, and
-so large is the push that shows what adds up: the answer is that of the motion that was measured."""
+so large is the push that shows what adds up: the answer is that of the motion that was measured. A rate of change that is such a part of
+its largest is none."""
 ADDS_UP = 0.5
 """Order of growth from which an output adds up what goes in: half way between one that settles (0) and an integrator (1)."""
 

@@ -8,11 +8,10 @@ from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
-from scipy.stats import norm
 
 from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Simulator, setting
-from robomill.diagnosis.inference.adequacy import COHERENT, FALSE_ALARM, LEVEL, MISFIT, UNKNOWN, unexplained
+from robomill.diagnosis.inference.adequacy import COHERENT, FALSE_ALARM, LEVEL, MISFIT, UNKNOWN, beyond, unexplained
 from robomill.diagnosis.inference.estimation import Fit, Gram, Model, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
 from robomill.diagnosis.inference.evidence import dependence
 from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Sensitivities, per_scale
@@ -186,21 +185,31 @@ class Search:
         deviations = {n.address: calibrated[n.address] / n.scale for n in self.nuisances if n.address in calibrated}
         return np.asarray(space.nuisances @ np.array([deviations.get(name, 0.0) for name in space.names]))
 
+    def calibrated(self, fit: Fit) -> tuple[list[Nuisance], FloatArray, FloatArray]:
+        """The calibrated numbers that a model leaves to the nuisances, and where it has them: their means and variances, [k] each.
+
+        These are of the posterior, in standard deviations of the tolerances.
+        """
+        assert fit.signature is not None
+        space = self.evidence.space.without(list(fit.values))
+        places = {a: i for i, a in enumerate(space.names) if a not in space.gone}
+        numbers = [n for n in self.nuisances if n.address in places]
+        here = [places[n.address] for n in numbers]
+        return numbers, space.moved(space.y - fit.signature)[here], space.variances[here]
+
     def calibrate(self, fit: Fit) -> Fit:
         """The fit again with its calibrated numbers as far off as the data have them, simulated, while that explains more.
 
         Slopes say what a small change does. A loop that is at a limit does something else with a larger one, and an effect that is the same
         as a tolerance would be named for the rest. It ends where a number is farther off than one of so many is with FALSE_ALARM.
         """
-        own, scales = self.evidence.space.without(list(fit.values)), {n.address: n.scale for n in self.nuisances}
-        far = float(norm.isf(0.5 * FALSE_ALARM / max(len(scales), 1)))
+        own = self.evidence.space.without(list(fit.values))
         for _ in range(SHARPER):
-            assert fit.signature is not None
             assert fit.sensitivities is not None
-            moved = dict(zip(own.names, own.moved(own.y - fit.signature), strict=True))
-            calibrated = {a: float(moved[a]) * scale for a, scale in scales.items() if moved.get(a, 0.0) != 0.0}
-            if any(abs(moved[a]) > far for a in calibrated):
+            numbers, means, _ = self.calibrated(fit)
+            if np.max(np.abs(means), initial=0.0) > beyond(len(numbers), FALSE_ALARM):
                 break
+            calibrated = {n.address: float(z) * n.scale for n, z in zip(numbers, means, strict=True)}
             there = self.mean_signature(fit.values, calibrated)
             if there is None or own.chi2_of((own.y - there)[:, None])[0] > BETTER * fit.chi2:
                 break

@@ -13,14 +13,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import chi2, false_discovery_control
 
+from robomill.diagnosis.experiment.component_replay import KNOWN
 from robomill.orchestration.slaves.protocol import FloatArray
 
 FALSE_DISCOVERIES = 0.05
 """Part of the variables that are found which may be found by chance."""
 BANDS = ((0.0, 0.004), (0.004, 0.02), (0.02, 0.06), (0.06, np.inf))
 """Parts of the sampling frequency: 1, 5 and 15 Hz of 250 Hz."""
-MOVING = 1e-3
-"""Part of its largest rate of change below which a variable stands still."""
 PRESENT = 0.1
 """Part of its largest size from which a load, or what is left, is there."""
 
@@ -72,7 +71,7 @@ def variables(inputs: Mapping[str, FloatArray], units: Mapping[str, str], t: Flo
             continue
         found.setdefault(f"value of {array}", []).append(values - values.mean())
         rate = np.gradient(values)
-        found.setdefault(f"sense of {array}", []).append(np.where(np.abs(rate) > MOVING * np.abs(rate).max(), np.sign(rate), 0.0))
+        found.setdefault(f"sense of {array}", []).append(np.where(np.abs(rate) > KNOWN * np.abs(rate).max(), np.sign(rate), 0.0))
     if loads:
         found["engagement"] = [(np.max(loads, axis=0) > PRESENT).astype(np.float64)]
     return found

@@ -206,7 +206,7 @@ class Answer:
     onset: Onset | None = None
     """When an effect began, where something speaks for it that it was not there all the time."""
     calibrated: tuple[Pulled, ...] | None = None
-    """Calibrated numbers that the answer needs farther off than their tolerances say."""
+    """Calibrated numbers that the best model needs farther off than their tolerances say."""
     effort: Effort = field(default_factory=Effort)
     """What the diagnosis took."""
     skipped: tuple[str, ...] = ()

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scipy.stats import norm
-
+from robomill.diagnosis.inference.adequacy import beyond
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.search import Search
 
@@ -41,14 +40,13 @@ class Pulled:
 def pulled(search: Search, fit: Fit, false_alarm: float) -> tuple[Pulled, ...]:
     """The numbers of a model that are farther off than one of so many is with this probability, the farthest first.
 
-    A number z is N(0, 1) in standard deviations of its tolerance. Of k numbers one is beyond the quantile of false_alarm / 2k with at most
-    that probability (Bonferroni).
+    A number is N(0, 1) in standard deviations of its tolerance (`beyond`).
     """
-    assert fit.signature is not None
-    space = search.evidence.space.without(list(fit.values))
-    moved = dict(zip(space.names, space.moved(space.y - fit.signature), strict=True))
-    numbers = [n for n in search.nuisances if n.address in moved and n.address not in space.gone]
-    far = float(norm.isf(0.5 * false_alarm / max(len(numbers), 1)))
-    off = [(n, float(moved[n.address])) for n in numbers]
-    found = [Pulled(*n.address, n.nominal, n.nominal + z * n.scale, z, n.unit) for n, z in off if abs(z) > far]
+    numbers, means, _ = search.calibrated(fit)
+    far = beyond(len(numbers), false_alarm)
+    found = [
+        Pulled(*n.address, n.nominal, n.nominal + z * n.scale, z, n.unit)
+        for n, z in zip(numbers, map(float, means), strict=True)
+        if abs(z) > far
+    ]
     return tuple(sorted(found, key=lambda p: -abs(p.deviations)))

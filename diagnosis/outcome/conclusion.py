@@ -174,8 +174,7 @@ class Conclusion:
             tests=tests,
             families=self.families(tests.p_fit, instead),
             smallest_visible=self.smallest(),
-            # what nothing explains moves numbers, too: that says nothing of them
-            calibrated=() if verdict == "unknown" else pulled(search, self.best, self.false_alarm),
+            calibrated=pulled(search, self.best, self.false_alarm),
         )
         acts = verdict in ("identified", "ambiguous", "unknown")
         adopted = physical(self.best.values) if acts else {}

@@ -70,7 +70,7 @@ def sure(s: Subject) -> str:
     if s.answer.calibrated:
         off = "; ".join(p.text for p in s.answer.calibrated)
         lines.append(
-            f"Is all that is calibrated what it is said to be? Not if this answer is right: {off}. Measure these numbers anew. "
+            f"Is all that is calibrated what it is said to be? Not if the best model is right: {off}. Measure these numbers anew. "
             "If they are right, something is wrong that the catalogue does not have."
         )
     body = "".join(paragraph(text, "note" if text.startswith(GUESS) else "") for text in lines)

@@ -227,12 +227,18 @@ AROUND_NOISE: Any = SimpleNamespace(
         guess=1.0,
     ),
     explainable=lambda left: 0.0,
+    calibrated=lambda fit: ([], np.zeros(0), np.zeros(0)),
 )
 
 
 def fitted(left: float, *model: Candidate) -> Fit:
     """A model that leaves so many times what noise does."""
     return Fit(model, {a: c.prior.scale for c in model for a in c.addresses}, {}, 0.0, 1000.0 * left, np.array([-left]))
+
+
+def far_off() -> float:
+    """Log Bayes factor for a model of one calibrated number, which it has fifty tolerances off."""
+    return adequacy.within_tolerances(np.array([50.0]), np.array([0.01]))
 
 
 def form() -> float:
@@ -288,6 +294,7 @@ NOTICED: list[tuple[Any, str, float, Callable[[], Any], Any, Any]] = [
     (machines, "MACHINES", 2, rank, 1.0 / 2001.0, 1.0 / 4001.0),
     (transfer, "KEEPS", 2.0, lambda: transfer.Transfer(5.0, 1.1, 1.0, 1.0, 0.0, 0.8, 0.1).promise > 0.0, False, True),
     (adequacy, "HOLDS", 0.5, lambda: round(adequacy.kept(50.0), 6), round(math.log(2.0), 6), round(math.log(4.0), 6)),
+    (adequacy, "MISJUDGED", 2.0, lambda: far_off() < math.log(0.15), True, False),
     (verdict, "UNLISTED", 2.0, lambda: fits(1.0, 1.0, EFFECT) > 0.5, True, False),
     (scatter, "SHOWS", 2.0, lambda: scatter.spell(unsteady(7.0)) is not None, True, False),
     (verdict, "UNKNOWN", 2.0, lambda: judged(3.5, 0.9, 0.5), "unknown", "none"),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
-from scipy.stats import beta, norm
+from scipy.stats import beta, cauchy, norm
 
 from robomill.diagnosis.catalogue import LOGGING
 from robomill.diagnosis.inference.adequacy import (
@@ -20,13 +20,16 @@ from robomill.diagnosis.inference.adequacy import (
     HOLDS,
     LEVEL,
     MISFIT,
+    MISJUDGED,
     SPREAD,
+    beyond,
     kept,
     left_by,
     misfit,
     most_left,
     together,
     unexplained,
+    within_tolerances,
     worsened,
 )
 from robomill.diagnosis.inference.estimation import Fit, Model, Space
@@ -213,3 +216,40 @@ def test_a_model_that_makes_a_channel_worse_by_little_of_what_it_does_there_is_n
 )
 def test_what_is_made_worse_may_only_refute_and_counts_once(overall: float, worse: float, both: float) -> None:
     assert together(overall, worse) == pytest.approx(both, rel=ROUNDOFF)
+
+
+def beside(mean: float, variance: float, off: float) -> float:
+    """Likelihood of data that bring a number from N(0, 1) to N(mean, variance), where it is Cauchy with probability `off`."""
+    z = np.linspace(-400.0, 400.0, 800_001)
+    does = np.exp(norm.logpdf(z, mean, math.sqrt(variance)) - norm.logpdf(z))
+    return float(trapezoid(does * ((1.0 - off) * norm.pdf(z) + off * cauchy.pdf(z)), z))
+
+
+@pytest.mark.parametrize(
+    ("means", "variances"), [([0.3], [0.02]), ([1.5, -2.0, 0.1], [0.5, 0.1, 0.9]), ([6.0, 0.2], [0.05, 0.05]), ([5.0, -7.0], [0.02, 0.3])]
+)
+def test_numbers_off_their_tolerances_are_the_ratio_of_the_integrals(means: list[float], variances: list[float]) -> None:
+    k = len(means)
+    right, other = (math.prod(beside(m, v, off / k) for m, v in zip(means, variances, strict=True)) for off in (MISJUDGED, 1.0))
+    assert within_tolerances(np.array(means), np.array(variances)) == pytest.approx(math.log(right / other), abs=QUADRATURE)
+
+
+@pytest.mark.parametrize("far", [0, 1, 2])
+def test_each_number_that_is_far_off_makes_a_right_model_less_likely_by_how_many_it_has(far: int) -> None:
+    """Twenty numbers that the data know well; what is not far off gains less than the ratio of the densities at zero."""
+    means = np.zeros(20)
+    means[:far] = (15.0, -40.0)[:far]
+    found = within_tolerances(means, np.full(20, 0.01)) - far * math.log(MISJUDGED)
+    assert 0.0 <= found <= math.log(norm.pdf(0.0) / cauchy.pdf(0.0)) + QUADRATURE
+
+
+def test_numbers_of_which_the_data_say_nothing_say_nothing() -> None:
+    assert within_tolerances(np.zeros(3), np.ones(3)) == 0.0
+    assert within_tolerances(np.zeros(0), np.zeros(0)) == 0.0
+    some = within_tolerances(np.array([5.0]), np.array([0.1]))
+    assert within_tolerances(np.array([5.0, 0.0, 0.0]), np.array([0.1, 1.0, 1.0])) == some
+
+
+@pytest.mark.parametrize(("count", "probability"), [(1, 0.02), (60, 0.02), (60, 0.1)])
+def test_beyond_that_one_of_so_many_numbers_is_as_rarely_as_asked(count: int, probability: float) -> None:
+    assert 1.0 - (1.0 - 2.0 * norm.sf(beyond(count, probability))) ** count == pytest.approx(probability, rel=0.5 * probability)
