@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
-from robomill.diagnosis.inference.search import BETTER, SHARPER
+from robomill.diagnosis.inference.fitting import BETTER, SHARPER
 from robomill.models.components.file_names import FORM
 from robomill.orchestration.slaves.protocol import FloatArray
 from robomill.orchestration.system.definition import System

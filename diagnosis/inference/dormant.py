@@ -15,7 +15,8 @@ import numpy as np
 from robomill.diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
 from robomill.diagnosis.inference.estimation import Fit, leave_one_out, quadratic_fit
-from robomill.diagnosis.inference.search import GUESSES, POLISHED, Search, searched
+from robomill.diagnosis.inference.fitting import POLISHED, evidence_of
+from robomill.diagnosis.inference.search import GUESSES, Search, searched
 from robomill.orchestration.slaves.protocol import FloatArray
 
 
@@ -39,13 +40,13 @@ def searched_beside(
     Then `Search.candidates` has that effect, too, with its sensitivity beside the best model.
     """
     search, fits = searched(catalogue, simulator, groups, nuisances)
-    alone = max(fits, key=_evidence)
+    alone = max(fits, key=evidence_of)
     shown = {a for c in search.candidates for a in c.addresses}
     dormant = [c for c in catalogue.candidates if len(c.parameters) == 1 and c.addresses[0] not in shown] if alone.model else []
     trials = [fit for c in dormant if (fit := _woken(search, alone, c)) is not None]
-    if not trials or max(trials, key=_evidence).log_evidence <= alone.log_evidence:
+    if not trials or max(trials, key=evidence_of).log_evidence <= alone.log_evidence:
         return search, fits
-    best = max(trials, key=_evidence)
+    best = max(trials, key=evidence_of)
     c = best.model[-1]
     again, models = search, [alone]
     value = best.values[c.addresses[0]]
@@ -53,12 +54,12 @@ def searched_beside(
         before = best
         again, others = searched(catalogue, Beside(simulator, {c.addresses[0]: value}), groups, nuisances)
         again.simulator, again.candidates = simulator, [*again.candidates, c]
-        ranked = sorted((f for f in others if f.model), key=_evidence, reverse=True)[:POLISHED]
+        ranked = sorted((f for f in others if f.model), key=evidence_of, reverse=True)[:POLISHED]
         starts = [((*f.model, c), {**f.values, **_of(before.values, c)}, {**f.deviations, **_of(before.deviations, c)}) for f in ranked]
         models = [fit for start in starts if (fit := again.fitted(*start)) is not None and fit.large_enough()]
         if not models:
             return search, fits
-        best = max(models, key=_evidence)
+        best = max(models, key=evidence_of)
         if set(best.model) == set(before.model) and abs(best.values[c.addresses[0]] - value) < best.deviations[c.addresses[0]]:
             break
         value = best.values[c.addresses[0]]
@@ -67,7 +68,7 @@ def searched_beside(
     assert best.sensitivities is not None
     again.evidence.sensitivities[c.addresses[0]] = best.sensitivities[:, -1]
     again.evidence.space.find_alike({c.addresses[0]: best.sensitivities[:, -1]}, {c.addresses[0]: c.prior.scale})
-    for f in sorted(fits[1:], key=_evidence, reverse=True)[:3]:
+    for f in sorted(fits[1:], key=evidence_of, reverse=True)[:3]:
         f.predictive = {name: part.predicted for name, part in leave_one_out(f, again.evidence.space).items()}
     return again, fits
 
@@ -87,12 +88,8 @@ def _woken(search: Search, alone: Fit, c: Candidate) -> Fit | None:
         slopes = np.column_stack([alone.sensitivities, (there - here) / size])
         start = np.array([*(alone.values[b] / m.prior.scale for m in alone.model for b in m.addresses), 0.0])
         found.append(quadratic_fit((*alone.model, c), alone.signature, slopes, start, search.evidence.space, alone.form))
-    return max(found, key=_evidence, default=None)
+    return max(found, key=evidence_of, default=None)
 
 
 def _of(numbers: Mapping[Address, float], c: Candidate) -> dict[Address, float]:
     return {a: numbers[a] for a in c.addresses}
-
-
-def _evidence(fit: Fit) -> float:
-    return fit.log_evidence

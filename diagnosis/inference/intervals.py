@@ -21,7 +21,8 @@ from robomill.diagnosis.catalogue import Address
 from robomill.diagnosis.experiment.simulation import setting
 from robomill.diagnosis.inference.estimation import Fit, Model
 from robomill.diagnosis.inference.evidence import FORM
-from robomill.diagnosis.inference.search import POLISH, SHARPER, Search
+from robomill.diagnosis.inference.fitting import POLISH, SHARPER
+from robomill.diagnosis.inference.search import Search
 from robomill.orchestration.slaves.protocol import FloatArray
 
 MEMORY = 0.3

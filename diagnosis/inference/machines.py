@@ -6,8 +6,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 from robomill.diagnosis.inference.adequacy import LEVEL, SPREAD
+from robomill.diagnosis.inference.fitting import addresses_of
 from robomill.diagnosis.inference.priors import log_priors
-from robomill.diagnosis.inference.search import Search, addresses_of
+from robomill.diagnosis.inference.search import Search
 from robomill.orchestration.slaves.protocol import FloatArray
 
 MACHINES = 2000

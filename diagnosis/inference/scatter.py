@@ -18,8 +18,9 @@ import numpy.typing as npt
 from robomill.diagnosis.catalogue import Candidate
 from robomill.diagnosis.experiment.simulation import setting
 from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.fitting import POLISH
 from robomill.diagnosis.inference.noise import SPELL
-from robomill.diagnosis.inference.search import POLISH, Search
+from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.visibility import SHOWS
 from robomill.orchestration.slaves.protocol import FloatArray
 

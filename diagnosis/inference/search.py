@@ -1,28 +1,21 @@
-"""The search for the effects that explain the gap: linear fits of all, refinement on real simulations, pairs and triples."""
+"""The search for the effects that explain the gap: all alone, what grows from the best, what takes the place of one of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import cached_property
-from types import MappingProxyType
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
+from robomill.diagnosis.catalogue import LOGGING, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Simulator, setting
-from robomill.diagnosis.inference.adequacy import COHERENT, FALSE_ALARM, LEVEL, MISFIT, UNKNOWN, beyond, unexplained
-from robomill.diagnosis.inference.estimation import Fit, Gram, Model, Space, leave_one_out, quadratic_fit, scaled_bounds, solved
+from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, MISFIT, UNKNOWN, unexplained
+from robomill.diagnosis.inference.estimation import Fit, Gram, leave_one_out
 from robomill.diagnosis.inference.evidence import dependence
-from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, Sensitivities, per_scale
+from robomill.diagnosis.inference.fitting import POLISH, POLISHED, SHARPENED, Fitting, addresses_of, evidence_of
+from robomill.diagnosis.inference.sensitivities import LARGE, NOMINAL, WORTH, per_scale
 from robomill.orchestration.slaves.protocol import FloatArray
 
-POLISH, POLISHED = 6, 8
-"""Simulations with different noise at the best values of a model, and how many models of each size get them."""
-SHARPENED, ROUGH = 2, 1.15
-"""How many models of each size are fitted with slopes of their own place, if they leave more than this times noise."""
-SHARPER, BETTER = 5, 0.99
-"""How often slopes are taken anew at most, and the part of chi2 that must not be left for it to go on."""
 GROWTH_GAIN = 12.0
 """Gain in evidence [nats], as sensitivities and noise have it, from which models with a further effect are simulated."""
 SUBSTANTIAL = 0.05
@@ -30,8 +23,6 @@ SUBSTANTIAL = 0.05
 FAULT = 0.67
 """Part of what is left beyond noise that a fault of the log must explain. It can be modelled exactly: what is left of something else is no
 reason to reject a log."""
-FAR, NEARBY = 50.0, 0.4
-"""Log of the odds against a model, beside the best of its size, from which it is not looked at more closely; or that part of the gain."""
 SINGLES, BASES, EXTENSIONS = 10, 3, 4
 """How many single candidates are refined, how many of them grow, and by how many partners each."""
 HIDDEN = 0.1
@@ -39,32 +30,9 @@ HIDDEN = 0.1
 GUESSES = 4
 """How often noise is guessed anew from what the best model leaves: once more than a model has effects, at most."""
 
-Values = Mapping[Address, float]
-"""What numbers are changed by [unit]."""
 
-
-class Search:
-    """Fits on the first `len(groups)` conditions of the simulator's laboratory; `groups` are their measured repeats [samples, channels].
-
-    `evidence`: whitened residuals, sensitivities and nuisances; `candidates`: those that change anything; `starts`: where fits begin that
-    do not begin at zero.
-    """
-
-    def __init__(
-        self,
-        catalogue: Catalogue,
-        simulator: Simulator,
-        groups: Sequence[Sequence[FloatArray]],
-        nuisances: Sequence[Nuisance],
-        left: Sequence[Sequence[FloatArray]] = (),
-        dispersion: float = 1.0,
-    ) -> None:
-        """`left`: what a model leaves of each run, from which noise is guessed where nothing was repeated; `dispersion`: see `Evidence`."""
-        self.nuisances = nuisances
-        self.catalogue, self.simulator, self.groups = catalogue, simulator, groups
-        sensitivities = Sensitivities(catalogue, simulator, groups, nuisances, left, dispersion)
-        self.evidence, self.candidates, self.starts = sensitivities.evidence, sensitivities.candidates, sensitivities.starts
-        self.bent = sensitivities.bent
+class Search(Fitting):
+    """Which models are fitted, and what they leave."""
 
     @cached_property
     def together(self) -> tuple[FloatArray, Gram]:
@@ -80,11 +48,6 @@ class Search:
         """Gain in evidence [nats] from which models with a further effect are simulated: GROWTH_GAIN of noise alone."""
         return GROWTH_GAIN / self.evidence.dispersion
 
-    def nominal(self) -> Fit:
-        """The fit of the nominal model, which has no effect: log evidence 0, signature 0."""
-        s = self.evidence.space
-        return Fit((), {}, {}, 0.0, s.chi2, np.zeros_like(s.y), np.zeros((s.y.size, 0)))
-
     def explainable(self, left: FloatArray) -> float:
         """chi2 that all candidates together explain of a residual [n], over what they explain of noise: the trace of the smoother.
 
@@ -99,246 +62,22 @@ class Search:
         noise = max(freedom, 1.0) * self.evidence.guess / self.evidence.dispersion
         return 1.0 + COHERENT * (float(gram[:-1, -1] @ inverse @ gram[:-1, -1]) / noise - 1.0)
 
-    def linear_fits(self, bases: Sequence[Fit]) -> list[Fit]:
-        """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion: s + (ds/dx) (x - best) + v x'.
-
-        v is the sensitivity of the candidate, x' its size; no simulation is made. The parameters of the base are fitted again, too. Of the
-        variants of a candidate the best one; all of them where they are not proportional to their size: sensitivities say too little.
-        """
-        space = self.evidence.space
-        place = {a: i for i, a in enumerate(addresses_of(self.candidates))}
-        stacked = np.stack([self.evidence.sensitivities[a] for a in place], axis=1)
-        known, count = space.gram(stacked), len(place)
-        found: dict[frozenset[Candidate], Fit] = {}
-        for base in bases:
-            assert base.signature is not None
-            assert base.sensitivities is not None
-            scales, _, _ = scaled_bounds(base.model)
-            best = np.array([base.values[a] for c in base.model for a in c.addresses]) / (scales if len(scales) else 1.0)
-            target = space.y - base.signature + base.sensitivities @ best
-            wide = space.widened(base.form)
-            gram = wide.beside(known, stacked, np.column_stack([base.sensitivities, target]))
-            own_columns = range(count, count + len(best))
-            for c in self.candidates:
-                model = (*base.model, c)
-                key = frozenset(model)
-                if key in found or any(c.excludes(m) for m in base.model):
-                    continue
-                there = self.starts.get(c.addresses[0])
-                if there is not None:
-                    sensitivities = np.concatenate([base.sensitivities, there.sensitivity[:, None]], axis=1)
-                    start = np.append(best, there.x)
-                    fit = quadratic_fit(model, base.signature + there.signature, sensitivities, start, space, base.form)
-                else:
-                    own = wide.without([a for m in model for a in m.addresses])
-                    products = own.within(gram, [*own_columns, *(place[a] for a in c.addresses), count + len(best)])
-                    fit = solved(model, products, space, own)
-                found[key] = fit
-        kept: dict[frozenset[tuple[str, object]], Fit] = {}
-        for fit in sorted(found.values(), key=_evidence):
-            kept[frozenset((m.name, m.fixed if m.name in self.bent else ()) for m in fit.model)] = fit
-        return list(kept.values())
-
-    def refine(self, fits: Sequence[Fit], rounds: int = 5) -> list[Fit]:
-        """Gauss-Newton on real simulations, all models together (one simulation of each per round): the best of each that was simulated.
-
-        Sensitivities S follow by Broyden's rule from the step dx and what it did: S + (ds - S dx) dx' / dx'dx.
-        """
-        space = self.evidence.space
-        states = []
-        for f in fits:
-            addresses = [a for c in f.model for a in c.addresses]
-            there = [self.starts.get(a) for a in addresses]
-            sensitivities = np.stack(
-                [self.evidence.sensitivities[a] if t is None else t.sensitivity for a, t in zip(addresses, there, strict=True)], axis=1
-            )
-            beginning: FloatArray = sum((t.signature for t in there if t is not None), np.zeros_like(space.y))
-            states.append(_State(f, sensitivities, np.array([0.0 if t is None else t.x for t in there]), beginning))
-        for _ in range(rounds):
-            active = [s for s in states if not s.settled]
-            if not active:
-                break
-            for s, signature in zip(active, self._single([s.fit.values for s in active]), strict=True):
-                s.update(signature, space)
-        return [s.best for s in states]
-
-    def _single(self, values: Sequence[Values], calibrated: Values = MappingProxyType({})) -> list[FloatArray | None]:
-        """As `mean_signature`, of one simulation each."""
-        n, slopes = len(self.groups), self._by_slopes(calibrated)
-        settings = [self.simulator.seeded(setting({**v, **calibrated})) for v in values]
-        results = self.simulator.many([(i, changes) for changes in settings for i in range(n)], "fits")
-        whole = [self.evidence.signature(results[k * n : (k + 1) * n]) for k in range(len(settings))]
-        return [None if s is None else s - slopes for s in whole]
-
-    def mean_signature(self, values: Values, calibrated: Values = MappingProxyType({})) -> FloatArray | None:
-        """Whitened change that these values [unit] make, [n], as a mean over POLISH simulations; None where the system cannot run.
-
-        What `calibrated` numbers [unit] do by their slopes is no part of it: nuisances have that.
-        """
-        changes = setting({**values, **calibrated})
-        whole = self.evidence.mean_signature(self.simulator.repeated(range(len(self.groups)), changes, POLISH, "fits"))
-        return None if whole is None else whole - self._by_slopes(calibrated)
-
-    def _by_slopes(self, calibrated: Values) -> FloatArray:
-        """What calibrated numbers [unit] do by their slopes, whitened, [n]."""
-        space = self.evidence.space
-        deviations = {n.address: calibrated[n.address] / n.scale for n in self.nuisances if n.address in calibrated}
-        return np.asarray(space.nuisances @ np.array([deviations.get(name, 0.0) for name in space.names]))
-
-    def calibrated(self, fit: Fit) -> tuple[list[Nuisance], FloatArray, FloatArray]:
-        """The calibrated numbers that a model leaves to the nuisances, and where it has them: their means and variances, [k] each.
-
-        These are of the posterior, in standard deviations of the tolerances.
-        """
-        assert fit.signature is not None
-        space = self.evidence.space.without(list(fit.values))
-        places = {a: i for i, a in enumerate(space.names) if a not in space.gone}
-        numbers = [n for n in self.nuisances if n.address in places]
-        here = [places[n.address] for n in numbers]
-        return numbers, space.moved(space.y - fit.signature)[here], space.variances[here]
-
-    def calibrate(self, fit: Fit) -> Fit:
-        """The fit again with its calibrated numbers as far off as the data have them, simulated, while that explains more.
-
-        Slopes say what a small change does. A loop that is at a limit does something else with a larger one, and an effect that is the same
-        as a tolerance would be named for the rest. It ends where a number is farther off than one of so many is with FALSE_ALARM.
-        """
-        own = self.evidence.space.without(list(fit.values))
-        for _ in range(SHARPER):
-            assert fit.sensitivities is not None
-            numbers, means, _ = self.calibrated(fit)
-            if np.max(np.abs(means), initial=0.0) > beyond(len(numbers), FALSE_ALARM):
-                break
-            calibrated = {n.address: float(z) * n.scale for n, z in zip(numbers, means, strict=True)}
-            there = self.mean_signature(fit.values, calibrated)
-            if there is None or own.chi2_of((own.y - there)[:, None])[0] > BETTER * fit.chi2:
-                break
-            fit = replace(self.about(fit, there, fit.sensitivities), calibrated=calibrated)
-        return fit
-
-    def polish(self, fits: Sequence[Fit], linear: Sequence[Fit]) -> list[Fit]:
-        """The best of `fits` again, with simulations that are means over noise; a single one scatters as a measured run does.
-
-        `linear`: the linear fits of the same models. Where an effect takes the noise out, a single simulation looks worse than it is, so
-        the better of both evidences counts for which ones are the best.
-        """
-        if not self.simulator.laboratory.seeds:  # there is no noise to take out, and what has been simulated holds
-            ran = [(f, f.signature, f.sensitivities) for f in fits]
-            return [self._kept(f, self.about(f, s, d)) for f, s, d in ran if s is not None and d is not None]  # the others never ran
-        polished = []
-        best = max((f.log_evidence for f in fits), default=0.0)
-        expected = {f.model: max(f.log_evidence, p.log_evidence) for f, p in zip(fits, linear, strict=True)}
-        near = [f for f in fits if expected[f.model] > best - max(FAR, NEARBY * best)]
-        for f in sorted(near, key=lambda f: -expected[f.model])[:POLISHED]:
-            signature = self.mean_signature(f.values, f.calibrated)
-            if signature is None:
-                continue
-            assert f.sensitivities is not None
-            polished.append(self.about(f, signature, f.sensitivities))
-        return polished
-
-    def about(self, fit: Fit, signature: FloatArray, sensitivities: FloatArray) -> Fit:
-        """The best fit near the values of another one, where the signature and its slopes are these."""
-        scales, _, _ = scaled_bounds(fit.model)
-        addresses = [a for c in fit.model for a in c.addresses]
-        x = np.array([fit.values[a] for a in addresses]) / scales
-        form = self.evidence.form(fit.model, signature, sensitivities, x)
-        better = quadratic_fit(fit.model, signature, sensitivities, x, self.evidence.space, form)
-        if form is not None:  # what the form may do otherwise counts in the evidence; it is no part of what the model explains
-            plain = quadratic_fit(fit.model, signature, sensitivities, x, self.evidence.space)
-            better.values, better.deviations, better.chi2 = plain.values, plain.deviations, plain.chi2
-        move = np.array([better.values[a] for a in addresses]) / scales - x
-        better.sensitivities, better.signature = sensitivities, signature + sensitivities @ move
-        better.calibrated = fit.calibrated
-        return better
-
-    def _kept(self, ran: Fit, better: Fit) -> Fit:
-        """`better`, which slopes say of a fit that was simulated; the simulated one, where they would have it move on.
-
-        Slopes reach so far only: where a machine rests, those of the way there go on.
-        """
-        if all(_settled(better.values[a] - v, better.deviations[a], v) for a, v in ran.values.items()):
-            return better
-        chi2 = self._chi2(ran)
-        evidence = better.log_evidence - 0.5 * max(chi2 - better.chi2, 0.0)
-        return replace(better, values=ran.values, signature=ran.signature, chi2=chi2, log_evidence=evidence)
-
-    def sharpen(self, fit: Fit) -> Fit:
-        """The fit again with the slopes of the signature where it is: those of the way there miss an effect that turns with its size."""
-        space = self.evidence.space
-        own = space.without([a for c in fit.model for a in c.addresses])
-
-        def chi2(signature: FloatArray) -> float:
-            return float(own.dot(space.y - signature, space.y - signature))
-
-        here = self.mean_signature(fit.values, fit.calibrated)
-        for _ in range(SHARPER):
-            slopes = self.slopes(fit) if here is not None else None
-            if here is None or slopes is None:
-                break
-            trial = self.about(fit, here, slopes)
-            there = self.mean_signature(trial.values, trial.calibrated)
-            if there is None or chi2(there) > BETTER * chi2(here):
-                break
-            assert trial.sensitivities is not None
-            fit, here = self.about(trial, there, trial.sensitivities), there
-        return fit
-
-    def fitted(self, model: Model, values: Mapping[Address, float], deviations: Mapping[Address, float]) -> Fit | None:
-        """The best fit of a model near these values [unit], by slopes of its own place; None where the system cannot run.
-
-        `deviations` [unit]: steps of the slopes.
-        """
-        start = Fit(model, dict(values), dict(deviations), -np.inf, np.inf)
-        here, slopes = self.mean_signature(values), self.slopes(start)
-        if here is None or slopes is None:
-            return None
-        best = self.sharpen(self.about(start, here, slopes))
-        there = self.mean_signature(best.values, best.calibrated)
-        assert best.sensitivities is not None
-        return None if there is None else self.about(best, there, best.sensitivities)
-
-    def slopes(self, fit: Fit) -> FloatArray | None:
-        """ds/dx of a model at its values, per prior scale [n, parameters], by one difference each; None where the system cannot run."""
-        addresses = [a for c in fit.model for a in c.addresses]
-        scales, _, high = scaled_bounds(fit.model)
-        moved = []
-        for a, scale, bound in zip(addresses, scales, high, strict=True):
-            step = max(fit.deviations[a], 0.05 * abs(fit.values[a]))
-            moved.append((a, step if fit.values[a] + step < bound * scale else -step))
-        trials = [fit.values, *({**fit.values, a: fit.values[a] + step} for a, step in moved)]
-        signatures = self._single(trials, fit.calibrated)
-        known = [x for x in signatures if x is not None]
-        if len(known) < len(signatures):
-            return None
-        return np.stack([(x - known[0]) * (scale / step) for x, scale, (_, step) in zip(known[1:], scales, moved, strict=True)], axis=1)
-
-    def _sharpened(self, fits: Sequence[Fit]) -> list[Fit]:
-        """These fits, best first; the SHARPENED best `sharpen`ed, and `calibrate`d, where they leave more than ROUGH times noise."""
-        found = sorted(fits, key=_evidence, reverse=True)
-        for finer in (self.sharpen, self.calibrate):
-            found = [finer(f) if k < SHARPENED and self._rough(f) else f for k, f in enumerate(found)]
-        return found
-
-    def _rough(self, fit: Fit) -> bool:
-        return fit.chi2 > ROUGH * float(self.evidence.expected.sum())
-
     def run(self) -> list[Fit]:
         """All models that were fitted on real simulations, the nominal one first."""
         space = self.evidence.space
         nominal = self.nominal()
-        singles = sorted(self.linear_fits([nominal]), key=_evidence, reverse=True)
-        fits = [self.calibrate(nominal) if self._rough(nominal) else nominal]
+        singles = sorted(self.linear_fits([nominal]), key=evidence_of, reverse=True)
+        fits = [self.calibrate(nominal) if self.rough(nominal) else nominal]
         gain = space.chi2 - min((f.chi2 for f in singles), default=space.chi2)
         chosen = _first([f for f in singles if space.chi2 - f.chi2 > WORTH * gain], SINGLES) or _first(singles, SINGLES)
         chosen += [f for f in singles if f not in chosen and self._hidden(f)]
-        level = self._sharpened(self.polish(self.refine(chosen), chosen))
+        level = self.sharpened(self.polish(self.refine(chosen), chosen))
         fits += level
         fits = self._grown(fits, self._best(level, BASES))
-        while (others := self._exchanged(max(fits, key=_evidence), fits)) and max(others, key=_evidence).log_evidence > _most(fits):
+        while (others := self._exchanged(max(fits, key=evidence_of), fits)) and max(others, key=evidence_of).log_evidence > _most(fits):
             fits = self._grown(fits + others, self._best(others, 1))
         fits = _distinct([f for f in fits + others if f.large_enough()])
-        for f in sorted(fits[1:], key=_evidence, reverse=True)[:3]:
+        for f in sorted(fits[1:], key=evidence_of, reverse=True)[:3]:
             f.predictive = {name: part.predicted for name, part in leave_one_out(f, space).items()}
         return fits
 
@@ -346,18 +85,18 @@ class Search:
         """`fits`, and models with one effect more than `bases`, one more than these, and so on while that is worth it."""
         while bases:
             best = _most(fits)
-            grown = sorted(self.linear_fits(bases), key=_evidence, reverse=True)
+            grown = sorted(self.linear_fits(bases), key=evidence_of, reverse=True)
             # a fault of the log does what its signature says: one that explains too little takes no place from others
             exact = [f for f in grown if not any(c.component == LOGGING for c in f.model) or self._worth(f, fits)]
             chosen = _first([f for f in exact if f.log_evidence > best + self.growth], EXTENSIONS * len(bases))
             hidden = {frozenset(f.model) for f in grown if f not in chosen and self._hidden(f)}
             chosen += [f for f in grown if frozenset(f.model) in hidden]
-            level = [f for f in self._sharpened(self.polish(self.refine(chosen), chosen)) if self._worth(f, fits)]
+            level = [f for f in self.sharpened(self.polish(self.refine(chosen), chosen)) if self._worth(f, fits)]
             level = [f for f in level if frozenset(f.model) not in hidden or f.log_evidence > best + self.growth]
             smaller = self._smaller(level, fits)
             again = {frozenset(f.model) for f in smaller}
             fits = [f for f in fits if frozenset(f.model) not in again] + level + smaller
-            bases = self._best(smaller, 1) if any(f is max(fits, key=_evidence) for f in smaller) else self._best(level, 1)
+            bases = self._best(smaller, 1) if any(f is max(fits, key=evidence_of) for f in smaller) else self._best(level, 1)
             if bases and bases[0].log_evidence <= best:
                 break
         return fits
@@ -371,10 +110,10 @@ class Search:
             return []
         fewer = [_without(best, c) for c in best.model]
         seen = {frozenset(f.model) for f in known}
-        swapped = [f for f in sorted(self.linear_fits(fewer), key=_evidence, reverse=True) if frozenset(f.model) not in seen]
+        swapped = [f for f in sorted(self.linear_fits(fewer), key=evidence_of, reverse=True) if frozenset(f.model) not in seen]
         trials = [f for f in swapped if f.log_evidence > best.log_evidence - self.growth][:EXTENSIONS]
         trials += [f for f in fewer if frozenset(f.model) not in seen]
-        level = self._sharpened(self.polish(self.refine(trials), trials))
+        level = self.sharpened(self.polish(self.refine(trials), trials))
         return level + self._replaced(best, fewer, [f for f in swapped if f not in trials])
 
     def _replaced(self, best: Fit, fewer: Sequence[Fit], swapped: Sequence[Fit]) -> list[Fit]:
@@ -389,19 +128,13 @@ class Search:
         for c, without in zip(best.model, fewer, strict=True):
             there = [f for f in swapped if c.name not in _names(f) and set(without.model) < set(f.model)]
             trials += _first(there, SHARPENED)
-            places += [self._chi2(without)] * (len(trials) - len(places))
+            places += [self.chi2(without)] * (len(trials) - len(places))
         ran = [(f, lost) for f, lost in zip(self.refine(trials), places, strict=True) if f.signature is not None and lost > best.chi2]
         ranked = sorted(ran, key=lambda pair: (pair[0].chi2 - best.chi2) / (pair[1] - best.chi2))
         likeliest = [self.sharpen(f) for f, _ in ranked[:EXTENSIONS]]
         equal = [f for f in likeliest if f.log_evidence > best.log_evidence - self.growth]
         less = [_without(f, c) for f in equal for c in f.model]
-        return likeliest + self._sharpened(self.polish(self.refine(less), less)) + self._smaller(equal, ())
-
-    def _chi2(self, fit: Fit) -> float:
-        """What a fit leaves by its signature."""
-        assert fit.signature is not None
-        left = self.evidence.space.y - fit.signature
-        return float(self.evidence.space.without(list(fit.values)).dot(left, left))
+        return likeliest + self.sharpened(self.polish(self.refine(less), less)) + self._smaller(equal, ())
 
     def _hidden(self, fit: Fit) -> bool:
         """Whether the last effect of a model explains nearly all of a large gap that tolerances explain better, by its linear fit.
@@ -413,8 +146,8 @@ class Search:
         return own is not before and own.chi2 > LARGE * float(self.evidence.expected.sum()) and fit.chi2 < HIDDEN * own.chi2
 
     def _best(self, level: Sequence[Fit], count: int) -> list[Fit]:
-        best = {_names(f): f for f in sorted(level, key=_evidence)}  # variants do not grow beside each other
-        return sorted(best.values(), key=_evidence, reverse=True)[:count]
+        best = {_names(f): f for f in sorted(level, key=evidence_of)}  # variants do not grow beside each other
+        return sorted(best.values(), key=evidence_of, reverse=True)[:count]
 
     def _smaller(self, level: Sequence[Fit], known: Sequence[Fit]) -> list[Fit]:
         """Models that are left of others when effects too small to count are out, where they beat all that is known of them.
@@ -498,17 +231,17 @@ def searched(
     fits = search.run()
     evidence = search.evidence
     for _ in range(GUESSES if evidence.whitening.guessed and not all(evidence.independent) else 0):
-        best = max(fits, key=_evidence)
+        best = max(fits, key=evidence_of)
         simulated = simulator.repeated(range(len(groups)), setting(best.values), POLISH, "noise")
         if any(s is None for s in simulated):
             break
         left = [[x - np.mean(s, axis=0) for x in g] for g, s in zip(groups, simulated, strict=True) if s is not None]
         search = Search(catalogue, simulator, groups, nuisances, left)
         fits = search.run()
-        if set(max(fits, key=_evidence).model) == set(best.model):
+        if set(max(fits, key=evidence_of).model) == set(best.model):
             break
     if not evidence.whitening.guessed and evidence.judged.any():
-        before, after = (_over(search, f) for f in (fits[0], max(fits, key=_evidence)))
+        before, after = (_over(search, f) for f in (fits[0], max(fits, key=evidence_of)))
         if after > UNKNOWN and unexplained(before, after) < MISFIT:
             search = Search(catalogue, simulator, groups, nuisances, dispersion=after / LEVEL)
             fits = search.run()
@@ -527,22 +260,13 @@ def likely_count(catalogue: Catalogue, nuisances: Sequence[Nuisance], conditions
     return conditions * (NOMINAL + len(addresses) + 2 * SINGLES + POLISH * POLISHED)
 
 
-def addresses_of(candidates: Sequence[Candidate]) -> list[Address]:
-    """The parameters of all these candidates, each once."""
-    return list(dict.fromkeys(a for c in candidates for a in c.addresses))
-
-
-def _evidence(fit: Fit) -> float:
-    return fit.log_evidence
-
-
 def _most(fits: Sequence[Fit]) -> float:
     return max(f.log_evidence for f in fits)
 
 
 def _distinct(fits: Sequence[Fit]) -> list[Fit]:
     """The best fit of each model, in the order in which they came: a model that was fitted twice is no likelier for that."""
-    best = {frozenset(f.model): f for f in sorted(fits, key=_evidence)}
+    best = {frozenset(f.model): f for f in sorted(fits, key=evidence_of)}
     return [f for f in fits if best[frozenset(f.model)] is f]
 
 
@@ -572,43 +296,3 @@ def _first(fits: Sequence[Fit], count: int) -> list[Fit]:
         best.setdefault(_names(fit), fit)
     sets = list(best)
     return [f for f in fits if _names(f) in sets[:count] and (f is best[_names(f)] or _names(f) in sets[:SHARPENED])]
-
-
-def _settled(step: float, width: float, value: float) -> bool:
-    """Whether a step of a fit matters little beside the deviation of the value, or the value."""
-    return abs(step) < max(0.3 * width, 0.002 * abs(value))
-
-
-class _State:
-    """One model under refinement."""
-
-    def __init__(self, fit: Fit, sensitivities: FloatArray, x: FloatArray, signature: FloatArray) -> None:
-        self.fit, self.sensitivities, self.x, self.signature = fit, sensitivities, x, signature
-        self.scales, _, _ = scaled_bounds(fit.model)
-        self.best, self.settled = fit, False
-        self.chi2 = np.inf
-
-    def update(self, signature: FloatArray | None, space: Space) -> None:
-        """Take the simulation at the fit's values into account, fit again."""
-        addresses = [a for c in self.fit.model for a in c.addresses]
-        new = np.array([self.fit.values[a] for a in addresses]) / self.scales
-        if signature is None:  # the system cannot run there: half of the way
-            middle = 0.5 * (self.x + new)
-            self.fit.values.update({a: float(v * s) for a, v, s in zip(addresses, middle, self.scales, strict=True)})
-            return
-        move = new - self.x
-        length = float(move @ move)
-        if length > 0.0:
-            self.sensitivities = self.sensitivities + np.outer(signature - self.signature - self.sensitivities @ move, move) / length
-        left = space.y - signature
-        chi2 = float(space.without(addresses).dot(left, left))
-        fit = quadratic_fit(self.fit.model, signature, self.sensitivities, new, space)
-        if chi2 < self.chi2:
-            # its evidence is that of the quadratic about these values, at their real chi2
-            self.chi2 = chi2
-            spread = fit.deviations
-            values = dict(self.fit.values)
-            evidence = fit.log_evidence - 0.5 * max(chi2 - fit.chi2, 0.0)
-            self.best = Fit(self.fit.model, values, spread, evidence, chi2, signature, self.sensitivities)
-        self.settled = all(_settled(fit.values[a] - self.fit.values[a], fit.deviations[a], self.fit.values[a]) for a in addresses)
-        self.x, self.signature, self.fit = new, signature, fit

@@ -20,7 +20,8 @@ from robomill.diagnosis.experiment.simulation import setting
 from robomill.diagnosis.inference.adequacy import CONDITIONS, KEEPS, MISFIT, kept, left_by, misfit, worsened
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.evidence import gather
-from robomill.diagnosis.inference.search import POLISH, Search
+from robomill.diagnosis.inference.fitting import POLISH
+from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.sensitivities import NOMINAL, TOLERANCES, changed, interplay
 from robomill.orchestration.slaves.protocol import FloatArray
 

@@ -17,6 +17,7 @@ from robomill.diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import sort_by_condition
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
+from robomill.diagnosis.inference import fitting
 from robomill.diagnosis.inference import search as search_module
 from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, UNKNOWN
 from robomill.diagnosis.inference.estimation import Fit, Space
@@ -362,7 +363,7 @@ class TestCalibrated:
         self, times: float, moves: bool, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """One number may be 2.33 deviations off at 2 %, 2.05 at 4 %."""
-        monkeypatch.setattr(search_module, "FALSE_ALARM", times * search_module.FALSE_ALARM)
+        monkeypatch.setattr(fitting, "FALSE_ALARM", times * fitting.FALSE_ALARM)
         s = Search(*self.made(-2.2))
         assert bool(s.calibrate(s.nominal()).calibrated) is moves
 
