@@ -59,7 +59,7 @@ class Fit:
     form: FloatArray | None = None
     """What its effects may do otherwise than their laws say, [n, k]: see `Evidence.form`. None: too little to see."""
     calibrated: Mapping[Address, float] = field(default_factory=dict)
-    """Calibrated numbers it was simulated with, as far off as the data have them [unit]; none: as they are given (`Search.calibrate`)."""
+    """Calibrated numbers it was simulated with, as far off as the data have them [unit]; none: as they are given (`Fitting.calibrate`)."""
 
     @property
     def name(self) -> str:

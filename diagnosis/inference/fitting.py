@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from robomill.diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
 from robomill.diagnosis.experiment.simulation import Simulator, setting
 from robomill.diagnosis.inference.adequacy import FALSE_ALARM, beyond
-from robomill.diagnosis.inference.estimation import Fit, Model, Space, quadratic_fit, scaled_bounds, solved
+from robomill.diagnosis.inference.estimation import Fit, Gram, Model, Space, quadratic_fit, scaled_bounds, solved
 from robomill.diagnosis.inference.sensitivities import Sensitivities
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -56,6 +57,13 @@ class Fitting:
         s = self.evidence.space
         return Fit((), {}, {}, 0.0, s.chi2, np.zeros_like(s.y), np.zeros((s.y.size, 0)))
 
+    @cached_property
+    def alone(self) -> tuple[list[Address], FloatArray, Gram]:
+        """Parameters of the candidates, their sensitivities [n, parameters] and products of these, as the search begins with them."""
+        addresses = addresses_of(self.candidates)
+        stacked = np.stack([self.evidence.sensitivities[a] for a in addresses], axis=1)
+        return addresses, stacked, self.evidence.space.gram(stacked)
+
     def linear_fits(self, bases: Sequence[Fit]) -> list[Fit]:
         """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion: s + (ds/dx) (x - best) + v x'.
 
@@ -63,9 +71,8 @@ class Fitting:
         variants of a candidate the best one; all of them where they are not proportional to their size: sensitivities say too little.
         """
         space = self.evidence.space
-        place = {a: i for i, a in enumerate(addresses_of(self.candidates))}
-        stacked = np.stack([self.evidence.sensitivities[a] for a in place], axis=1)
-        known, count = space.gram(stacked), len(place)
+        addresses, stacked, known = self.alone
+        place, count = {a: i for i, a in enumerate(addresses)}, len(addresses)
         found: dict[frozenset[Candidate], Fit] = {}
         for base in bases:
             assert base.signature is not None
