@@ -201,16 +201,20 @@ def _explained(
     """The best model of the log without `faults` (`groups`), if it explains that, and better than the best of the log as it is (`search`).
 
     It does where it leaves no gap, or LITTLE of one. Faults that keep the size of a signal (`log_faults.KEEPING`) have a gap of their own,
-    that of the log as it is: LITTLE of that may be left, too. A unit that is undone divides whatever is left, so that it has none.
-    What a model leaves is what simulations with it leave (`_simulated`).
+    that of the log as it is: LITTLE of that may be left, too. A unit that is undone divides whatever is left, so that it has none. It is
+    believed, too, where the best model of the log without it is likelier right than a stand-in (`left_by`), and that of the log as it is
+    is not. What a model leaves is what simulations with it leave (`_simulated`).
     """
     other, found = searched(catalogue, search.simulator, groups, nuisances)
     best = _simulated(other, _best(other, found))
-    left = over_noise(other, best)
+    before, left = over_noise(other, found[0]), over_noise(other, best)
+    with_faults, left_with = over_noise(search, fits[0]), over_noise(search, _simulated(search, _best(search, fits)))
     little = _little(other, found, best)
     if faults and all(f.kind in log_faults.KEEPING for f in faults):
-        little = little or unexplained(over_noise(search, fits[0]), left) < LITTLE
-    return best if little and left < over_noise(search, _simulated(search, _best(search, fits))) else None
+        little = little or unexplained(with_faults, left) < LITTLE
+    elif faults:
+        little = little or left_by(before, left) > 0.0 > left_by(with_faults, left_with)
+    return best if little and left < left_with else None
 
 
 def _simulated(search: Search, fit: Fit) -> Fit:

@@ -44,6 +44,8 @@ CATALOGUE = "catalogue.toml"
 ANSWER = "diagnosis.json"
 LAW, LAW_FMU = f"adopt{FORM}", "adopt_form.fmu"
 """The form of an unknown law: what `robomill run --adopt` takes, and an FMU that other tools put on the connection."""
+SHOWN = 6
+"""Effects that are printed, beside those that are likelier there than not."""
 SIMULATIONS = "simulations"
 """Folder in that of the answer: what has been simulated, until the diagnosis is finished."""
 
@@ -124,7 +126,7 @@ def run(options: Namespace) -> int:
     store = Store(options.out / SIMULATIONS, sources(*systems))
     if len(store) and not options.json:
         print(
-            f"{len(store)} simulations of an interrupted diagnosis are in {store.folder}/; those that still hold are taken over",
+            f"{len(store)} simulations of a check or an interrupted diagnosis are in {store.folder}/; those that still hold are taken over",
             file=sys.stderr,
         )
     kinds = kinds_file(options.next_runs, first)
@@ -281,10 +283,13 @@ def lines(answer: Answer) -> list[str]:
             out.append(f"where: {w.component} ({w.location}), {100 * w.share:.0f} % of the gap, strongest in {w.direction}")
     if answer.not_replayed:
         out.append(f"where: {answer.not_replayed}")
-    for e in answer.which[:6]:
+    shown = max(SHOWN, sum(e.probability > 1.0 - e.probability for e in answer.which))
+    for e in answer.which[:shown]:
         values = ", ".join(f"{k} = {v.value:.4g} [{v.interval[0]:.4g} .. {v.interval[1]:.4g}] {v.unit}" for k, v in e.parameters.items())
         idle = "" if e.material else "; closes next to nothing: listed, no cause"
         out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}, {values}{idle}")
+    if rest := answer.which[shown:]:
+        out.append(f"which: {len(rest)} more, with probabilities up to {rest[0].probability:.2f}, in the report")
     out += [f"calibrated: {p.text}" for p in answer.calibrated or ()]
     if t := answer.transfer:
         gain = f"gains {t.gain:.4g} nats of {t.expected_gain:.4g} expected"

@@ -86,6 +86,11 @@ class Laboratory:
         """Whether each sample of the condition of that name is a measurement of its own."""
         return next(c for c in self.conditions if c.name == name).independent
 
+    def differs(self, names: Sequence[str], address: Address) -> bool:
+        """Whether a number is given anew in the conditions of these names: it has not the same value in all of them that have it."""
+        having = [i for i, c in enumerate(self.conditions) if c.name in names and self._is_there(i, address)]
+        return len({self.nominal_of(i).get(address, 0.0) for i in having}) > 1
+
     def shown(self, index: int) -> list[int]:
         """Indices of the channels that say anything in condition `index`."""
         return [k for k, c in enumerate(self.channels) if self.conditions[index].has(c)]

@@ -52,6 +52,8 @@ INTERPLAY: Address = ("", "interplay")
 """What stands for calibrated numbers together among the names of nuisances."""
 FORMULATION: Address = ("", "formulation")
 """What stands there for what another formulation of the machine does."""
+ANEW = " of each condition"
+"""After the name of a number that conditions give themselves, among the names of nuisances: it is off in each by itself."""
 Changes = Mapping[Address, Sequence[FloatArray]]
 """parameter -> change of the channels that it makes in each condition, [samples, channels]."""
 
@@ -328,13 +330,16 @@ def gather(
         padded = np.zeros((y.size, spells.shape[1]))
         padded[block] = spells / np.sqrt(DEPENDENCE * dispersion)
         own.append(csc_array(padded))
+    anew = {a: _apart([nuisances.pop(a)], blocks) for a in list(nuisances) if laboratory.differs(conditions, a)}
     doubtful = [
         *nuisances,
+        *[(component, f"{parameter}{ANEW}") for (component, parameter), columns in anew.items() for _ in columns],
         *[INTERPLAY] * len(together),
         *[FORMULATION] * sum(d.shape[1] for d in differs),
         *((LOGGING, f"noise {i + 1}") for i in range(sum(o.shape[1] for o in own))),
     ]
-    every = [csc_array(np.stack(list(nuisances.values()), axis=1)), *together, *differs, *own]
+    alone_in = [column for columns in anew.values() for column in columns]
+    every = [csc_array(np.stack(list(nuisances.values()), axis=1)), *alone_in, *together, *differs, *own]
     space = Space(y, blocks, hstack(every, format="csc"), doubtful)
     late = _late(space, clocks, names, LATENESS * laboratory.system.step) if like is None else like.late
     space = space.less(late)

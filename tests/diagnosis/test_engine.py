@@ -241,6 +241,16 @@ class TestGate:
         assert "millimetres for inches" in finding["text"]
         assert finding["text"].endswith("; without that, the log is explained no better: it is kept")
 
+    @pytest.mark.parametrize(("part", "verdict"), [(0.03, "bad_log"), (0.1, "unknown")])
+    def test_a_unit_stops_the_log_where_it_is_nearly_explained_without_it_and_not_at_all_with_it(
+        self, tmp_path: Path, part: float, verdict: str
+    ) -> None:
+        """Thousandths, of a signal that is a part larger whatever its sign: in no catalogue. More than LITTLE of the gap is left."""
+        result = answer(tmp_path, changed(measure(STIFF), "sensors.y[2]", lambda t, y: 1e-3 * (y + part * np.abs(y)))).result
+        assert result["verdict"] == verdict
+        (finding,) = (f for f in result["gate"]["findings"] if f["kind"] == "unit")
+        assert finding["fatal"] is (verdict == "bad_log")
+
     def test_a_way_is_not_in_kilogram_force(self, tmp_path: Path) -> None:
         """The channel is in metres, and 9.8 is the factor of a force."""
         result = answer(tmp_path, changed(measure(), "sensors.y[2]", lambda t, y: 9.8 * y + 3.0 * np.abs(y))).result

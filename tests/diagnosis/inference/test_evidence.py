@@ -14,6 +14,7 @@ from robomill.diagnosis.catalogue import LOGGING, Address
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.inference import evidence
 from robomill.diagnosis.inference.evidence import (
+    ANEW,
     BEGINNING,
     DEPENDENCE,
     DISCREPANCY,
@@ -153,6 +154,32 @@ class TestScales:
         assert slopes(found).keys() == {P, Q}
         column = found.space.nuisances.toarray()[:, found.space.names.index(CALIBRATED)]
         assert column == pytest.approx(self.counted(6.0 * 0.5 / 1.5, 0.0, 2), rel=RIDGE)
+
+    @pytest.mark.parametrize(("given", "apart"), [((4.0, 4.0), False), ((4.0, 5.0), True), ((4.0, None), False)])
+    def test_a_number_that_conditions_are_given_anew_is_off_in_each_by_itself(self, given: tuple[float, float | None], apart: bool) -> None:
+        """None: that condition has no such number."""
+        laboratory = Calculated(lambda *_: None, ROWS, CHANNELS[:1], 2)
+        has = [frozenset([P]) if value is None else frozenset([P, CALIBRATED]) for value in given]
+        of = [{} if value is None else {CALIBRATED: value} for value in given]
+        made = zip(laboratory.conditions, has, of, strict=True)
+        laboratory.conditions = [replace(c, settable=names, nominal=values) for c, names, values in made]
+        names, groups = [c.name for c in laboratory.conditions], [[still()] * 2] * 2
+        changes = {P: [still(8.0), still(8.0)], CALIBRATED: [still(6.0), still(3.0)]}
+        found = gather(laboratory, names, groups, [[still()]] * 2, changes, {P: 4.0, CALIBRATED: 1.5}, {P: 0.1}, {CALIBRATED: 0.5}).space
+        anew = (CALIBRATED[0], CALIBRATED[1] + ANEW)
+        columns = found.nuisances.toarray()[:, [name in (CALIBRATED, anew) for name in found.names]]
+        first = np.arange(2 * ROWS) < ROWS
+        if not apart:
+            assert anew not in found.names
+            assert columns.shape[1] == 1
+        else:
+            assert CALIBRATED not in found.names
+            assert columns.shape[1] == 2
+            assert not columns[first, 1].any()
+            assert not columns[~first, 0].any()
+        seen = columns.sum(axis=1)[BEGINNING:ROWS], columns.sum(axis=1)[ROWS + BEGINNING :]
+        assert seen[0] == pytest.approx(2.0 * seen[1], rel=RIDGE)
+        assert seen[1].all()
 
     def test_the_residual_is_measured_minus_nominal_and_its_blocks_are_the_conditions(self) -> None:
         changes = {P: [still(6.0 / math.sqrt(2.0))] * 2}

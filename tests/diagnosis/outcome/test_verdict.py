@@ -39,7 +39,9 @@ def search(candidates: tuple[Candidate, ...] = (), explainable: float = 0.0, gue
         levels=lambda left: np.array([[left[0]]]),
         guess=guess,
     )
-    return cast(Any, SimpleNamespace(candidates=candidates, evidence=evidence, explainable=lambda left: explainable))
+    none = [], np.zeros(0), np.zeros(0)
+    made = SimpleNamespace(candidates=candidates, evidence=evidence, explainable=lambda left: explainable, calibrated=lambda fit: none)
+    return cast(Any, made)
 
 
 def fit(left: float, model: tuple[Candidate, ...] = ()) -> Fit:
