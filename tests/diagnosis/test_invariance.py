@@ -90,6 +90,7 @@ def searched(folder: Path, runs: list[Run]) -> Search:
 
 def alone(search: Search, candidate: Candidate) -> Fit:
     """The fit of one candidate with the sensitivities as they are now."""
+    vars(search).pop("alone", None)  # what a search begins with
     return next(f for f in search.linear_fits([search.nominal()]) if f.model == (candidate,))
 
 
