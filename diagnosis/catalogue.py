@@ -396,6 +396,18 @@ class Catalogue:
             refinement=refinement,
         )
 
+    def check_phases(self, given: Mapping[Address, float]) -> None:
+        """CatalogueError for an effect with a phase whose amplitude is not zero in the system: what comes on top has no phase of its own.
+
+        `given`: value of each parameter there [its unit].
+        """
+        for c in self.candidates:
+            if c.has_phase and (value := given.get((c.component, c.named[0]))):
+                raise CatalogueError(
+                    f"{c.place}: effect {c.effect!r}: {c.component}.{c.named[0]} is {value:.4g} {c.unit} in the system; expected 0"
+                    " for an effect with a phase: take it out of the catalogue, or out of the system"
+                )
+
     def check_units(self, units: Mapping[Address, str], convert: Convert = same_unit_only) -> None:
         """CatalogueError for an effect or a tolerance whose unit is not that of its parameter; `units` by component and element."""
         stated = [(c.place, f"effect {c.effect!r}", a, c.unit) for c in self.candidates for a in c.addresses]

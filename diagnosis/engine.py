@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import LOGGING, Catalogue, Nuisance
+from robomill.diagnosis.catalogue import LOGGING, Address, Catalogue, Nuisance
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.experiment.simulation import Report, Simulator, setting
@@ -146,7 +146,14 @@ def diagnose_campaign(
         if answer.verdict == "unknown" or form:
             answer = replace(answer, form=discovered(search, groups, suspects(answer, laboratory), conclusion.titles, left_in(answer)))
         answer = replace(answer, effort=effort_of(began, simulator), skipped=tuple(skipped))
-        return Diagnosis(answer, adopted, tuple(fits), tuple(channels), conclusion.curves(adopted), ports, conclusion.titles)
+        return Diagnosis(
+            answer, on_top(adopted, laboratory.nominal), tuple(fits), tuple(channels), conclusion.curves(adopted), ports, conclusion.titles
+        )
+
+
+def on_top(changes: Mapping[Address, float], given: Mapping[Address, float]) -> dict[Address, float]:
+    """What parameters are with these changes [unit]; `given`: what they are in the system, where that is not zero."""
+    return {a: value + given.get(a, 0.0) for a, value in changes.items()}
 
 
 def _best(search: Search, fits: Sequence[Fit]) -> Fit:

@@ -144,6 +144,12 @@ def diagnose(parser: Any) -> None:
         help="effects to look for (default: catalogue.toml beside the system, else the milling cell's)",
     )
     parser.add_argument(
+        "--adopt",
+        type=Path,
+        metavar="FILE",
+        help="diagnose the system with what was found before: effects or other parameters (.ssv), or a form (.form.json)",
+    )
+    parser.add_argument(
         "--calibration",
         type=Path,
         metavar="FILE",

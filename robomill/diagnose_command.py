@@ -180,13 +180,21 @@ def _check(options: Namespace, campaign: Campaign, catalogue: Catalogue, store: 
 
 
 def campaign_of(options: Namespace) -> Campaign:
-    """The campaign that is named, or that of a system and its runs. ValueError where both are given, or neither."""
+    """The campaign that is named, or that of a system and its runs, with what is adopted.
+
+    ValueError where both are given, or neither; where something is adopted in a campaign, whose systems need not have the same components.
+    """
     if options.campaign is None:
         if options.system is None or not options.runs:
             raise ValueError("expected SYSTEM.toml RUN..., or --campaign FILE.toml: nothing to diagnose is named")
-        return Campaign.of(load_system(options.system), [Run.load(f) for f in options.runs], [Run.load(f) for f in options.held_out])
+        system = load_system(options.system)
+        if options.adopt is not None:
+            system = adopt.adopted(system, options.adopt)
+        return Campaign.of(system, [Run.load(f) for f in options.runs], [Run.load(f) for f in options.held_out])
     if given := [str(f) for f in (options.system, *options.runs, *options.held_out) if f is not None]:
         raise ValueError(f"--campaign {options.campaign} names systems and runs itself; {given[0]} is one more: put it into the file")
+    if options.adopt is not None:
+        raise ValueError(f"--adopt {options.adopt}: with --campaign, put its values into [parameters] of the systems that have them")
     return load_campaign(options.campaign, load_system)
 
 
@@ -285,7 +293,7 @@ def lines(answer: Answer) -> list[str]:
         out.append(f"where: {answer.not_replayed}")
     shown = max(SHOWN, sum(e.probability > 1.0 - e.probability for e in answer.which))
     for e in answer.which[:shown]:
-        values = ", ".join(f"{k} = {v.value:.4g} [{v.interval[0]:.4g} .. {v.interval[1]:.4g}] {v.unit}" for k, v in e.parameters.items())
+        values = ", ".join(f"{k} = {v.text}" for k, v in e.parameters.items())
         idle = "" if e.material else "; closes next to nothing: listed, no cause"
         out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}, {values}{idle}")
     if rest := answer.which[shown:]:

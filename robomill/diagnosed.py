@@ -91,9 +91,7 @@ class Diagnosed:
     def _repr_html_(self) -> str:
         rows = []
         for e in self.effects:
-            values = ", ".join(
-                f"{k} = {v.value:.4g} [{v.interval[0]:.4g} .. {v.interval[1]:.4g}] {v.unit}" for k, v in e.parameters.items()
-            )
+            values = ", ".join(f"{k} = {v.text}" for k, v in e.parameters.items())
             rows.append((e.effect, e.location, f"{e.probability:.2f}", values))
         table = html.table("Effects", ("effect", "location", "probability", "parameters, 90 %"), rows) if rows else ""
         return table + html.paragraphs(text for text in lines(self.diagnosis.answer) if not text.startswith("which: "))

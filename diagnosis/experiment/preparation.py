@@ -72,7 +72,9 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
     catalogue, skipped = catalogue.within(within)
     catalogue.check_units(units, convert)
     nuisances = _nuisances(catalogue, first, units)
-    addresses = [*(u.address for u in nuisances), *((c.component, c.start) for c in catalogue.candidates if c.start)]
+    given = {a: first[a] for c in catalogue.candidates for a in c.addresses if first.get(a)}
+    catalogue.check_phases(first)
+    addresses = [*(u.address for u in nuisances), *given, *((c.component, c.start) for c in catalogue.candidates if c.start)]
     conditions = [
         replace(c, settable=s.names, nominal={a: s.values[a] for a in addresses if s.values.get(a)})
         for c, s in zip(conditions, settable, strict=True)
@@ -84,7 +86,7 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
         resolver,
         convert,
         catalogue.quiet,
-        {u.address: u.nominal for u in nuisances if u.nominal},
+        given | {u.address: u.nominal for u in nuisances if u.nominal},
         seeds=catalogue.seeds,
         refinement=catalogue.refinement,
     )

@@ -63,6 +63,14 @@ class Estimate:
     """90 %."""
     unit: str
     """Unit of the parameter."""
+    given: float | None = None
+    """What the parameter is in the system, where that is not zero [unit]: the value comes on top."""
+
+    @property
+    def text(self) -> str:
+        """In words: value, interval, unit, and what they come on top of."""
+        on_top = "" if self.given is None else f" on top of {self.given:.4g}"
+        return f"{self.value:.4g} [{self.interval[0]:.4g} .. {self.interval[1]:.4g}] {self.unit}{on_top}"
 
 
 @dataclass(frozen=True)

@@ -285,7 +285,8 @@ class Conclusion:
         listed = {}
         for name, h, unit in zip(c.named, half, units, strict=True):
             value = values[c.component, name]
-            listed[name] = Estimate(value, [max(value - h, low), min(value + h, high)], unit)
+            given = self.laboratory.nominal.get((c.component, name))
+            listed[name] = Estimate(value, [max(value - h, low), min(value + h, high)], unit, given)
         for (address, value), shape in zip(c.fixed, c.shapes, strict=bool(c.fixed)):
             listed[address[1]] = Estimate(value, [*c.bracket(address)], shape.unit)
         return listed

@@ -10,7 +10,7 @@ from robomill.diagnosis.outcome.answer import Which
 from robomill.diagnosis.outcome.verdict import IDENTIFIED
 from robomill.report.html import bar, code, fold, paragraph, table
 from robomill.report.subject import Subject, effect_name, spoken
-from robomill.report.units import number, percent, relative, with_interval
+from robomill.report.units import number, percent, quantity, relative, with_interval
 
 PAIRS = 12
 """Pairs of candidates that are listed, at most."""
@@ -61,7 +61,8 @@ def _values(w: Which) -> str:
     texts = []
     for name, p in w.parameters.items():
         value, interval = with_interval(p.value, p.interval, relative(name, p.unit))
-        texts.append(f"{value}<small>{interval}</small>")
+        on_top = "" if p.given is None else f"<small>on top of {escape(quantity(p.given, relative(name, p.unit)))}</small>"
+        texts.append(f"{value}<small>{interval}</small>{on_top}")
     return "".join(texts)
 
 
@@ -71,7 +72,8 @@ def _sets(s: Subject) -> str:
         return ""
     rows = []
     for f in s.answer.families:
-        if max(f.members.values()) < IDENTIFIED:
+        likeliest = max(f.members.values())
+        if likeliest < IDENTIFIED and percent(f.probability) != percent(likeliest):
             members = [f"{spoken(name)} ({percent(p)})" for name, p in f.members.items() if percent(p) != percent(0.0)]
             rows.append((bar(f.probability), escape("; ".join(members))))
     if not rows:

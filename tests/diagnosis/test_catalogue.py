@@ -397,3 +397,14 @@ def test_what_is_wrong_with_a_calibration_is_said(tmp_path: Path) -> None:
     calibration.write_text(CALIBRATED.replace("absolute", "abslute"))
     with pytest.raises(CatalogueError, match=r"calibration\.toml:4: .*abslute"):
         Catalogue.load(file).calibrated(calibration)
+
+
+def test_an_effect_with_a_phase_is_not_there_already() -> None:
+    catalogue = Catalogue.load(SCENARIOS / "catalogue.toml")
+    runout = next(c for c in catalogue.candidates if c.has_phase)
+    address = runout.component, runout.named[0]
+    catalogue.check_phases({address: 0.0})
+    with pytest.raises(CatalogueError) as refused:
+        catalogue.check_phases({address: 2e-5})
+    told = f"effect {runout.effect!r}: {'.'.join(address)} is 2e-05 {runout.unit} in the system; expected 0 for an effect with a phase"
+    assert told in str(refused.value)

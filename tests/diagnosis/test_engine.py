@@ -112,6 +112,28 @@ class TestVerdict:
         assert result["next_run"] is None  # there is no menu
 
 
+class TestOnTop:
+    """A system that has an effect already: what is found comes on top of it. 0.08 N of friction are measured."""
+
+    FRICTION: Any = ("masses", "friction[1]")
+
+    def found(self, folder: Path, given: float) -> Any:
+        system = SYSTEM.with_parameters("masses", {"friction[1]": given})
+        return diagnose(system, measure({"masses": {"friction[1]": 0.08}}), catalogue(folder), resolver=resolve)
+
+    def test_what_is_missing_is_named_and_the_whole_is_adopted(self, tmp_path: Path) -> None:
+        found = self.found(tmp_path, 0.03)
+        assert found.answer.verdict == "identified"
+        (friction,) = found.answer.which[0].parameters.values()
+        assert friction.value == pytest.approx(0.05, rel=WELL)
+        assert friction.given == 0.03
+        assert friction.text.endswith("] N on top of 0.03")
+        assert found.adopted[self.FRICTION] == pytest.approx(0.08, rel=WELL)
+
+    def test_where_it_is_all_there_nothing_is_wrong(self, tmp_path: Path) -> None:
+        assert self.found(tmp_path, 0.08).answer.verdict == "none"
+
+
 class TestInvariance:
     def test_order_of_candidates_and_runs_does_not_matter(self, tmp_path: Path) -> None:
         runs = two_conditions(STIFF)

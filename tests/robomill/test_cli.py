@@ -196,6 +196,8 @@ class TestBadInput:
         told = refused(capsys, "diagnose", system, "--campaign", "c.toml")
         assert f"--campaign c.toml names systems and runs itself; {system} is one more: put it into the file" in told
         assert "no campaign c.toml" in refused(capsys, "diagnose", "--campaign", "c.toml")
+        told = refused(capsys, "diagnose", "--campaign", "c.toml", "--adopt", "a.ssv")
+        assert "--adopt a.ssv: with --campaign, put its values into [parameters] of the systems that have them" in told
 
     def test_static_loads_replace_nothing_unasked(self, tmp_path, monkeypatch, capsys):
         (tmp_path / "summary.json").write_text("{}")

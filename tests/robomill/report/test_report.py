@@ -30,6 +30,7 @@ from robomill.diagnosis.inference.machines import MACHINES
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Estimate, Gap, Menu, Which
 from robomill.diagnosis.outcome.calibration import Pulled
 from robomill.diagnosis.outcome.closure import HowFar
+from robomill.diagnosis.outcome.families import Family
 from robomill.diagnosis.outcome.verdict import Verdict
 from robomill.models.robot.kinematics import forward
 from robomill.orchestration.runs.run import Run
@@ -527,6 +528,36 @@ def test_a_number_that_an_answer_needs_far_off_is_on_the_page_and_on_the_lines(s
     assert "Measure these numbers anew" not in sure(s)
     assert f"calibrated: {said}" in lines(replace(s.answer, calibrated=(off,)))
     assert not [line for line in lines(s.answer) if line.startswith("calibrated")]
+
+
+def test_what_comes_on_top_of_what_the_system_has_says_so() -> None:
+    one = Which("backlash", "drive", "joint 3", 0.97, {"backlash[3]": Estimate(8e-5, [7e-5, 9e-5], "rad", 2e-5)}, [])
+    assert "on top of 20.0" in section(_cell(one))
+    bare = replace(one, parameters={"backlash[3]": Estimate(8e-5, [7e-5, 9e-5], "rad")})
+    assert "on top of" not in section(_cell(bare))
+
+
+@pytest.mark.parametrize(("probability", "said"), [(0.73, False), (0.76, True)])
+def test_a_set_is_shown_where_it_is_likelier_than_its_likeliest_member(probability: float, said: bool) -> None:
+    """Of effects that are all there, none is in the place of another."""
+    family = Family("friction", probability, {"coulomb @ joint 1": 0.73, "coulomb @ joint 2": 0.7})
+    one = Which("coulomb", "drive", "joint 1", 0.73, {"coulomb[1]": Estimate(0.3, [0.2, 0.4], "N.m")}, [])
+    s = _cell(one, verdict="ambiguous")
+    assert ("Sets that hold the cause" in section(_saying(s, families=(family,)))) is said
+
+
+def test_effects_that_are_not_printed_are_counted() -> None:
+    size = {"backlash[3]": Estimate(8e-5, [7e-5, 9e-5], "rad")}
+
+    def printed(likely: int, others: int) -> list[str]:
+        each = [*[0.7] * likely, *[0.2] * others]
+        entries = [Which("backlash", "drive", f"joint {i}", p, size, []) for i, p in enumerate(each)]
+        return [line for line in lines(_cell(*entries, verdict="ambiguous").answer) if line.startswith("which:")]
+
+    assert len(printed(2, 4)) == 6
+    assert printed(2, 5)[6:] == ["which: 1 more, with probabilities up to 0.20, in the report"]
+    assert len(printed(8, 0)) == 8
+    assert printed(8, 2)[8:] == ["which: 2 more, with probabilities up to 0.20, in the report"]
 
 
 def test_many_causes_are_counted() -> None:
