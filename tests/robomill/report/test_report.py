@@ -539,7 +539,7 @@ def test_what_comes_on_top_of_what_the_system_has_says_so() -> None:
 
 @pytest.mark.parametrize(("probability", "said"), [(0.73, False), (0.76, True)])
 def test_a_set_is_shown_where_it_is_likelier_than_its_likeliest_member(probability: float, said: bool) -> None:
-    """Of effects that are all there, none is in the place of another."""
+    """Where effects are all there, none is in the place of another."""
     family = Family("friction", probability, {"coulomb @ joint 1": 0.73, "coulomb @ joint 2": 0.7})
     one = Which("coulomb", "drive", "joint 1", 0.73, {"coulomb[1]": Estimate(0.3, [0.2, 0.4], "N.m")}, [])
     s = _cell(one, verdict="ambiguous")
