@@ -113,15 +113,24 @@ def together(faults: Sequence[Finding]) -> list[list[Finding]]:
 def undone(faults: Sequence[Finding], x: FloatArray, s: FloatArray, channels: Sequence[str], units: Sequence[str | None]) -> FloatArray:
     """Measured `x` [samples, channels] as it was before these `faults` (of KINDS); `s` is its simulation, `units` those of the channels.
 
-    A fault is one of a channel and a kind; where several operators are, the one that leaves least. What none of them fits stays.
+    A fault is one of a channel and a kind; where several operators are, the one that leaves least. What none of them fits stays. A unit is
+    that of a device: where more than half of an array has it, so have the others, which move too little to say so.
     """
     x = x.copy()
     tried = list(_operators(x, s, channels, units))
+    scaled: dict[str, dict[int, float]] = {}
     for fault in faults:
         same = [o for o in tried if (o.finding.channel, o.finding.kind) == (fault.channel, fault.kind)]
         if same:
             o = min(same, key=lambda o: float(((x[:, list(o.members)] - s[:, list(o.members)] @ o.matrix) ** 2).sum()))
             x[:, list(o.members)] = x[:, list(o.members)] @ np.linalg.inv(o.matrix)
+            if fault.kind == "unit":
+                scaled.setdefault(base_name(fault.channel), {})[o.members[0]] = o.scale
+    for name, members in by_array(channels).items():
+        known = scaled.get(name, {})
+        if 2 * len(known) > len(members) and len(set(known.values())) == 1:
+            others = [i for i in members if i not in known]
+            x[:, others] /= next(iter(known.values()))
     return x
 
 

@@ -189,6 +189,14 @@ class TestUndone:
         # a turn is fitted to the simulation, of which the log is off by 1e-3; the others are exact
         np.testing.assert_allclose(undone(found, logged, VECTOR, NAMES, ANY), true, rtol=0.0, atol=1e-3 if kind == "rotation" else ROUNDOFF)
 
+    @pytest.mark.parametrize(("mistaken", "whole"), [(2, True), (1, False)])
+    def test_a_unit_of_most_of_an_array_is_that_of_what_hardly_moves_in_it(self, mistaken: int, whole: bool) -> None:
+        true = VECTOR * np.array([1.0, 1.0, 1e-3])  # the gate has no finding for the last one
+        logged = true * np.array([*[1e3] * mistaken, *[1.0] * (2 - mistaken), 1e3 if whole else 1.0])
+        found = judged(logged, true, NAMES, ANY, np.full(3, 1e-9))
+        assert {(f.channel, f.kind) for f in found} == {(name, "unit") for name in NAMES[:mistaken]}
+        np.testing.assert_allclose(undone(found, logged, true, NAMES, ANY), true, rtol=ROUNDOFF, atol=ROUNDOFF)
+
     def test_what_has_no_fault_stays(self) -> None:
         np.testing.assert_array_equal(undone([], VECTOR, VECTOR, NAMES, ANY), VECTOR)
 
