@@ -149,7 +149,7 @@ class Fitting:
         deviations = {n.address: calibrated[n.address] / n.scale for n in self.nuisances if n.address in calibrated}
         return np.asarray(space.nuisances @ np.array([deviations.get(name, 0.0) for name in space.names]))
 
-    def calibrated(self, fit: Fit) -> tuple[list[Nuisance], FloatArray, FloatArray]:
+    def numbers(self, fit: Fit) -> tuple[list[Nuisance], FloatArray, FloatArray]:
         """The calibrated numbers that a model leaves to the nuisances, and where it has them: their means and variances, [k] each.
 
         These are of the posterior, in standard deviations of the tolerances.
@@ -170,7 +170,7 @@ class Fitting:
         own = self.evidence.space.without(list(fit.values))
         for _ in range(SHARPER):
             assert fit.sensitivities is not None
-            numbers, means, _ = self.calibrated(fit)
+            numbers, means, _ = self.numbers(fit)
             if np.max(np.abs(means), initial=0.0) > beyond(len(numbers), FALSE_ALARM):
                 break
             calibrated = {n.address: float(z) * n.scale for n, z in zip(numbers, means, strict=True)}

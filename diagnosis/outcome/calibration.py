@@ -42,7 +42,7 @@ def pulled(search: Search, fit: Fit, false_alarm: float) -> tuple[Pulled, ...]:
 
     A number is N(0, 1) in standard deviations of its tolerance (`beyond`).
     """
-    numbers, means, _ = search.calibrated(fit)
+    numbers, means, _ = search.numbers(fit)
     far = beyond(len(numbers), false_alarm)
     found = [
         Pulled(*n.address, n.nominal, n.nominal + z * n.scale, z, n.unit)

@@ -114,7 +114,7 @@ def tested(
         odds += moved.gain
         holds += moved.holds
         fits += moved.fails
-    fits += kept(holds) + within_tolerances(*search.calibrated(best)[1:])
+    fits += kept(holds) + within_tolerances(*search.numbers(best)[1:])
     # a lag of the machine leaves what the clocks leave, and does what they do in new conditions
     fits = -float(np.logaddexp(-fits, common_lag(search, best) + math.log(UNLISTED) - math.log(1.0 - UNLISTED)))
     return Tests(alpha, p_none, float(expit(fits)), float(expit(-odds)))

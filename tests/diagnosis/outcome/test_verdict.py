@@ -40,7 +40,7 @@ def search(candidates: tuple[Candidate, ...] = (), explainable: float = 0.0, gue
         guess=guess,
     )
     none = [], np.zeros(0), np.zeros(0)
-    made = SimpleNamespace(candidates=candidates, evidence=evidence, explainable=lambda left: explainable, calibrated=lambda fit: none)
+    made = SimpleNamespace(candidates=candidates, evidence=evidence, explainable=lambda left: explainable, numbers=lambda fit: none)
     return cast(Any, made)
 
 
