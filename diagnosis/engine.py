@@ -147,11 +147,11 @@ def diagnose_campaign(
             answer = replace(answer, form=discovered(search, groups, suspects(answer, laboratory), conclusion.titles, left_in(answer)))
         answer = replace(answer, effort=effort_of(began, simulator), skipped=tuple(skipped))
         return Diagnosis(
-            answer, on_top(adopted, laboratory.nominal), tuple(fits), tuple(channels), conclusion.curves(adopted), ports, conclusion.titles
+            answer, _on_top(adopted, laboratory.nominal), tuple(fits), tuple(channels), conclusion.curves(adopted), ports, conclusion.titles
         )
 
 
-def on_top(changes: Mapping[Address, float], given: Mapping[Address, float]) -> dict[Address, float]:
+def _on_top(changes: Mapping[Address, float], given: Mapping[Address, float]) -> dict[Address, float]:
     """What parameters are with these changes [unit]; `given`: what they are in the system, where that is not zero."""
     return {a: value + given.get(a, 0.0) for a, value in changes.items()}
 
