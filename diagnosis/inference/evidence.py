@@ -35,7 +35,7 @@ DEPENDENCE = 10.0
 """Samples that are worth one: what two systems that are not quite the same leave is no noise, it goes in one direction for a while. Where
 tolerances do so for longer, a discrepancy may, too (`_spectra`)."""
 FORM = 0.04
-"""Part of what an effect does, by condition and array, that a law which is right may miss (standard deviation)."""
+"""Part of what an effect does, by condition and array, that a right law may miss (standard deviation); its value is off by as much."""
 GUESSED = 2.0
 """Variance of what is slow in noise over that of what is white, by communication step [1], where nothing was repeated (judgement: the noise
 of trackers and drives is coloured)."""

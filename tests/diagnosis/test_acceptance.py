@@ -12,7 +12,7 @@ import pytest
 
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
-from robomill.diagnosis.outcome.conclusion import BIAS
+from robomill.diagnosis.inference.evidence import FORM
 from robomill.orchestration.runs.run import Run
 from tests.diagnosis.demo import RANGE, SYSTEM, WELL, catalogue, measure, resolve
 from tests.diagnosis.test_masquerade import TRUTHS
@@ -105,8 +105,8 @@ def test_the_more_repeats_the_narrower_the_interval_and_one_is_wider_than_three(
 
 
 def by_noise(value: float, half: float) -> float:
-    """Standard deviation that an interval has by noise and tolerances: without that by the form of the effect, BIAS of the value."""
-    return math.sqrt((half / 1.645) ** 2 - (BIAS * value) ** 2)
+    """Standard deviation that an interval has by noise and tolerances: without that by the form of the effect, FORM of the value."""
+    return math.sqrt((half / 1.645) ** 2 - (FORM * value) ** 2)
 
 
 @pytest.mark.parametrize(("seconds", "least"), [(7.0, 0.75), (8.0, 1.0)], ids=["all samples", "averaged in blocks"])
