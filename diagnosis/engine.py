@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.gate import log_faults, phases
 from robomill.diagnosis.gate.checks import Finding, stopped
 from robomill.diagnosis.gate.gate import Gate
-from robomill.diagnosis.inference.adequacy import FALSE_ALARM, UNKNOWN, left_by, unexplained
+from robomill.diagnosis.inference.adequacy import FALSE_ALARM, UNKNOWN, left_by, unexplained, within_tolerances
 from robomill.diagnosis.inference.dormant import searched_beside
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import probabilities
@@ -119,7 +119,8 @@ def diagnose_campaign(
             search, fits = searched_beside(catalogue, simulator, groups[:n], nuisances)
             if fatal:  # is it the machine, after all?
                 best = _simulated(search, _best(search, fits))
-                if _little(search, fits, best) and not any(c.component == LOGGING for c in best.model):
+                machine = _little(search, fits, best) and not any(c.component == LOGGING for c in best.model)
+                if machine and _shows(search, best, {f.channel for f in fatal}):
                     findings = told + gate.findings(setting(best.values))
                 faults = [f for f in findings if f.fatal and f.kind in log_faults.KINDS]
                 tried = log_faults.together(faults)
@@ -208,20 +209,42 @@ def _explained(
     """The best model of the log without `faults` (`groups`), if it explains that, and better than the best of the log as it is (`search`).
 
     It does where it leaves no gap, or LITTLE of one. Faults that keep the size of a signal (`log_faults.KEEPING`) have a gap of their own,
-    that of the log as it is: LITTLE of that may be left, too. A unit that is undone divides whatever is left, so that it has none. It is
-    believed, too, where the best model of the log without it is likelier right than a stand-in (`left_by`), and that of the log as it is
-    is not. What a model leaves is what simulations with it leave (`_simulated`).
+    that of the log as it is: LITTLE of that may be left, too. A unit that is undone divides whatever is left, so that it has none. A fault
+    is believed, too, where the best model of the log without it is likelier right than a stand-in, by what it leaves and by its calibrated
+    numbers (`_right`), and that of the log as it is is not, or shows nothing of it. What a model leaves is what simulations leave.
     """
     other, found = searched(catalogue, search.simulator, groups, nuisances)
-    best = _simulated(other, _best(other, found))
-    before, left = over_noise(other, found[0]), over_noise(other, best)
-    with_faults, left_with = over_noise(search, fits[0]), over_noise(search, _simulated(search, _best(search, fits)))
+    best, as_it_is = _simulated(other, _best(other, found)), _simulated(search, _best(search, fits))
+    shows = _shows(search, as_it_is, {f.channel for f in faults})
+    if faults and _right(other, found, best) > 0.0 and not (shows and _right(search, fits, as_it_is) > 0.0):
+        return best
+    left, left_with = over_noise(other, best), over_noise(search, as_it_is)
     little = _little(other, found, best)
     if faults and all(f.kind in log_faults.KEEPING for f in faults):
-        little = little or unexplained(with_faults, left) < LITTLE
-    elif faults:
-        little = little or left_by(before, left) > 0.0 > left_by(with_faults, left_with)
+        little = little or unexplained(over_noise(search, fits[0]), left) < LITTLE
     return best if little and left < left_with else None
+
+
+def _right(search: Search, fits: Sequence[Fit], best: Fit) -> float:
+    """Log Bayes factor for the best of these models being right against a stand-in, by what it leaves and by its calibrated numbers."""
+    return left_by(over_noise(search, fits[0]), over_noise(search, best)) + within_tolerances(*search.numbers(best)[1:])
+
+
+def _shows(search: Search, best: Fit, channels: Collection[str]) -> bool:
+    """Whether a model shows any of what was measured in these channels: it leaves less of them than there is.
+
+    Where a log is much too small, one that does next to nothing explains nearly all of the gap, and nothing of the log.
+    """
+    names = search.simulator.laboratory.channels
+    here = [i for i, name in enumerate(names) if name in channels]
+    left, there = np.zeros(len(here)), np.zeros(len(here))
+    simulated = search.simulator.repeated(range(len(search.groups)), setting(best.values), NOMINAL, "the log")
+    for group, models in zip(search.groups, simulated, strict=True):
+        if models is not None:
+            mean = np.mean(models, axis=0)
+            left += sum((((x - mean)[:, here]) ** 2).sum(axis=0) for x in group)
+            there += sum((x[:, here] ** 2).sum(axis=0) for x in group)
+    return bool(np.all(left < there))
 
 
 def _simulated(search: Search, fit: Fit) -> Fit:

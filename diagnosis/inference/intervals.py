@@ -171,9 +171,11 @@ class Problem:
             x = _bounded(gram, np.asarray(product), self.low / self.scales, self.high / self.scales)
             rest = [y - J @ x for y, J in zip(gaps, self.slopes, strict=True)]
             noise = noise if counted else self._noise(rest)
-        inverse = np.linalg.inv(gram + 1e-12 * np.diag(np.diag(gram) + 1e-300))
+        inverse = _inverse(gram)
         middle = np.diag(prior) + sum(self._scatter(noise, weights, inverse))
-        return Solution(x, np.sqrt(np.diag(inverse @ middle @ inverse)), gaps, rest, noise)
+        variances = np.maximum(np.diag(inverse @ middle @ inverse), 0.0)
+        deviations = np.sqrt(np.where(np.diag(gram) > 0.0, variances, np.inf))  # what does nothing at these values may be anything
+        return Solution(x, deviations, gaps, rest, noise)
 
     def _scatter(self, noise: Sequence[Noise], weights: FloatArray, inverse: FloatArray) -> list[FloatArray]:
         """Covariance of the products of the slopes and the noise of each channel, both weighed, [numbers, numbers].
@@ -202,7 +204,7 @@ class Problem:
         G = np.sum(grams, axis=0)
         g = sum(np.einsum("tci,tc,c->i", J, y, weights**2, optimize=True) for J, y in zip(self.slopes, solution.gaps, strict=True))
         form = np.concatenate([FORM * of * solution.x for of in grams], axis=1)
-        inverse = np.linalg.inv(G + np.diag(np.where(self.named, 0.0, 1.0)) + 1e-12 * np.diag(np.diag(G) + 1e-300))
+        inverse = _inverse(G + np.diag(np.where(self.named, 0.0, 1.0)))
         M = sum(self._scatter(noise, weights, inverse)) + form @ form.T
         size = np.sqrt(np.diag(M))
         size[size == 0.0] = 1.0  # a number that does nothing
@@ -243,12 +245,18 @@ class Solution:
     """That of each channel."""
 
 
+def _inverse(gram: FloatArray) -> FloatArray:
+    """The inverse of a gram matrix [numbers, numbers]; a number that does nothing stays apart from the others."""
+    size = np.diag(gram)
+    return np.asarray(np.linalg.inv(gram + np.diag(np.where(size > 0.0, 1e-12 * size, 1.0))))
+
+
 def _bounded(gram: FloatArray, product: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
     """The x within its bounds that minimises x'Gx - 2 p'x; a trace of the diagonal keeps at zero what nothing says anything of."""
     size = np.sqrt(np.diag(gram))
     size[size == 0.0] = 1.0
     factor = np.linalg.cholesky(gram / np.outer(size, size) + 1e-12 * np.eye(len(gram)))
-    found = lsq_linear(factor.T, np.linalg.solve(factor, product / size), (low * size, high * size))
+    found = lsq_linear(factor.T, np.linalg.solve(factor, product / size), (low * size, high * size), method="bvls")
     return np.asarray(found.x / size)
 
 

@@ -75,7 +75,7 @@ class HowFar:
     measurable: bool = True
     """Whether the gap is large enough beside the noise."""
     within_noise: bool = False
-    """Whether what is left with the adopted effects is not measurable beside the noise: `after` may be nothing."""
+    """Whether what is left with the adopted effects is not measurable, and no more than the noise: `after` may be nothing."""
     why_no_ceiling: str | None = None
     """Why there is no ceiling, in words."""
 
@@ -146,12 +146,13 @@ def figures(parts: Sequence[Products], metric: str = "", channel: str = "", unit
     least = [float(np.quantile(x[choice].sum(axis=1), 0.05)) for x in (before, after)]
     over = max(0.05 * noise.sum() / max(np.sqrt(len(before)), 1.0), roundoff.sum())
     measurable = bool(least[0] > 0.0 and before.sum() > over)
+    within = bool(least[1] <= 0.0 and after.sum() <= noise.sum())  # a short part that is far off is in few of the blocks
     before, after, floor = before + kept, after + kept, floor + kept
     rms, left, size = (float(np.sqrt(max(x.sum(), 0.0) / samples.sum())) for x in (before, after, noise))
     common = (metric, channel, unit, on, rms, left, size)
     if not measurable:
         why = "the gap before is not measurable: its interval includes 0"
-        return HowFar(*common, measurable=False, within_noise=least[1] <= 0.0, why_no_ceiling=why)
+        return HowFar(*common, measurable=False, within_noise=within, why_no_ceiling=why)
     closed = 1.0 - after[choice].sum(axis=1) / np.maximum(before[choice].sum(axis=1), 1e-300)
     closure = min(float(1.0 - after.sum() / before.sum()), 1.0)  # no more than what there was
     interval = [min(float(np.quantile(closed, q)), 1.0) for q in (0.05, 0.95)]
@@ -159,4 +160,4 @@ def figures(parts: Sequence[Products], metric: str = "", channel: str = "", unit
     ceiling = max(ceiling, closure)  # what is closed can be closed
     by = "regression" if any(p.regressed for p in parts) else "repeats"
     ratio = closure / ceiling if ceiling > 0.0 else None
-    return HowFar(*common, closure, interval, ceiling, by, ratio, within_noise=least[1] <= 0.0)
+    return HowFar(*common, closure, interval, ceiling, by, ratio, within_noise=within)

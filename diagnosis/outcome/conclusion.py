@@ -37,7 +37,7 @@ from robomill.diagnosis.outcome.calibration import pulled
 from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, Closing, metrics
 from robomill.diagnosis.outcome.steps import steps
-from robomill.diagnosis.outcome.verdict import IDENTIFIED, changes, judged, over_noise, share_left, tested
+from robomill.diagnosis.outcome.verdict import IDENTIFIED, at_bound, changes, judged, over_noise, share_left, tested
 from robomill.orchestration.slaves.protocol import FloatArray
 
 SAID = {
@@ -142,6 +142,9 @@ class Conclusion:
             verdict = "unknown"
         if verdict != "none":
             self.known = by_least_squares(search, self.best)
+            free = {a: v for known in self.known.values() for a, v in known.values.items()}
+            if at_bound(self.best.model, self.best.values | free):  # with all of the catalogue beside it an effect goes as far as it may
+                verdict = "unknown"
         said = [c for c in clocks if self.repair or (believed[c] >= IDENTIFIED and verdict != "unknown")]
         for c in said if verdict != "none" else []:
             (address,), (kind, _, pattern) = c.addresses, c.parameters[0].partition(" ")

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import expit
 
-from robomill.diagnosis.catalogue import LOGGING, Candidate
+from robomill.diagnosis.catalogue import LOGGING, Address, Candidate
 from robomill.diagnosis.inference.adequacy import (
     CONDITIONS,
     LEVEL,
@@ -33,7 +33,7 @@ from robomill.diagnosis.inference.adequacy import (
     within_tolerances,
     worsened,
 )
-from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.estimation import Fit, Model
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.time_varying import Changing
@@ -171,7 +171,7 @@ def judged(
 
     `faulty`: a fault of the log is part of the best model. `differs`: something differs from run to run (`scatter`).
     """
-    refuted = tests.p_fit < 1.0 - tests.p_fit or at_bound(best)
+    refuted = tests.p_fit < 1.0 - tests.p_fit or at_bound(best.model, best.values)
     gap = over_noise(search, nominal) > UNKNOWN
     guess = search.evidence.guess > 1.0  # of noise: nobody knows how slow it is, and an effect within it may be that
     there = bool(best.model) and believed(tests) and (gap or not guess)
@@ -182,9 +182,9 @@ def judged(
     return "identified" if all(probabilities[c] >= IDENTIFIED for c in best.model) else "ambiguous"
 
 
-def at_bound(fit: Fit) -> bool:
-    """Whether an effect is as large as the catalogue lets it be: the data ask for more than that, or for something else."""
-    return any(math.isclose(size, c.maximum) for c in fit.model for size in c.sizes(fit.values).values())
+def at_bound(model: Model, values: Mapping[Address, float]) -> bool:
+    """Whether an effect is as large as the catalogue lets it be, by these values [unit]: the data ask for more, or for something else."""
+    return any(math.isclose(size, c.maximum) for c in model for size in c.sizes(values).values())
 
 
 def believed(tests: Tests) -> bool:
