@@ -134,7 +134,7 @@ class Conclusion:
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
         sure = {c.component == LOGGING for c in self.best.model if believed[c] >= IDENTIFIED}
         faulty = sure == {True} and not self.repair  # beside effects of the machine a fault of the log is corrected, and said
-        verdict = judged(search, tests, nominal, self.best, lambda: self.other, believed, faulty, self.differs is not None)
+        verdict = judged(search, tests, nominal, self.best, lambda: self.other, believed, faulty, self.differs is not None, moved)
         # with repeats, noise is known, and what a model leaves says whether it is right
         tried = verdict in ("identified", "ambiguous") and search.evidence.once
         instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if tried else Laws()

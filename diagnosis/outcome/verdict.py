@@ -166,20 +166,33 @@ def judged(
     probabilities: Mapping[Candidate, float],
     faulty: bool,
     differs: bool = False,
+    moved: Transfer | None = None,
 ) -> Verdict:
     """The verdict; `probabilities`: of each candidate, `p_fit` included; `changing`: finds an effect that changes with time, if asked.
 
-    `faulty`: a fault of the log is part of the best model. `differs`: something differs from run to run (`scatter`).
+    `faulty`: a fault of the log is part of the best model. `differs`: something differs from run to run (`scatter`). `moved`: new
+    conditions, where a gap is one, too.
     """
     refuted = tests.p_fit < 1.0 - tests.p_fit or at_bound(best.model, best.values)
-    gap = over_noise(search, nominal) > UNKNOWN
+    gap = max(over_noise(search, nominal), moved.before if moved is not None else 0.0) > UNKNOWN
     guess = search.evidence.guess > 1.0  # of noise: nobody knows how slow it is, and an effect within it may be that
     there = bool(best.model) and believed(tests) and (gap or not guess)
     if not there or refuted or ((other := changing()) is not None and changes(search, best, other)):
-        return "unknown" if gap or differs or there else "none"  # where machines without effects leave and scatter as much
+        return "unknown" if gap or differs or there or not sound(search, nominal) else "none"
     if faulty:
         return "bad_log"
     return "identified" if all(probabilities[c] >= IDENTIFIED for c in best.model) else "ambiguous"
+
+
+def sound(search: Search, nominal: Fit) -> bool:
+    """Whether the nominal system is likelier right than a machine with something wrong that is in no catalogue.
+
+    By how far its calibrated numbers are off, and, where noise is known, by what it leaves in the worst channel. What candidates could
+    explain is in the odds of these already.
+    """
+    level, _ = looks(search, nominal)
+    left = left_by(level, level, conditions=len(search.evidence.space.blocks)) if search.evidence.guess <= 1.0 else 0.0
+    return math.log(1.0 - UNLISTED) - math.log(UNLISTED) + left + within_tolerances(*search.numbers(nominal)[1:]) > 0.0
 
 
 def at_bound(model: Model, values: Mapping[Address, float]) -> bool:

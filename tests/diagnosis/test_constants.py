@@ -274,8 +274,9 @@ def fits(before: float, after: float, *model: Candidate) -> float:
 
 
 def judged(before: float, probability: float, p_none: float) -> str:
-    tests = verdict.Tests(0.02, p_none, 0.99, 0.0)
-    return verdict.judged(AROUND_NOISE, tests, fitted(before), fitted(1.0, EFFECT), lambda: None, {EFFECT: probability}, False)
+    tests, moved = verdict.Tests(0.02, p_none, 0.99, 0.0), transfer.Transfer(before, 1.0, 0.0, 0.0)
+    model = fitted(1.0, EFFECT)
+    return verdict.judged(AROUND_NOISE, tests, fitted(1.0), model, lambda: None, {EFFECT: probability}, False, moved=moved)
 
 
 NOTICED: list[tuple[Any, str, float, Callable[[], Any], Any, Any]] = [

@@ -6,15 +6,18 @@ import itertools
 import random
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from robomill.diagnosis import engine
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
 from robomill.diagnosis.gate import checks as gate
+from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.outcome.answer import Diagnosis
 from robomill.orchestration.runs.run import Run
 from tests.diagnosis.demo import NOISE, NOISE_PART, RANGE, SYSTEM, WELL, catalogue, changed, measure, resolve
@@ -272,6 +275,14 @@ class TestGate:
         assert result["verdict"] == verdict
         (finding,) = (f for f in result["gate"]["findings"] if f["kind"] == "unit")
         assert finding["fatal"] is (verdict == "bad_log")
+
+    @pytest.mark.parametrize(("moves", "shows"), [(5e-4, True), (5e-3, False)])
+    def test_a_model_that_leaves_more_than_there_is_shows_nothing_of_a_log(self, moves: float, shows: bool) -> None:
+        """It may explain nearly all of a gap that is a thousand times as large as the log is."""
+        log, model = 1e-3 * np.ones((100, 2)), moves * np.ones((100, 2))
+        simulator = SimpleNamespace(laboratory=SimpleNamespace(channels=["a.x", "a.y"]), repeated=lambda *_: [[model], None])
+        search: Any = SimpleNamespace(simulator=simulator, groups=[[log], [log]])
+        assert engine._shows(search, Fit((), {}, {}, 0.0, 0.0), {"a.y"}) is shows
 
     def test_a_way_is_not_in_kilogram_force(self, tmp_path: Path) -> None:
         """The channel is in metres, and 9.8 is the factor of a force."""

@@ -14,7 +14,11 @@ from scipy.signal import lfilter
 from robomill import report
 from robomill.diagnose_command import lines
 from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.intervals import Known
 from robomill.diagnosis.inference.noise import fast, whitening
+from robomill.diagnosis.inference.search import Search
+from robomill.diagnosis.outcome import conclusion
 from robomill.orchestration.runs.run import Run
 from tests.diagnosis.axis import NOISE, catalogue, measure, resolve, system
 from tests.tolerances import chance, of_variance
@@ -38,6 +42,18 @@ def test_three_terms_of_friction_and_inertia_are_found_in_one_run(tmp_path: Path
     # the standard deviation of the noise is known from a thousand samples
     assert torque["floor"] == pytest.approx(NOISE["drive.torque"], rel=chance(0.5 * of_variance(1000)))
     assert 0.99 < torque["closure"] <= 1.0
+
+
+@pytest.mark.parametrize("part", [0.9, 1.0])
+def test_an_effect_that_goes_to_its_bound_with_all_of_the_catalogue_beside_it_is_unknown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: float
+) -> None:
+    def free(search: Search, fit: Fit) -> dict[str, Known]:
+        return {c.name: Known(dict.fromkeys(c.addresses, part * c.maximum), dict.fromkeys(c.addresses, 0.1), 0.5) for c in fit.model}
+
+    monkeypatch.setattr(conclusion, "by_least_squares", free)
+    found = diagnose(system(), measure(THREE), catalogue(tmp_path), resolver=resolve)
+    assert found.answer.verdict == ("unknown" if part == 1.0 else "identified")
 
 
 def test_the_answer_says_that_the_noise_is_a_guess(tmp_path: Path) -> None:

@@ -93,3 +93,13 @@ def test_a_sign_is_hard_and_what_closes_little_is_said_to() -> None:
     assert abs(found["p1 @ place"].values["a", "p1"]) < ROUNDOFF
     assert found["p0 @ place"].closes > 0.5
     assert found["p2 @ place"].closes < MATERIAL
+
+
+def test_a_number_that_does_nothing_may_be_anything_and_a_bound_is_met() -> None:
+    x = columns()
+    y = 2.0 * x[:, 0] + noise(np.random.default_rng(5))
+    found = known(y, np.column_stack([x[:, :2], np.zeros(ROWS)]), "p0", "p2")
+    assert found["p2 @ place"].values["a", "p2"] == 0.0
+    assert found["p2 @ place"].deviations["a", "p2"] == math.inf
+    assert 0.0 < found["p0 @ place"].deviations["a", "p0"] < 0.2
+    assert known(-y, x, "p0", low=-1.0)["p0 @ place"].values["a", "p0"] == -1.0

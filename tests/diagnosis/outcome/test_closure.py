@@ -80,6 +80,16 @@ def test_what_remains_is_measurable_or_not(left: float, within: bool) -> None:
     assert figures([products(made, (zero, zero), (model, model), np.full(2, NOISE**2))]).within_noise == within
 
 
+def test_a_short_part_that_is_far_off_is_not_within_the_noise() -> None:
+    """Most draws of the blocks do not have the one that it is in."""
+    signal, _ = repeats(3, 0.0)
+    measured, zero, model = signal + NOISE, np.zeros_like(signal), signal.copy()
+    model[: ROWS // 24] += 5.0
+    found = figures([products([measured], (zero, zero), (model, model), np.full(2, 1.1 * NOISE**2), predicted=zero, guessed=True)])
+    assert found.after > 5.0 * found.floor
+    assert not found.within_noise
+
+
 def test_what_is_roundoff_of_the_measured_values_is_no_gap() -> None:
     """A program that was logged as it was played: half of the digits are trusted."""
     signal, _ = repeats(1, 0.0)

@@ -171,10 +171,30 @@ class TestJudged:
 
     def test_an_effect_that_is_not_believed_is_none_or_a_gap_that_no_candidate_explains(self, tmp_path: Path) -> None:
         for tests in (replace(SURE, p_none=0.5), replace(SURE, nothing=0.5)):  # judged by the nominal system's level
-            assert self.judged(tests, 0.99 * UNKNOWN, folder=tmp_path) == "none"
+            assert self.judged(tests, LEVEL, folder=tmp_path) == "none"
             assert self.judged(tests, 1.01 * UNKNOWN, folder=tmp_path) == "unknown"
         assert judged(search(), SURE, fit(1.0), fit(1.0), steady, {}, False) == "none"
         assert judged(search(), SURE, fit(1.1 * UNKNOWN), fit(1.1 * UNKNOWN), steady, {}, False) == "unknown"
+
+    def test_a_nominal_system_that_is_no_likelier_right_than_something_unlisted_is_not_none(self) -> None:
+        """By what it leaves where noise is known, and by its calibrated numbers: one is 8 deviations off, or half of one."""
+        prior = math.log((1.0 - UNLISTED) / UNLISTED)
+        for level in (1.5, 1.8):  # below UNKNOWN
+            says = "none" if prior + left_by(level, level) > 0.0 else "unknown"
+            assert judged(search(), SURE, fit(level), fit(level), steady, {}, False) == says
+            assert judged(search(guess=3.0), SURE, fit(level), fit(level), steady, {}, False) == "none"
+        assert prior + left_by(1.5, 1.5) > 0.0 > prior + left_by(1.8, 1.8)
+        for off, says in ((0.5, "none"), (8.0, "unknown")):
+            made = search()
+            made.numbers = lambda fit, off=off: ([], np.array([off]), np.array([0.1]))
+            assert judged(made, SURE, fit(1.0), fit(1.0), steady, {}, False) == says
+
+    def test_a_gap_in_new_conditions_is_one(self, tmp_path: Path) -> None:
+        model = catalogue(tmp_path).candidates[:1]
+        unsure = replace(SURE, p_none=0.5)
+        for before, says in ((0.99 * UNKNOWN, "none"), (1.01 * UNKNOWN, "unknown")):
+            moved = Transfer(before, 1.0, 0.0, 0.0)
+            assert judged(search(), unsure, fit(1.0), fit(1.0, model), steady, {model[0]: 0.95}, False, moved=moved) == says
 
     @pytest.mark.parametrize("level", [0.5 * UNKNOWN, 2.0 * UNKNOWN])
     def test_an_effect_that_is_believed_and_refuted_is_unknown_however_little_it_does(self, level: float, tmp_path: Path) -> None:
