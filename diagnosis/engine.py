@@ -227,7 +227,8 @@ def _explained(
 
 def _right(search: Search, fits: Sequence[Fit], best: Fit) -> float:
     """Log Bayes factor for the best of these models being right against a stand-in, by what it leaves and by its calibrated numbers."""
-    return left_by(over_noise(search, fits[0]), over_noise(search, best)) + within_tolerances(*search.numbers(best)[1:])
+    left = left_by(over_noise(search, fits[0]), over_noise(search, best))
+    return left + within_tolerances(*search.numbers(best)[1:], search.evidence.guess)
 
 
 def _shows(search: Search, best: Fit, channels: Collection[str]) -> bool:

@@ -50,20 +50,25 @@ def misfit(fit: Fit) -> float:
     return EXACT * share + MISFIT * (1.0 - share)
 
 
-def agreement(amplitudes: FloatArray, precisions: FloatArray) -> float:
+def agreement(amplitudes: FloatArray, precisions: FloatArray, misfit: float = MISFIT) -> float:
     """Log Bayes factor for a right model against a stand-in, from the amplitudes a that its signature has in several conditions, [k] each.
 
-    Right: a_i ~ N(m, 1 / precision_i + FORM^2), with the same m everywhere, which may be anything. A stand-in: KEEPS in place of FORM.
+    Right: a_i ~ N(m, 1 / precision_i + u), with the same m everywhere, which may be anything. A law that is off by a share u of what it
+    does is off by the root of that in the amplitude; u is log-uniform between TRUST^2 and `misfit`, as in `left_by`. A stand-in: KEEPS^2
+    in place of u.
     """
 
-    def log_evidence(own: float) -> float:
-        variance = 1.0 / precisions + own * own
+    def log_evidence(share: float) -> float:
+        variance = 1.0 / precisions + share
         mean = float((amplitudes / variance).sum() / (1.0 / variance).sum())
         return -0.5 * float(np.log(variance).sum() + ((amplitudes - mean) ** 2 / variance).sum() + np.log((1.0 / variance).sum()))
 
     shown = precisions > 0.0
     amplitudes, precisions = amplitudes[shown], precisions[shown]
-    return log_evidence(FORM) - log_evidence(KEEPS) if len(amplitudes) > 1 else 0.0
+    if not len(amplitudes[1:]):
+        return 0.0
+    shares, weights = _shares(misfit)
+    return float(logsumexp([log_evidence(u) for u in shares], b=weights)) - log_evidence(KEEPS * KEEPS)
 
 
 def kept(odds: float) -> float:
@@ -95,6 +100,12 @@ def unexplained(before: float, after: float) -> float:
     return max(after - LEVEL, 0.0) / max(before - LEVEL, 1e-9)
 
 
+def _shares(misfit: float) -> tuple[FloatArray, FloatArray]:
+    """Shares by which laws are off, and their weights (Gauss-Legendre): log-uniform between TRUST^2 and `misfit`."""
+    nodes, weights = np.polynomial.legendre.leggauss(32)
+    return TRUST**2 * (misfit / TRUST**2) ** (0.5 * (nodes + 1.0)), 0.5 * weights
+
+
 def left_by(before: float, after: float, misfit: float = MISFIT, kinds: int = 1, conditions: int = CONDITIONS) -> float:
     """Log Bayes factor for a right model against a stand-in, from what it leaves of a gap; both over noise.
 
@@ -112,10 +123,10 @@ def left_by(before: float, after: float, misfit: float = MISFIT, kinds: int = 1,
     z = (centre - u) / width
     log_likelihood = -0.5 * z * z + max(conditions / CONDITIONS - 1.0, 0.0) * log_ndtr(z)
     step = np.log(np.convolve(np.diff(u), [0.5, 0.5]))  # of the trapezoidal rule
-    nodes, weights = np.polynomial.legendre.leggauss(32)
-    b = 1.0 / (TRUST**2 * (misfit / TRUST**2) ** (0.5 * (nodes[:, None] + 1.0))) - 1.0
+    shares, weights = _shares(misfit)
+    b = 1.0 / shares[:, None] - 1.0
     rest = np.log(np.maximum(1.0 - u, 1e-300))
-    right = logsumexp(np.log(0.5 * weights[:, None] * b) + (b - 1.0) * rest, axis=0)
+    right = logsumexp(np.log(weights[:, None] * b) + (b - 1.0) * rest, axis=0)
     other = math.log(2 * kinds - 1) + (2 * kinds - 2) * rest
     return float(logsumexp(log_likelihood + right + step) - logsumexp(log_likelihood + other + step))
 
@@ -160,20 +171,22 @@ def beyond(count: int, probability: float) -> float:
     return float(norm.isf(0.5 * probability / max(count, 1)))
 
 
-def within_tolerances(means: FloatArray, variances: FloatArray) -> float:
+def within_tolerances(means: FloatArray, variances: FloatArray, guess: float = 1.0) -> float:
     """Log Bayes factor for a right model against a stand-in [nats], from how far its calibrated numbers are off.
 
     `means`, `variances` [k]: posterior of these numbers in standard deviations of their tolerances, by a prior N(0, 1). So the data alone
     have N(m / (1 - v), v / (1 - v)). A number that is farther off than is said of it is Cauchy: with that the data are a Voigt profile. A
-    stand-in moves one number so far in the mean, a right model MISJUDGED.
+    stand-in moves one number so far in the mean, a right model MISJUDGED. `guess`: factor on the variance of the data, where noise is a
+    guess (`Evidence.guess`).
     """
     known = variances < 1.0 - 1e-9  # of the others the data say nothing
-    m, rest = means[known], 1.0 - variances[known]
-    if not len(m):
+    if not known.any():
         return 0.0
-    log_ratio = np.log(voigt_profile(m / rest, np.sqrt(1.0 / rest - 1.0), 1.0)) - norm.logpdf(m / rest, scale=np.sqrt(1.0 / rest))
+    rest = 1.0 - variances[known]
+    off, own = means[known] / rest, guess * (1.0 / rest - 1.0)
+    log_ratio = np.log(voigt_profile(off, np.sqrt(own), 1.0)) - norm.logpdf(off, scale=np.sqrt(own + 1.0))
 
-    def log_evidence(off: float) -> float:
-        return float(np.logaddexp(np.log1p(-off) if off < 1.0 else -np.inf, math.log(off) + log_ratio).sum())
+    def log_evidence(part: float) -> float:
+        return float(np.logaddexp(np.log1p(-part) if part < 1.0 else -np.inf, math.log(part) + log_ratio).sum())
 
-    return log_evidence(MISJUDGED / len(m)) - log_evidence(1.0 / len(m))
+    return log_evidence(MISJUDGED / len(off)) - log_evidence(1.0 / len(off))

@@ -41,10 +41,10 @@ from robomill.diagnosis.outcome.verdict import IDENTIFIED, at_bound, changes, ju
 from robomill.orchestration.slaves.protocol import FloatArray
 
 SAID = {
-    "lag": "the clock of the {place} is late by {value:.1f} {unit}",
-    "smooth": "the {place} was filtered before it was logged, with a time constant of {value:.1f} {unit}",
-    "gain": "the {place} is too large by {value:.4g}",
-    "offset": "the {place} is off by {value:.4g} {unit}",
+    "lag": "the clock of the {place} is {way} by {size}",
+    "smooth": "the {place} was filtered before it was logged, with a time constant of {size}",
+    "gain": "the {place} is too large by {size}",
+    "offset": "the {place} is off by {size}",
 }
 """What is wrong with the log, in words."""
 FAULTS = {"smooth": "filter", "gain": "unit"}
@@ -150,9 +150,7 @@ class Conclusion:
             (address,), (kind, _, pattern) = c.addresses, c.parameters[0].partition(" ")
             known = self.known.get(c.name)
             value = self.best.values[address] if known is None else known.values[address]  # as `which` has it
-            text = SAID[kind].format(
-                place=c.location, value=1e3 * value if c.unit == "s" else value, unit="ms" if c.unit == "s" else c.unit
-            )
+            text = SAID[kind].format(place=c.location, way="late" if value > 0.0 else "early", size=_size(value, c.unit))
             self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, faulty, not faulty))
         if (x := self.differs) is not None:
             text = f"differs from run to run: {x.times:.0f} times what good machines scatter, in another array, too"
@@ -403,3 +401,10 @@ class Conclusion:
         everywhere = range(len(self.laboratory.conditions))
         before, after = (self.simulator.repeated(everywhere, changes, CLOSING) for changes in ((), setting(adopted)))
         return curves_of(self.laboratory, self.groups, before, after)
+
+
+def _size(value: float, unit: str) -> str:
+    """A size of a fault of the log, in words; times below a second in milliseconds, without a sign."""
+    if unit == "s":
+        return f"{1e3 * abs(value):.1f} ms" if abs(value) < 1.0 else f"{abs(value):.4g} s"
+    return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"

@@ -114,7 +114,7 @@ def tested(
         odds += moved.gain
         holds += moved.holds
         fits += moved.fails
-    fits += kept(holds) + within_tolerances(*search.numbers(best)[1:])
+    fits += kept(holds) + within_tolerances(*search.numbers(best)[1:], evidence.guess)
     # a lag of the machine leaves what the clocks leave, and does what they do in new conditions
     fits = -float(np.logaddexp(-fits, common_lag(search, best) + math.log(UNLISTED) - math.log(1.0 - UNLISTED)))
     return Tests(alpha, p_none, float(expit(fits)), float(expit(-odds)))
@@ -154,7 +154,7 @@ def held_together(search: Search, fit: Fit) -> float:
     for i, block in enumerate(space.blocks.values()):
         parts[block, i] = fit.signature[block]
     sizes, left = np.diag(space.dot(parts, parts)), space.dot(parts, (space.y - fit.signature)[:, None])[:, 0]
-    return agreement(1.0 + left / np.maximum(sizes, 1e-300), sizes)
+    return agreement(1.0 + left / np.maximum(sizes, 1e-300), sizes, misfit(fit))
 
 
 def judged(
@@ -191,8 +191,9 @@ def sound(search: Search, nominal: Fit) -> bool:
     explain is in the odds of these already.
     """
     level, _ = looks(search, nominal)
-    left = left_by(level, level, conditions=len(search.evidence.space.blocks)) if search.evidence.guess <= 1.0 else 0.0
-    return math.log(1.0 - UNLISTED) - math.log(UNLISTED) + left + within_tolerances(*search.numbers(nominal)[1:]) > 0.0
+    guess = search.evidence.guess
+    left = left_by(level, level, conditions=len(search.evidence.space.blocks)) if guess <= 1.0 else 0.0
+    return math.log(1.0 - UNLISTED) - math.log(UNLISTED) + left + within_tolerances(*search.numbers(nominal)[1:], guess) > 0.0
 
 
 def at_bound(model: Model, values: Mapping[Address, float]) -> bool:

@@ -364,7 +364,7 @@ class TestGate:
         result = answer(tmp_path, runs).result
         assert "axes" in {f["kind"] for f in result["gate"]["findings"]}
 
-    @pytest.mark.parametrize("lag", [0.01, 0.03])
+    @pytest.mark.parametrize("lag", [0.01, 0.03, -0.02])
     def test_a_late_clock_is_a_clock_and_no_physics(self, tmp_path: Path, lag: float) -> None:
         def late(t: Any, y: Any) -> Any:
             return np.interp(t - lag, t, y)
@@ -374,6 +374,7 @@ class TestGate:
         assert result["which"][0]["component"] == "logging"
         (finding,) = (f for f in result["gate"]["findings"] if f["kind"] == "lag")
         assert finding["value"] == pytest.approx(lag, rel=WELL)
+        assert finding["text"] == f"the clock of the logger is {'late' if lag > 0.0 else 'early'} by {1e3 * abs(finding['value']):.1f} ms"
 
     @pytest.mark.parametrize("lag", [0.002, 0.05])
     def test_a_late_clock_beside_an_effect_of_the_machine_is_corrected_and_named_first(self, tmp_path: Path, lag: float) -> None:

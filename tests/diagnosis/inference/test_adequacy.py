@@ -11,17 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
-from scipy.stats import beta, cauchy, norm
+from scipy.stats import beta, cauchy, multivariate_normal, norm
 
 from robomill.diagnosis.catalogue import LOGGING
 from robomill.diagnosis.inference.adequacy import (
     CONDITIONS,
     EXACT,
     HOLDS,
+    KEEPS,
     LEVEL,
     MISFIT,
     MISJUDGED,
     SPREAD,
+    agreement,
     beyond,
     kept,
     left_by,
@@ -225,6 +227,22 @@ def beside(mean: float, variance: float, off: float) -> float:
     return float(trapezoid(does * ((1.0 - off) * norm.pdf(z) + off * cauchy.pdf(z)), z))
 
 
+@pytest.mark.parametrize("apart", [0.0, 0.05, 0.2, 1.0])
+def test_how_alike_amplitudes_are_is_the_ratio_of_the_integrals_over_how_far_laws_are_off(apart: float) -> None:
+    """Of three conditions, with a mean that may be anything: density of the two differences from the first."""
+    a, precisions = 1.0 + apart * np.array([-1.0, 0.2, 0.8]), np.array([400.0, 900.0, 2500.0])
+    differences = np.array([[1.0, -1.0, 0.0], [1.0, 0.0, -1.0]])
+
+    def density(share: float) -> float:
+        covariance = differences @ np.diag(1.0 / precisions + share) @ differences.T
+        return float(multivariate_normal.pdf(differences @ a, cov=covariance))
+
+    shares = np.geomspace(TRUST**2, MISFIT, 4001)
+    right = trapezoid([density(u) for u in shares], np.log(shares)) / math.log(MISFIT / TRUST**2)
+    assert agreement(a, precisions) == pytest.approx(math.log(right / density(KEEPS**2)), abs=QUADRATURE)
+    assert (agreement(a, precisions) > 0.0) is (apart < 0.3)
+
+
 @pytest.mark.parametrize(
     ("means", "variances"), [([0.3], [0.02]), ([1.5, -2.0, 0.1], [0.5, 0.1, 0.9]), ([6.0, 0.2], [0.05, 0.05]), ([5.0, -7.0], [0.02, 0.3])]
 )
@@ -241,6 +259,18 @@ def test_each_number_that_is_far_off_makes_a_right_model_less_likely_by_how_many
     means[:far] = (15.0, -40.0)[:far]
     found = within_tolerances(means, np.full(20, 0.01)) - far * math.log(MISJUDGED)
     assert 0.0 <= found <= math.log(norm.pdf(0.0) / cauchy.pdf(0.0)) + QUADRATURE
+
+
+def test_where_noise_is_a_guess_the_data_say_less_of_where_a_number_is() -> None:
+    """As if the data alone had that variance; with ten thousand times as much they say next to nothing."""
+    m, v, guess = 5.0, 0.1, 4.0
+    alone = guess * v / (1.0 - v)
+    wider = alone / (1.0 + alone)
+    same = within_tolerances(np.array([m / (1.0 - v) * (1.0 - wider)]), np.array([wider]))
+    found = [within_tolerances(np.array([m]), np.array([v]), g) for g in (1.0, guess, 1e4)]
+    assert found[1] == pytest.approx(same, rel=1e2 * ROUNDOFF)
+    assert found[0] < found[1] < found[2]
+    assert abs(found[2]) < QUADRATURE
 
 
 def test_numbers_of_which_the_data_say_nothing_say_nothing() -> None:
