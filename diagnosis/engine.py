@@ -215,8 +215,8 @@ def _explained(
     """
     other, found = searched(catalogue, search.simulator, groups, nuisances)
     best, as_it_is = _simulated(other, _best(other, found)), _simulated(search, _best(search, fits))
-    shows = _shows(search, as_it_is, {f.channel for f in faults})
-    if faults and _right(other, found, best) > 0.0 and not (shows and _right(search, fits, as_it_is) > 0.0):
+    channels = {f.channel for f in faults}
+    if faults and _right(other, found, best) > 0.0 and not (_right(search, fits, as_it_is) > 0.0 and _shows(search, as_it_is, channels)):
         return best
     left, left_with = over_noise(other, best), over_noise(search, as_it_is)
     little = _little(other, found, best)

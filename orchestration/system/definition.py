@@ -222,8 +222,8 @@ class ComponentKeys(Keys):
 
     source = required(
         keys.text(),
-        "a component of this project (`robot_drive`), one of your own (`module:MODEL`), an FMU (`dist/x.fmu`), `replay:RUN`, or `measured`: "
-        "its outputs are what was measured of them in the run that is diagnosed",
+        "a component of this project (`robot_drive`), one of your own (`module:MODEL`), an FMU (`dist/x.fmu`), `replay:RUN`, "
+        "or `measured`: its outputs are what was measured of them in the run that is diagnosed",
     )
     parameters = default({}, keys.values(), "parameters of the component, with units, instead of its own values")
     inputs = default({}, keys.values(), "start values of inputs: open inputs keep them, delayed ones have them until the first step")
