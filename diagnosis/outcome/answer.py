@@ -27,10 +27,11 @@ from robomill.diagnosis.inference.transfer import Transfer
 from robomill.diagnosis.localisation.localise import Projection
 from robomill.diagnosis.localisation.replay_attribution import Reading
 from robomill.diagnosis.localisation.swap import Share
-from robomill.diagnosis.localisation.where import Where
+from robomill.diagnosis.localisation.where import WHOLE, Where
 from robomill.diagnosis.outcome.calibration import Pulled
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.families import Family
+from robomill.diagnosis.outcome.how_far import CONDITION, DIAGNOSED, REPEAT
 from robomill.diagnosis.outcome.next_run import NextRun
 from robomill.diagnosis.outcome.steps import Steps
 from robomill.diagnosis.outcome.verdict import Tests, Verdict
@@ -219,6 +220,16 @@ class Answer:
     """What the diagnosis took."""
     skipped: tuple[str, ...] = ()
     """What of the catalogue the system does not have, in words."""
+
+    @property
+    def closer(self) -> HowFar | None:
+        """How far the nearest effects close the whole gap, in the hardest test of the form, if that is more than the form does there."""
+        formed = {h.on: h for h in (self.form.how_far if self.form else ()) if h.channel == WHOLE and h.closure is not None}
+        for on in (CONDITION, REPEAT, DIAGNOSED):
+            if on in formed:
+                nearest = next((h for h in self.how_far if h.on == on and h.channel == WHOLE), None)
+                return nearest if nearest is not None and (nearest.closure or 0.0) > (formed[on].closure or 0.0) else None
+        return None
 
     @property
     def guessed(self) -> bool:

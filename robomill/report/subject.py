@@ -274,7 +274,8 @@ def _formed(s: Subject) -> str:
     if whole is None:
         return ""
     how = "the gap to within the noise" if whole.within_noise else f"{closed(whole)[0]} of the gap"
-    return f"; a form that was found for it closes {how} in {KINDS[whole.on]}"
+    more = f", the effects that are nearest {closed(s.answer.closer)[0]}" if s.answer.closer else ""
+    return f"; a form that was found for it closes {how} in {KINDS[whole.on]}{more}"
 
 
 def reason(finding: Finding) -> str:

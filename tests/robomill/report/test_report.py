@@ -295,6 +295,19 @@ class TestContent:
         assert {"form.svg", "form.png"} <= _figures(tmp_path / "report.html")
         assert "form: masses.force lacks 0.3 sgn(v) (N), which closes 97 %" in lines(formed.answer)
 
+    @pytest.mark.parametrize(("closure", "said"), [(0.97, True), (0.9, False)])
+    def test_where_the_nearest_effects_close_more_than_the_form_that_is_said(
+        self, subject: Callable[[str], Subject], closure: float, said: bool
+    ) -> None:
+        s = subject("unknown")
+        port = PortForm("masses.force", "N", "0.3 sgn(v)", (), 0.97, None)
+        far = HowFar("x rms", "all channels, whitened", "1", "held-out condition", 9.0, 2.0, 1.0, 0.95, [0.9, 0.97], 1.0, "repeats", 0.95)
+        form = Form("masses", "input", 0.0, (port,), (), (far,), specification={"name": "x"})
+        both = _saying(s, form=form, how_far=(replace(far, closure=closure),))
+        assert ("in new conditions, the effects that are nearest 97\u00a0%" in verdict_sentence(both)) is said
+        line = "form: the effects that are nearest close more of the whole gap, 97 %, held-out condition"
+        assert (line in lines(both.answer)) is said
+
     def test_a_form_that_the_loop_refutes_is_said_to_be_of_no_use(self, subject: Callable[[str], Subject], tmp_path: Path) -> None:
         """What it closes outside of the loop is no merit: no closure is printed."""
         curve = Curve("v", "m/s", [-1.0, 1.0], [-0.31, 0.29], [-0.3, 0.3])
