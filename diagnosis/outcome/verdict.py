@@ -187,8 +187,8 @@ def judged(
 def sound(search: Search, nominal: Fit) -> bool:
     """Whether the nominal system is likelier right than a machine with something wrong that is in no catalogue.
 
-    By how far its calibrated numbers are off, and, where noise is known, by what it leaves in the worst channel. What candidates could
-    explain is in the odds of these already.
+    How far its calibrated numbers are off says so, and, where noise is known, what it leaves in the worst channel. What candidates could
+    explain is in the odds of these already (decision 123).
     """
     level, _ = looks(search, nominal)
     guess = search.evidence.guess

@@ -229,7 +229,7 @@ def beside(mean: float, variance: float, off: float) -> float:
 
 @pytest.mark.parametrize("apart", [0.0, 0.05, 0.2, 1.0])
 def test_how_alike_amplitudes_are_is_the_ratio_of_the_integrals_over_how_far_laws_are_off(apart: float) -> None:
-    """Of three conditions, with a mean that may be anything: density of the two differences from the first."""
+    """Three conditions with a mean that may be anything: the density of two differences from the first."""
     a, precisions = 1.0 + apart * np.array([-1.0, 0.2, 0.8]), np.array([400.0, 900.0, 2500.0])
     differences = np.array([[1.0, -1.0, 0.0], [1.0, 0.0, -1.0]])
 
