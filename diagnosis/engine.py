@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -29,7 +30,7 @@ from robomill.diagnosis.inference.sensitivities import NOMINAL
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, curves_of, effort_of, titles_of
 from robomill.diagnosis.outcome.conclusion import Conclusion
 from robomill.diagnosis.outcome.how_far import CLOSING
-from robomill.diagnosis.outcome.verdict import over_noise, share_left
+from robomill.diagnosis.outcome.verdict import UNLISTED, over_noise, share_left
 from robomill.orchestration.assembly import Resolver
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -216,7 +217,7 @@ def _explained(
     other, found = searched(catalogue, search.simulator, groups, nuisances)
     best, as_it_is = _simulated(other, _best(other, found)), _simulated(search, _best(search, fits))
     channels = {f.channel for f in faults}
-    if faults and _right(other, found, best) > 0.0 and not (_right(search, fits, as_it_is) > 0.0 and _shows(search, as_it_is, channels)):
+    if faults and _right(other, found, best) and not (_right(search, fits, as_it_is) and _shows(search, as_it_is, channels)):
         return best
     left, left_with = over_noise(other, best), over_noise(search, as_it_is)
     little = _little(other, found, best)
@@ -225,10 +226,14 @@ def _explained(
     return best if little and left < left_with else None
 
 
-def _right(search: Search, fits: Sequence[Fit], best: Fit) -> float:
-    """Log Bayes factor for the best of these models being right against a stand-in, by what it leaves and by its calibrated numbers."""
-    left = left_by(over_noise(search, fits[0]), over_noise(search, best))
-    return left + within_tolerances(*search.numbers(best)[1:], search.evidence.guess)
+def _right(search: Search, fits: Sequence[Fit], best: Fit) -> bool:
+    """Whether the best of these models is likelier right than a stand-in, or than something unlisted where there is no gap.
+
+    What it leaves and its calibrated numbers say so, beside the odds before the data.
+    """
+    odds = math.log(1.0 - UNLISTED) - math.log(UNLISTED)
+    odds += left_by(over_noise(search, fits[0]), over_noise(search, best))
+    return odds + within_tolerances(*search.numbers(best)[1:], search.evidence.guess) > 0.0
 
 
 def _shows(search: Search, best: Fit, channels: Collection[str]) -> bool:
