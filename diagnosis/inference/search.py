@@ -87,11 +87,11 @@ class Search(Fitting):
             best = _most(fits)
             grown = sorted(self.linear_fits(bases), key=evidence_of, reverse=True)
             # a fault of the log does what its signature says: one that explains too little takes no place from others
-            exact = [f for f in grown if not any(c.component == LOGGING for c in f.model) or self._worth(f, fits)]
+            exact = [f for f in grown if not any(c.component == LOGGING for c in f.model) or self._worth(f, fits, bases[0])]
             chosen = _first([f for f in exact if f.log_evidence > best + self.growth], EXTENSIONS * len(bases))
             hidden = {frozenset(f.model) for f in grown if f not in chosen and self._hidden(f)}
             chosen += [f for f in grown if frozenset(f.model) in hidden]
-            level = [f for f in self.sharpened(self.polish(self.refine(chosen), chosen)) if self._worth(f, fits)]
+            level = [f for f in self.sharpened(self.polish(self.refine(chosen), chosen)) if self._worth(f, fits, bases[0])]
             level = [f for f in level if frozenset(f.model) not in hidden or f.log_evidence > best + self.growth]
             smaller = self._smaller(level, fits)
             again = {frozenset(f.model) for f in smaller}
@@ -176,15 +176,18 @@ class Search(Fitting):
                 left += [better] if not better.large_enough() else []
         return found
 
-    def _worth(self, fit: Fit, fits: Sequence[Fit]) -> bool:
+    def _worth(self, fit: Fit, fits: Sequence[Fit], base: Fit) -> bool:
         """Whether the effects of a model explain enough of what is left without one of them.
 
-        What is left of a strong effect that is modelled a little otherwise would else be given to one small effect after the other.
+        What is left of a strong effect that is modelled a little otherwise would else be given to one small effect after the other. Of a
+        fault that the best `base` has already no more is asked than of the others: beside many effects it explains a part of all of them.
         """
         noise = float(self.evidence.expected.sum())
+        settled = set(base.model) if set(base.model) < set(fit.model) else set()
 
         def part(known: Fit) -> float:
-            return FAULT if any(c.component == LOGGING for c in fit.model if c not in known.model) else SUBSTANTIAL
+            new = [c for c in fit.model if c not in known.model and c not in settled]
+            return FAULT if any(c.component == LOGGING for c in new) else SUBSTANTIAL
 
         without = [f for f in fits if set(f.model) < set(fit.model)]
         return all(f.chi2 > noise and fit.chi2 - noise < (1.0 - part(f)) * (f.chi2 - noise) for f in without)

@@ -96,10 +96,14 @@ def test_a_fault_of_the_log_must_explain_most_of_what_is_left_and_an_effect_a_pa
         alone = fit(s, {GAIN: 0.04}, left=1.0)
         for partner, share in ((CLOCK, FAULT), (RUBBING, SUBSTANTIAL)):
             values = {GAIN: 0.04, partner: 0.02}
-            assert s._worth(fit(s, values, left=1.0 - share - 0.01), [alone])
-            assert not s._worth(fit(s, values, left=1.0 - share + 0.01), [alone])
+            assert s._worth(fit(s, values, left=1.0 - share - 0.01), [alone], alone)
+            assert not s._worth(fit(s, values, left=1.0 - share + 0.01), [alone], alone)
         # beside a clock that is there already, an effect is asked for its part only
-        assert s._worth(fit(s, {GAIN: 0.04, CLOCK: 0.02}, left=0.9), [fit(s, {CLOCK: 0.02}, left=1.0)])
+        late, both = fit(s, {CLOCK: 0.02}, left=1.0), fit(s, {GAIN: 0.04, CLOCK: 0.02}, left=0.9)
+        assert s._worth(both, [late], alone)
+        # of the clock itself two thirds are asked, unless the best base has it
+        for base, worth in ((alone, False), (late, True)):
+            assert s._worth(both, [alone, late], base) is worth
 
 
 def test_a_fault_of_the_log_that_explains_too_little_takes_no_place_from_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
