@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -20,7 +19,7 @@ from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.gate import log_faults, phases
 from robomill.diagnosis.gate.checks import Finding, stopped
 from robomill.diagnosis.gate.gate import Gate
-from robomill.diagnosis.inference.adequacy import FALSE_ALARM, UNKNOWN, left_by, unexplained, within_tolerances
+from robomill.diagnosis.inference.adequacy import FALSE_ALARM, UNKNOWN, left_by, unexplained
 from robomill.diagnosis.inference.dormant import searched_beside
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import probabilities
@@ -30,7 +29,7 @@ from robomill.diagnosis.inference.sensitivities import NOMINAL
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, curves_of, effort_of, titles_of
 from robomill.diagnosis.outcome.conclusion import Conclusion
 from robomill.diagnosis.outcome.how_far import CLOSING
-from robomill.diagnosis.outcome.verdict import UNLISTED, over_noise, share_left
+from robomill.diagnosis.outcome.verdict import over_noise, right, share_left
 from robomill.orchestration.assembly import Resolver
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -125,9 +124,9 @@ def diagnose_campaign(
                     findings = told + gate.findings(setting(best.values))
                 faults = [f for f in findings if f.fatal and f.kind in log_faults.KINDS]
                 tried = log_faults.together(faults)
-                right = next((some for some in tried if _explained(catalogue, search, fits, gate.without(some), nuisances, some)), ())
+                mended = next((some for some in tried if _explained(catalogue, search, fits, gate.without(some), nuisances, some)), ())
                 kept = "; without that, the log is explained no better: it is kept"
-                findings = [replace(f, text=f.text + kept, fatal=False) if f in faults and f not in right else f for f in findings]
+                findings = [replace(f, text=f.text + kept, fatal=False) if f in faults and f not in mended else f for f in findings]
                 fatal = [f for f in findings if f.fatal]
             elif (finding := _wrong_channel(catalogue, search, fits, groups[:n], nuisances, gate.limits)) is not None:
                 findings.append(finding)
@@ -227,13 +226,8 @@ def _explained(
 
 
 def _right(search: Search, fits: Sequence[Fit], best: Fit) -> bool:
-    """Whether the best of these models is likelier right than a stand-in, or than something unlisted where there is no gap.
-
-    What it leaves and its calibrated numbers say so, beside the odds before the data.
-    """
-    odds = math.log(1.0 - UNLISTED) - math.log(UNLISTED)
-    odds += left_by(over_noise(search, fits[0]), over_noise(search, best))
-    return odds + within_tolerances(*search.numbers(best)[1:], search.evidence.guess) > 0.0
+    """Whether the best of these models is likelier right than not, by what it leaves and by its calibrated numbers."""
+    return right(search, best, left_by(over_noise(search, fits[0]), over_noise(search, best)))
 
 
 def _shows(search: Search, best: Fit, channels: Collection[str]) -> bool:

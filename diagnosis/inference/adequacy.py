@@ -65,7 +65,7 @@ def agreement(amplitudes: FloatArray, precisions: FloatArray, misfit: float = MI
 
     shown = precisions > 0.0
     amplitudes, precisions = amplitudes[shown], precisions[shown]
-    if not len(amplitudes[1:]):
+    if len(amplitudes) <= 1:
         return 0.0
     shares, weights = _shares(misfit)
     return float(logsumexp([log_evidence(u) for u in shares], b=weights)) - log_evidence(KEEPS * KEEPS)

@@ -31,7 +31,7 @@ from robomill.diagnosis.localisation.where import WHOLE, Where
 from robomill.diagnosis.outcome.calibration import Pulled
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.families import Family
-from robomill.diagnosis.outcome.how_far import CONDITION, DIAGNOSED, REPEAT
+from robomill.diagnosis.outcome.how_far import HARDEST_FIRST
 from robomill.diagnosis.outcome.next_run import NextRun
 from robomill.diagnosis.outcome.steps import Steps
 from robomill.diagnosis.outcome.verdict import Tests, Verdict
@@ -224,12 +224,10 @@ class Answer:
     @property
     def closer(self) -> HowFar | None:
         """How far the nearest effects close the whole gap, in the hardest test of the form, if that is more than the form does there."""
-        formed = {h.on: h for h in (self.form.how_far if self.form else ()) if h.channel == WHOLE and h.closure is not None}
-        for on in (CONDITION, REPEAT, DIAGNOSED):
-            if on in formed:
-                nearest = next((h for h in self.how_far if h.on == on and h.channel == WHOLE), None)
-                return nearest if nearest is not None and (nearest.closure or 0.0) > (formed[on].closure or 0.0) else None
-        return None
+        formed = {h.on: h.closure for h in (self.form.how_far if self.form else ()) if h.channel == WHOLE and h.closure is not None}
+        kind = next((k for k in HARDEST_FIRST if k in formed), None)
+        nearest = next((h for h in self.how_far if h.on == kind and h.channel == WHOLE and h.closure is not None), None)
+        return nearest if kind and nearest and (nearest.closure or 0.0) > formed[kind] else None
 
     @property
     def guessed(self) -> bool:

@@ -22,6 +22,8 @@ CLOSING = 4
 """Simulations with different noise that the closure is measured with."""
 DIAGNOSED, REPEAT, CONDITION = "diagnosed runs", "held-out repeat", "held-out condition"
 """Kinds of runs that it is measured on, the hardest test last."""
+HARDEST_FIRST = (CONDITION, REPEAT, DIAGNOSED)
+"""The same kinds, the hardest test first."""
 
 Groups = Sequence[Sequence[FloatArray]]
 """Repeats of each condition, [samples, channels]."""
@@ -77,7 +79,7 @@ class Closing:
     @property
     def hardest(self) -> str:
         """The hardest kind of test that there is."""
-        return next(kind for kind in (CONDITION, REPEAT, DIAGNOSED) if kind in self.kinds)
+        return next(kind for kind in HARDEST_FIRST if kind in self.kinds)
 
     def of(self, adopted: Mapping[Address, float], kinds: Sequence[str]) -> tuple[closure.HowFar, ...]:
         """Closure and ceiling of each figure on runs of these kinds: the closed loop simulated with the `adopted` values [unit]."""

@@ -191,9 +191,17 @@ def sound(search: Search, nominal: Fit) -> bool:
     explain is in the odds of these already (decision 123).
     """
     level, _ = looks(search, nominal)
-    guess = search.evidence.guess
-    left = left_by(level, level, conditions=len(search.evidence.space.blocks)) if guess <= 1.0 else 0.0
-    return math.log(1.0 - UNLISTED) - math.log(UNLISTED) + left + within_tolerances(*search.numbers(nominal)[1:], guess) > 0.0
+    known = search.evidence.guess <= 1.0
+    return right(search, nominal, left_by(level, level, conditions=len(search.evidence.space.blocks)) if known else 0.0)
+
+
+def right(search: Search, fit: Fit, left: float) -> bool:
+    """Whether a model is likelier right than a stand-in or something unlisted: by its calibrated numbers and the odds before the data.
+
+    `left`: log Bayes factor from what it leaves [nats].
+    """
+    odds = math.log(1.0 - UNLISTED) - math.log(UNLISTED)
+    return odds + left + within_tolerances(*search.numbers(fit)[1:], search.evidence.guess) > 0.0
 
 
 def at_bound(model: Model, values: Mapping[Address, float]) -> bool:

@@ -18,6 +18,7 @@ from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
 from robomill.diagnosis.gate import checks as gate
 from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.outcome import conclusion
 from robomill.diagnosis.outcome.answer import Diagnosis
 from robomill.orchestration.runs.run import Run
 from tests.diagnosis.demo import NOISE, NOISE_PART, RANGE, SYSTEM, WELL, catalogue, changed, measure, resolve
@@ -375,6 +376,10 @@ class TestGate:
         (finding,) = (f for f in result["gate"]["findings"] if f["kind"] == "lag")
         assert finding["value"] == pytest.approx(lag, rel=WELL)
         assert finding["text"] == f"the clock of the logger is {'late' if lag > 0.0 else 'early'} by {1e3 * abs(finding['value']):.1f} ms"
+
+    def test_the_size_of_a_fault_of_the_log_is_said_with_its_unit(self) -> None:
+        sizes = [(-0.1893, "s"), (39.97, "s"), (0.05, "1"), (-2.0, "N")]
+        assert [conclusion._size(*size) for size in sizes] == ["189.3 ms", "39.97 s", "0.05", "-2 N"]
 
     @pytest.mark.parametrize("lag", [0.002, 0.05])
     def test_a_late_clock_beside_an_effect_of_the_machine_is_corrected_and_named_first(self, tmp_path: Path, lag: float) -> None:
