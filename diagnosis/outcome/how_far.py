@@ -23,7 +23,7 @@ CLOSING = 4
 DIAGNOSED, REPEAT, CONDITION = "diagnosed runs", "held-out repeat", "held-out condition"
 """Kinds of runs that it is measured on, the hardest test last."""
 HARDEST_FIRST = (CONDITION, REPEAT, DIAGNOSED)
-"""The same kinds, the hardest test first."""
+"""As they are listed, the hardest test first."""
 
 Groups = Sequence[Sequence[FloatArray]]
 """Repeats of each condition, [samples, channels]."""
