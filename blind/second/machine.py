@@ -84,9 +84,9 @@ ABSOLUTE = {"p_FT": 5e-6, "payload": 0.2, "load": 0.02, "offset_f": 0.2, "offset
 """Standard deviations of the calibrated numbers (docs/maintainers/blind.md): relative, and in the unit of the number."""
 
 
-INERTIA_STEPS = (2, 4, 6)
-"""Fine steps [1 ms] over which the arm takes the mean of the force, as drawn: one, two or three times the 2 ms from tooth to tooth of the
-benchmark's cuts (10 000 rev/min, three teeth). Between them the tip would be seen at one phase of the teeth, as if it followed 500 Hz."""
+INERTIA_STEPS = (6, 12)
+"""Fine steps [1 ms] over which the arm takes the mean of the force, as drawn: one or two turns of the spindle in the benchmark's cuts
+(10 000 rev/min, three teeth). Over less than a turn it would follow the teeth, or a runout, as if it had no inertia."""
 
 
 @dataclass(frozen=True)

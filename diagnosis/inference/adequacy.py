@@ -39,6 +39,10 @@ EXACT = 0.005
 """As MISFIT, of what a fault of the log does: that a clock is late is no law that could be wrong."""
 
 
+_UNSEEN = 1.0 - 1e-9
+"""Variance from which the data say nothing of a number whose variance was 1."""
+
+
 def misfit(fit: Fit) -> float:
     """Largest mean share [1] of a gap that this model leaves where it is right: EXACT of what its faults of the log do, MISFIT of the rest.
 
@@ -171,22 +175,46 @@ def beyond(count: int, probability: float) -> float:
     return float(norm.isf(0.5 * probability / max(count, 1)))
 
 
-def within_tolerances(means: FloatArray, variances: FloatArray, guess: float = 1.0) -> float:
+def within_tolerances(means: FloatArray, covariance: FloatArray, guess: float = 1.0) -> float:
     """Log Bayes factor for a right model against a stand-in [nats], from how far its calibrated numbers are off.
 
-    `means`, `variances` [k]: posterior of these numbers in standard deviations of their tolerances, by a prior N(0, 1). So the data alone
-    have N(m / (1 - v), v / (1 - v)). A number that is farther off than is said of it is Cauchy: with that the data are a Voigt profile. A
-    stand-in moves one number so far in the mean, a right model MISJUDGED. `guess`: factor on the variance of the data, where noise is a
-    guess (`Evidence.guess`).
+    `means` [k], `covariance` [k, k]: posterior of these numbers in standard deviations of their tolerances, by a prior N(0, I). A number
+    that is farther off than is said of it is Cauchy. A stand-in moves about one number so far, a right model MISJUDGED. `guess`: factor on
+    the variance of the data, where noise is a guess (`Evidence.guess`).
+
+    Each of the k numbers is off with these odds over k. Where one explains what several seem to be off by, that counts once: the likeliest
+    is set free, then the likeliest beside it, while Cauchy is likelier than normal. With S_j the sum of the ratios of these two likelihoods,
+    where j - 1 are free, j numbers that are off have the ratio S_1 S_2 ... S_j / j!. The others are as if each were alone.
     """
-    known = variances < 1.0 - 1e-9  # of the others the data say nothing
-    if not known.any():
-        return 0.0
-    rest = 1.0 - variances[known]
-    off, own = means[known] / rest, guess * (1.0 / rest - 1.0)
-    log_ratio = np.log(voigt_profile(off, np.sqrt(own), 1.0)) - norm.logpdf(off, scale=np.sqrt(own + 1.0))
+    seen = np.diag(covariance) < _UNSEEN
+    means, covariance, k = means[seen], covariance[np.ix_(seen, seen)], int(seen.sum())
+    data = np.linalg.inv(covariance) - np.eye(k)  # what the data alone say
+    towards, precision = (data @ means + means) / guess, data / guess + np.eye(k)
+    off, ratios = [0.0], np.zeros(0)
+    free = np.zeros(k, dtype=bool)
+    while not free.all():
+        inverse = np.linalg.inv(precision)
+        there, unknown = (inverse @ towards)[~free], np.diag(inverse)[~free]
+        known = unknown < _UNSEEN
+        ratios = np.zeros(len(there))
+        ratios[known] = _cauchy(there[known] / (1.0 - unknown[known]), unknown[known] / (1.0 - unknown[known]))
+        likeliest = int(ratios.argmax())
+        if ratios[likeliest] <= 0.0:
+            break
+        off.append(off[-1] + float(logsumexp(ratios)) - math.log(len(off)))
+        place = np.flatnonzero(~free)[likeliest]
+        free[place] = True
+        precision[place, place] -= 1.0
+        ratios = np.delete(ratios, likeliest)
 
-    def log_evidence(part: float) -> float:
-        return float(np.logaddexp(np.log1p(-part) if part < 1.0 else -np.inf, math.log(part) + log_ratio).sum())
+    def log_evidence(odds: float) -> float:
+        terms = [x + j * math.log(odds / k) for j, x in enumerate(off)]
+        terms[-1] += float(np.log1p(odds / k * np.exp(ratios)).sum())
+        return float(logsumexp(terms)) - k * math.log1p(odds / k)
 
-    return log_evidence(MISJUDGED / len(off)) - log_evidence(1.0 / len(off))
+    return log_evidence(MISJUDGED) - log_evidence(1.0) if k else 0.0
+
+
+def _cauchy(values: FloatArray, variances: FloatArray) -> FloatArray:
+    """Log Bayes factor for Cauchy against N(0, 1), of numbers that were found to be these, with these variances: [k]."""
+    return np.asarray(np.log(voigt_profile(values, np.sqrt(variances), 1.0)) - norm.logpdf(values, scale=np.sqrt(variances + 1.0)))

@@ -178,10 +178,9 @@ class Space:
         """Standard deviations by which the nuisances are moved to explain the residual `left` [n]: (I + B'B)^-1 B' left, [m]."""
         return np.asarray(self._inner @ (self._across @ left))
 
-    @property
-    def variances(self) -> FloatArray:
-        """Variance of each nuisance after the data, over that before them, [m]: the diagonal of (I + B'B)^-1; 0 for those that are gone."""
-        return np.diag(self._inner)
+    def covariance(self, nuisances: Sequence[int]) -> FloatArray:
+        """Covariance of these nuisances after the data, [k, k], where it was the unit matrix before: a part of (I + B'B)^-1."""
+        return self._inner[np.ix_(nuisances, nuisances)]
 
     def find_alike(self, sensitivities: Mapping[Address, FloatArray], scales: Mapping[Address, float]) -> None:
         """Note in `alike` which nuisances have (nearly) the same sensitivity as a parameter.

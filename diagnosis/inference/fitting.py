@@ -150,7 +150,7 @@ class Fitting:
         return np.asarray(space.nuisances @ np.array([deviations.get(name, 0.0) for name in space.names]))
 
     def numbers(self, fit: Fit) -> tuple[list[Nuisance], FloatArray, FloatArray]:
-        """The calibrated numbers that a model leaves to the nuisances, and where it has them: their means and variances, [k] each.
+        """The calibrated numbers that a model leaves to the nuisances, and where it has them: their means [k] and covariance [k, k].
 
         These are of the posterior, in standard deviations of the tolerances.
         """
@@ -159,7 +159,7 @@ class Fitting:
         places = {a: i for i, a in enumerate(space.names) if a not in space.gone}
         numbers = [n for n in self.nuisances if n.address in places]
         here = [places[n.address] for n in numbers]
-        return numbers, space.moved(space.y - fit.signature)[here], space.variances[here]
+        return numbers, space.moved(space.y - fit.signature)[here], space.covariance(here)
 
     def calibrate(self, fit: Fit) -> Fit:
         """The fit again with its calibrated numbers as far off as the data have them, simulated, while that explains more.

@@ -227,7 +227,7 @@ AROUND_NOISE: Any = SimpleNamespace(
         guess=1.0,
     ),
     explainable=lambda left: 0.0,
-    numbers=lambda fit: ([], np.zeros(0), np.zeros(0)),
+    numbers=lambda fit: ([], np.zeros(0), np.zeros((0, 0))),
 )
 
 
@@ -237,8 +237,8 @@ def fitted(left: float, *model: Candidate) -> Fit:
 
 
 def far_off() -> float:
-    """Log Bayes factor for a model of one calibrated number, which it has fifty tolerances off."""
-    return adequacy.within_tolerances(np.array([50.0]), np.array([0.01]))
+    """Log Bayes factor for a model of ten calibrated numbers, one of which it has fifty tolerances off."""
+    return adequacy.within_tolerances(50.0 * np.eye(10)[0], 0.01 * np.eye(10))
 
 
 def form() -> float:
