@@ -11,7 +11,7 @@ import numpy as np
 from robomill.blind import bad_logs, outside
 from robomill.blind.effects import BY_KEY, EVEN
 
-GENERATOR_VERSION = 7
+GENERATOR_VERSION = 8
 """Version of the generator: numbers change only with it."""
 PROPORTIONS: Mapping[str, float] = {"null": 0.20, "single": 0.38, "double": 0.15, "triple": 0.04, "outside": 0.15, "bad_log": 0.08}
 """Share of the cases of each kind in the set `mixed`, as DIAGNOSIS.md has them."""

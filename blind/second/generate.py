@@ -30,7 +30,7 @@ from robomill.blind.truth import TrueEffect, TrueFault, TrueOutside, Truth
 from robomill.blind.world import TRACKER, nominal, simulate_nominal
 from robomill.orchestration.errors import RunError
 
-VERSION = 4
+VERSION = 5
 """Version of this generator: numbers change only with it."""
 LATE = (5e-3, 40e-3)
 """Delay [s] of the late clock of a machine, from and to."""
