@@ -135,14 +135,14 @@ def left_by(before: float, after: float, misfit: float = MISFIT, kinds: int = 1,
     return float(logsumexp(log_likelihood + right + step) - logsumexp(log_likelihood + other + step))
 
 
-def most_left(looks: Sequence[tuple[float, float]]) -> float:
+def most_left(looks: Sequence[tuple[float, float]], elsewhere: float = 0.0) -> float:
     """Log Bayes factor for a right model against a stand-in [nats], from several looks at what it leaves of one gap.
 
     Each look has its log Bayes factor, and that which it would have if nothing were left (`left_by`). The look with the largest gap is
     the sharpest. The share that is left is the largest that any of them sees: what the others close is no merit, where a catalogue has
-    nothing for the rest.
+    nothing for the rest. `elsewhere`: what the look in new conditions loses, 0 or less (`Transfer.fails`).
     """
-    return max(most for _, most in looks) + min(odds - most for odds, most in looks)
+    return max(most for _, most in looks) + min(elsewhere, *(odds - most for odds, most in looks))
 
 
 def worsened(evidence: Evidence, nominal: FloatArray, left: FloatArray, signature: FloatArray) -> float:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robomill.diagnosis.experiment.simulation import setting
-from robomill.diagnosis.inference.adequacy import CONDITIONS, KEEPS, MISFIT, kept, left_by, misfit, worsened
+from robomill.diagnosis.inference.adequacy import CONDITIONS, KEEPS, LEVEL, MISFIT, kept, left_by, misfit, worsened
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.evidence import gather
 from robomill.diagnosis.inference.fitting import POLISH
@@ -64,8 +64,13 @@ class Transfer:
 
     @property
     def fails(self) -> float:
-        """Log Bayes factor for a right model against any stand-in, where too much is left: a right one, and one that holds, leave less."""
-        return min(self._left, self.worse, 0.0)
+        """What the log Bayes factor for a right model against any stand-in loses, where more is left or made worse than by a right one.
+
+        It is 0 or less, and that of one more look at the share that the model leaves (`most_left`): what it closes in the diagnosed
+        conditions is no merit, where it leaves more in new ones.
+        """
+        most = left_by(self.before, min(self.after, LEVEL), self.misfit, conditions=self.conditions)
+        return min(self._left - most, self.worse, 0.0)
 
     @property
     def _left(self) -> float:

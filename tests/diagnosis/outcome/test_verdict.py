@@ -39,7 +39,7 @@ def search(candidates: tuple[Candidate, ...] = (), explainable: float = 0.0, gue
         levels=lambda left: np.array([[left[0]]]),
         guess=guess,
     )
-    none = [], np.zeros(0), np.zeros(0)
+    none = [], np.zeros(0), np.zeros((0, 0))
     made = SimpleNamespace(candidates=candidates, evidence=evidence, explainable=lambda left: explainable, numbers=lambda fit: none)
     return cast(Any, made)
 
@@ -78,6 +78,15 @@ class TestTested:
         assert found.nothing == pytest.approx(expit(-(math.log(0.98 / 0.02) - 3.0)), rel=1e2 * ROUNDOFF)
         odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(9.0, 1.3) + moved.worth
         assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
+
+    def test_what_is_closed_here_is_no_merit_where_more_is_left_elsewhere(self, tmp_path: Path) -> None:
+        """Of a gap of 90 nothing is left, and a seventh of one of 70 in new conditions: as if a seventh was left here."""
+        effect = catalogue(tmp_path).candidates[:1]
+        little, much = (Transfer(70.0, after, 100.0, 100.0, 0.02, 1.0, 0.02) for after in (1.3, 11.0))
+        found = [verdict.tested(search(), fit(90.0), fit(1.3, effect), 0.001, 0.001, m, 0.02, STEADY).p_fit for m in (little, much)]
+        assert found[1] < 0.3 < 0.9 < found[0]
+        odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(90.0, 1.3) + kept(much.promise) + left_by(70.0, 11.0) - left_by(70.0, 1.3)
+        assert found[1] == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
 
     def test_what_is_left_of_several_conditions_is_that_of_the_worst_one(self, tmp_path: Path) -> None:
         effect = catalogue(tmp_path).candidates[:1]
@@ -186,7 +195,7 @@ class TestJudged:
         assert prior + left_by(1.5, 1.5) > 0.0 > prior + left_by(1.8, 1.8)
         for off, says in ((0.5, "none"), (8.0, "unknown")):
             made = search()
-            made.numbers = lambda fit, off=off: ([], np.array([off]), np.array([0.1]))
+            made.numbers = lambda fit, off=off: ([], np.array([off]), np.array([[0.1]]))
             assert judged(made, SURE, fit(1.0), fit(1.0), steady, {}, False) == says
 
     def test_a_gap_in_new_conditions_is_one(self, tmp_path: Path) -> None:
