@@ -183,8 +183,8 @@ def within_tolerances(means: FloatArray, covariance: FloatArray, guess: float = 
     the variance of the data, where noise is a guess (`Evidence.guess`).
 
     Each of the k numbers is off with these odds over k. Where one explains what several seem to be off by, that counts once: the likeliest
-    is set free, then the likeliest beside it, while Cauchy is likelier than normal. With S_j the sum of the ratios of these two likelihoods,
-    where j - 1 are free, j numbers that are off have the ratio S_1 S_2 ... S_j / j!. The others are as if each were alone.
+    is set free, then the likeliest beside it, while Cauchy is likelier than normal. With S_j the sum of the ratios of these two, where
+    j - 1 are free, j numbers that are off have the ratio S_1 S_2 ... S_j / j!. The others are as if each were alone.
     """
     seen = np.diag(covariance) < _UNSEEN
     means, covariance, k = means[seen], covariance[np.ix_(seen, seen)], int(seen.sum())
