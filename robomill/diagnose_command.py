@@ -38,6 +38,7 @@ from robomill.models.model.cache import source_files
 from robomill.models.model.declaration import Model
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.system.definition import Component, System
+from robomill.report.units import percent
 from robomill.tables import say
 
 CATALOGUE = "catalogue.toml"
@@ -299,13 +300,7 @@ def lines(answer: Answer) -> list[str]:
     if rest := answer.which[shown:]:
         out.append(f"which: {len(rest)} more, with probabilities up to {rest[0].probability:.2f}, in the report")
     out += [f"calibrated: {p.text}" for p in answer.calibrated or ()]
-    if t := answer.transfer:
-        gain = f"gains {t.gain:.4g} nats of {t.expected_gain:.4g} expected"
-        out.append(f"new conditions: {gain}, leaves {t.after:.2f} times the chi2 of noise and discrepancy, nominal {t.before:.2f}")
-    for h in answer.how_far:
-        if h.unit != "1":
-            closed = "not measurable" if h.closure is None else f"closure {100 * h.closure:.0f} %"
-            out.append(f"how far: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}, {closed}")
+    out += _gap_lines(answer)
     if answer.unknown:
         for x in answer.unknown.instead:
             there = ", ".join(x.ports)
@@ -320,6 +315,21 @@ def lines(answer: Answer) -> list[str]:
             out.append(f"form: the effects that are nearest close more of the whole gap, {closed}")
     if answer.next_run:
         out.append(f"next run: {answer.next_run.text}")
+    return out
+
+
+def _gap_lines(answer: Answer) -> list[str]:
+    """What tolerances take of the gap, where that is all; what the best model is worth in new conditions; how far it closes the gap."""
+    out = []
+    if answer.verdict == "none" and (gap := answer.gap) is not None and gap.before > gap.noise:
+        out.append(f"gap: {percent(gap.within_calibration / gap.before)} of it lies within the tolerances of calibrated numbers")
+    if t := answer.transfer:
+        gain = f"gains {t.gain:.4g} nats of {t.expected_gain:.4g} expected"
+        out.append(f"new conditions: {gain}, leaves {t.after:.2f} times the chi2 of noise and discrepancy, nominal {t.before:.2f}")
+    for h in answer.how_far:
+        if h.unit != "1":
+            closed = "not measurable" if h.closure is None else f"closure {100 * h.closure:.0f} %"
+            out.append(f"how far: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}, {closed}")
     return out
 
 

@@ -206,6 +206,19 @@ class TestContent:
         )
         assert not [line for line in lines(subject("ambiguous").answer) if line.startswith("new conditions")]  # nothing was held out
 
+    def test_where_there_is_no_effect_sentences_say_how_much_of_the_gap_tolerances_take(self, subject: Callable[[str], Subject]) -> None:
+        answer = subject("none").answer
+        assert answer.gap is not None
+
+        def said(**gap: float) -> list[str]:
+            return [line for line in lines(replace(answer, gap=replace(answer.gap, **gap))) if line.startswith("gap")]
+
+        assert said(before=50.0, within_calibration=47.0, noise=3.0) == [
+            "gap: 94\N{NO-BREAK SPACE}% of it lies within the tolerances of calibrated numbers"
+        ]
+        assert not said(before=2.0, within_calibration=1.0, noise=3.0)  # there is none
+        assert not [line for line in lines(subject("identified").answer) if line.startswith("gap")]
+
     def test_what_closes_next_to_nothing_is_listed_as_no_cause(self, subject: Callable[[str], Subject]) -> None:
         answer = subject("identified").answer
         (first, *_) = answer.which
