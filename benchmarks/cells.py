@@ -17,7 +17,8 @@ from robomill.blind.world import measure
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system, ports_of
 from robomill.cell.experiments import Experiment, load_experiment, run_condition
-from robomill.diagnosis.catalogue import LOGGING, Address, Catalogue
+from robomill.diagnosis.candidates import LOGGING, Address
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.preparation import prepared
 from robomill.files import FILES

@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import Address, Candidate, Catalogue
+from robomill.diagnosis.candidates import Address, Candidate
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.design import Design, Kind
 from robomill.diagnosis.experiment.preparation import Prepared, prepared

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import LOGGING, Address, Catalogue, Nuisance
+from robomill.diagnosis.candidates import LOGGING, Address, Nuisance
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.experiment.simulation import Report, Simulator, setting

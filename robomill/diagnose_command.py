@@ -17,7 +17,8 @@ from tempfile import TemporaryDirectory
 from robomill.cell import next_runs
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
-from robomill.diagnosis.catalogue import LOGGING, Catalogue
+from robomill.diagnosis.candidates import LOGGING
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.check import check
 from robomill.diagnosis.engine import diagnose_campaign
 from robomill.diagnosis.experiment.campaign import Campaign, load_campaign

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from robomill.diagnose_command import ANSWER, lines, write
-from robomill.diagnosis.catalogue import Address, Catalogue
+from robomill.diagnosis.candidates import Address
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.localisation.where import Where
 from robomill.diagnosis.outcome.answer import Diagnosis, Which
 from robomill.diagnosis.outcome.closure import HowFar

@@ -11,7 +11,8 @@ from typing import Any
 from benchmarks.recordings.cases import Case
 from benchmarks.recordings.yardstick import Fitted, View, closures, fit, left_one_out
 from robomill.cell.binding import convert, resolve
-from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue
+from robomill.diagnosis.candidates import LOGGING, Address, Candidate
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.outcome.answer import Diagnosis
 

@@ -24,7 +24,7 @@ from benchmarks.recordings.table import row
 from benchmarks.recordings.taken_out import RECORDINGS
 from benchmarks.recordings.yardstick import View, closures, fit
 from robomill.cell.binding import convert, resolve
-from robomill.diagnosis.catalogue import Address, Candidate, physical
+from robomill.diagnosis.candidates import Address, Candidate, physical
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.inference.intervals import MATERIAL
 from robomill.diagnosis.inference.noise import fast

@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from benchmarks.recordings.cases import Case
 from robomill.cell.binding import convert, resolve
-from robomill.diagnosis.catalogue import Address, Candidate, physical
+from robomill.diagnosis.candidates import Address, Candidate, physical
 from robomill.diagnosis.experiment.measured import driven, known_parameters
 from robomill.orchestration.assembly import run as simulated
 from robomill.orchestration.runs.run import Run

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import Address
+from robomill.diagnosis.candidates import Address
 from robomill.orchestration.assembly import MEASURED
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray, PortData

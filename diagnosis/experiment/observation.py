@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import lfilter
 
-from robomill.diagnosis.catalogue import selects
+from robomill.diagnosis.candidates import selects
 from robomill.orchestration.slaves.protocol import FloatArray
 
 

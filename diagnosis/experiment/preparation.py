@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from robomill.diagnosis.catalogue import LOGGING, Address, Catalogue, Nuisance
+from robomill.diagnosis.candidates import LOGGING, Address, Nuisance
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.measured import Condition, DataError, in_units
 from robomill.diagnosis.experiment.simulation import Laboratory

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from robomill.diagnosis.catalogue import LOGGING, Address, Refinement, physical, selects
+from robomill.diagnosis.candidates import LOGGING, Address, physical, selects
+from robomill.diagnosis.catalogue import Refinement
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.observation import observe
 from robomill.diagnosis.experiment.pool import pool

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import LOGGING, Candidate
+from robomill.diagnosis.candidates import LOGGING, Candidate
 from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate, setting
 from robomill.diagnosis.forms.library import Term

@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import LOGGING, Candidate
+from robomill.diagnosis.candidates import LOGGING, Candidate
 from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT
 from robomill.diagnosis.inference.search import SINGLES, Search
 from robomill.diagnosis.outcome.closure import BLOCKS

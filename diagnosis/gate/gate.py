@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import Candidate, Nuisance
+from robomill.diagnosis.candidates import Candidate, Nuisance
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.segments import playing
 from robomill.diagnosis.experiment.simulation import Laboratory, Setting, Simulator, setting

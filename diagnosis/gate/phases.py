@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.candidates import Candidate
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate, setting
 from robomill.diagnosis.gate.checks import Finding

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import LOGGING, Candidate
+from robomill.diagnosis.candidates import LOGGING, Candidate
 from robomill.diagnosis.experiment.measured import Condition, DataError, common_grid, known_parameters
 from robomill.diagnosis.experiment.segments import by_array
 from robomill.diagnosis.gate.checks import BREAK, PART, SINGLE, Finding

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp, voigt_profile
 from scipy.stats import norm
 
-from robomill.diagnosis.catalogue import LOGGING
+from robomill.diagnosis.candidates import LOGGING
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.evidence import FORM, TRUST, Evidence
 from robomill.orchestration.slaves.protocol import FloatArray

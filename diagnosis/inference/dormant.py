@@ -12,7 +12,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
+from robomill.diagnosis.candidates import Address, Candidate, Nuisance
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.simulation import Setting, Simulator, setting
 from robomill.diagnosis.inference.estimation import Fit, leave_one_out, quadratic_fit
 from robomill.diagnosis.inference.fitting import POLISHED, evidence_of

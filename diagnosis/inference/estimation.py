@@ -23,7 +23,7 @@ import numpy as np
 from scipy.sparse import csc_array, hstack
 from scipy.special import logsumexp
 
-from robomill.diagnosis.catalogue import Address, Candidate
+from robomill.diagnosis.candidates import Address, Candidate
 from robomill.orchestration.slaves.protocol import FloatArray
 
 Model = tuple[Candidate, ...]

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.fft import dct
 from scipy.sparse import csc_array, hstack
 
-from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, selects
+from robomill.diagnosis.candidates import LOGGING, Address, Candidate, selects
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.experiment.simulation import Laboratory
 from robomill.diagnosis.inference.estimation import Model, Space

@@ -9,7 +9,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
+from robomill.diagnosis.candidates import Address, Candidate, Nuisance
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.simulation import Simulator, setting
 from robomill.diagnosis.inference.adequacy import FALSE_ALARM, beyond
 from robomill.diagnosis.inference.estimation import Fit, Gram, Model, Space, quadratic_fit, scaled_bounds, solved

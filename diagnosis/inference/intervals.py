@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
-from robomill.diagnosis.catalogue import Address
+from robomill.diagnosis.candidates import Address
 from robomill.diagnosis.experiment.simulation import setting
 from robomill.diagnosis.inference.estimation import Fit, Model
 from robomill.diagnosis.inference.evidence import FORM

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.candidates import Candidate
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.orchestration.slaves.protocol import FloatArray
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import logsumexp
 
-from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.candidates import Candidate
 from robomill.diagnosis.inference.estimation import Fit, Model
 from robomill.orchestration.slaves.protocol import FloatArray
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.candidates import Candidate
 from robomill.diagnosis.experiment.simulation import setting
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.fitting import POLISH

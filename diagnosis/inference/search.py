@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import LOGGING, Candidate, Catalogue, Nuisance
+from robomill.diagnosis.candidates import LOGGING, Candidate, Nuisance
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.simulation import Simulator, setting
 from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, MISFIT, UNKNOWN, unexplained
 from robomill.diagnosis.inference.estimation import Fit, Gram, leave_one_out

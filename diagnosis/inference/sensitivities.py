@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance
+from robomill.diagnosis.candidates import LOGGING, Address, Candidate, Nuisance
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.simulation import FINER, Simulator, setting
 from robomill.diagnosis.inference.estimation import Space
 from robomill.diagnosis.inference.evidence import Evidence, gather

@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 from scipy.special import logsumexp
 
-from robomill.diagnosis.catalogue import LOGGING, Address, Candidate
+from robomill.diagnosis.candidates import LOGGING, Address, Candidate
 from robomill.diagnosis.inference.estimation import Fit, Model, leave_one_out, scaled_bounds, solve
 from robomill.diagnosis.inference.intervals import Problem
 from robomill.diagnosis.inference.priors import log_priors, probabilities

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from robomill.diagnosis.catalogue import LOGGING, Candidate
+from robomill.diagnosis.candidates import LOGGING, Candidate
 from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
 from robomill.orchestration.slaves.protocol import FloatArray

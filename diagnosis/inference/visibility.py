@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import LOGGING, Candidate
+from robomill.diagnosis.candidates import LOGGING, Candidate
 from robomill.diagnosis.experiment.simulation import Simulator, setting
 from robomill.diagnosis.inference.estimation import Space
 from robomill.diagnosis.inference.evidence import Evidence

@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import uniform
 
-from robomill.diagnosis.catalogue import LOGGING, Address, Catalogue, Nuisance
+from robomill.diagnosis.candidates import LOGGING, Address, Nuisance
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.experiment.repeats import RESAMPLES, bootstrapped, over_pairs

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import Candidate, Catalogue, Nuisance
+from robomill.diagnosis.candidates import Candidate, Nuisance
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.experiment.repeats import as_share
 from robomill.diagnosis.experiment.segments import Structure, structure

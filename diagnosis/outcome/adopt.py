@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from robomill.diagnosis.catalogue import LOGGING, Address
+from robomill.diagnosis.candidates import LOGGING, Address
 from robomill.models.components.correction import read_form
 from robomill.models.components.file_names import FORM
 from robomill.orchestration.errors import SystemFileError, unknown

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import Address
+from robomill.diagnosis.candidates import Address
 from robomill.diagnosis.experiment.design import Kind
 from robomill.diagnosis.experiment.segments import Structure
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, decimate

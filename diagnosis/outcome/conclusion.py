@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, physical
+from robomill.diagnosis.candidates import LOGGING, Address, Candidate, physical
 from robomill.diagnosis.experiment.repeats import as_share
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, setting
 from robomill.diagnosis.forms.instead import Laws, laws

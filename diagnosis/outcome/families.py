@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.candidates import Candidate
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.orchestration.slaves.protocol import FloatArray
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from robomill.diagnosis.catalogue import Address
+from robomill.diagnosis.candidates import Address
 from robomill.diagnosis.experiment.segments import by_array
 from robomill.diagnosis.experiment.simulation import setting
 from robomill.diagnosis.inference.search import Search

@@ -20,7 +20,7 @@ from itertools import combinations, repeat
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import physical
+from robomill.diagnosis.candidates import physical
 from robomill.diagnosis.experiment.design import SEARCHED, Design, Kind, Offer, searched
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import DRAWS, Laboratory, Setting, Simulator, setting

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from robomill.diagnosis.catalogue import Address, Candidate, physical
+from robomill.diagnosis.candidates import Address, Candidate, physical
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.outcome.how_far import Closing
 

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import expit
 
-from robomill.diagnosis.catalogue import LOGGING, Address, Candidate
+from robomill.diagnosis.candidates import LOGGING, Address, Candidate
 from robomill.diagnosis.inference.adequacy import (
     CONDITIONS,
     LEVEL,

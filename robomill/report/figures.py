@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from robomill.diagnosis.catalogue import LOGGING
+from robomill.diagnosis.candidates import LOGGING
 from robomill.diagnosis.localisation.where import WHOLE, Where
 from robomill.diagnosis.outcome.answer import Visible
 from robomill.orchestration.slaves.protocol import FloatArray, base_name

@@ -13,7 +13,7 @@ from benchmarks.recordings.cases import PREPARED, Case, cases, prepare
 from benchmarks.recordings.earlier import earlier
 from benchmarks.recordings.measure import Closure, Outcome, Value, measured
 from benchmarks.recordings.yardstick import View, closures, fit, left_one_out
-from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.candidates import Candidate
 from robomill.orchestration.runs.run import Run
 from tests import ROOT
 from tests.tolerances import EXACT, physics

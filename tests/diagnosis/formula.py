@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from robomill.diagnosis.catalogue import Address, Candidate, Prior
+from robomill.diagnosis.candidates import Address, Candidate, Prior
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import Laboratory, Setting
 from robomill.orchestration.slaves.protocol import FloatArray

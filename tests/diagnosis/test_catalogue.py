@@ -9,7 +9,8 @@ import pytest
 from scipy.integrate import quad
 
 from robomill.cell.equipment import load_system
-from robomill.diagnosis.catalogue import AT, LOGGING, Candidate, Catalogue, CatalogueError, Prior, Tolerance, physical
+from robomill.diagnosis.candidates import AT, LOGGING, Candidate, CatalogueError, Prior, Tolerance, physical
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.fmus.components import COMPONENTS
 from robomill.models.model.units import convert
 from tests import SCENARIOS

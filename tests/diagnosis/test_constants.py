@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import COS, LOGGING, SIN, Candidate, Prior
+from robomill.diagnosis.candidates import COS, LOGGING, SIN, Candidate, Prior
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import Setting
 from robomill.diagnosis.gate import checks as gate

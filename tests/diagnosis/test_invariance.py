@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from robomill.cell.binding import convert
-from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.candidates import Candidate
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator

@@ -15,7 +15,8 @@ from robomill.cell.experiments import load_experiment
 from robomill.cell.next_runs import load_kinds
 from robomill.cell.points import PathError, read_points
 from robomill.cell.scenario import ScenarioError, load_scenario
-from robomill.diagnosis.catalogue import Catalogue, CatalogueError
+from robomill.diagnosis.candidates import CatalogueError
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.logs.mapping import load_mapping
 from robomill.logs.reading import LogError
 from robomill.orchestration.errors import OrchestrationError

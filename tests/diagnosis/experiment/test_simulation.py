@@ -13,7 +13,8 @@ import pytest
 
 from robomill.cell.binding import convert, resolve
 from robomill.cell.equipment import load_system
-from robomill.diagnosis.catalogue import LOGGING, Refinement
+from robomill.diagnosis.candidates import LOGGING
+from robomill.diagnosis.catalogue import Refinement
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import FINER, Laboratory, Setting, Simulator, refined, setting
 from robomill.files import FILES

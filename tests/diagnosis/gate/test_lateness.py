@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import selects
+from robomill.diagnosis.candidates import selects
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import sort_by_condition
 from robomill.orchestration.runs.run import Run

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from robomill.diagnose_command import lines, write
-from robomill.diagnosis.catalogue import Candidate, Catalogue, CatalogueError, Prior, physical
+from robomill.diagnosis.candidates import Candidate, CatalogueError, Prior, physical
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import Condition
 from robomill.diagnosis.experiment.simulation import Setting

@@ -13,7 +13,7 @@ import pytest
 from scipy.integrate import trapezoid
 from scipy.stats import beta, cauchy, multivariate_normal, norm
 
-from robomill.diagnosis.catalogue import LOGGING
+from robomill.diagnosis.candidates import LOGGING
 from robomill.diagnosis.inference.adequacy import (
     CONDITIONS,
     EXACT,

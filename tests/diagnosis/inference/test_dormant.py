@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import Address, Catalogue
+from robomill.diagnosis.candidates import Address
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.simulation import Simulator
 from robomill.diagnosis.inference.dormant import Beside, searched_beside
 from robomill.diagnosis.inference.estimation import Fit

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import dblquad, quad
 from scipy.stats import multivariate_normal
 
-from robomill.diagnosis.catalogue import Candidate, Prior
+from robomill.diagnosis.candidates import Candidate, Prior
 from robomill.diagnosis.inference.estimation import FORM_ERROR, Fit, Model, Space, leave_one_out, quadratic_fit, solved
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import EXACT, ROUNDOFF, discretisation

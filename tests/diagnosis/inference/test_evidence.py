@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import LOGGING, Address
+from robomill.diagnosis.candidates import LOGGING, Address
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.inference import evidence
 from robomill.diagnosis.inference.evidence import (

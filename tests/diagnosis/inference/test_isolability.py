@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import Candidate, Prior
+from robomill.diagnosis.candidates import Candidate, Prior
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.isolability import CONFUSABLE, distance, pairs
 from robomill.orchestration.slaves.protocol import FloatArray

@@ -14,7 +14,7 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import kstest
 
-from robomill.diagnosis.catalogue import COS, SIN, Candidate
+from robomill.diagnosis.candidates import COS, SIN, Candidate
 from robomill.diagnosis.inference import machines
 from robomill.diagnosis.inference.estimation import Space, quadratic_fit
 from robomill.diagnosis.inference.machines import MACHINES, p_none

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
-from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.candidates import Candidate
 from robomill.diagnosis.inference.estimation import Fit, Model
 from robomill.diagnosis.inference.priors import ANOTHER, NOTHING, log_posteriors, log_priors, probabilities
 from tests.diagnosis.inference.test_estimation import candidate

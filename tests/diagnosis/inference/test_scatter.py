@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.candidates import Candidate
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.noise import SPELL
 from robomill.diagnosis.inference.scatter import Scattered, by_chance, excess, levels, spell, with_chance

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import Address, Candidate, Catalogue, Nuisance
+from robomill.diagnosis.candidates import Address, Candidate, Nuisance
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import sort_by_condition
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import LOGGING, Address, Candidate, Catalogue, Nuisance, Refinement
+from robomill.diagnosis.candidates import LOGGING, Address, Candidate, Nuisance
+from robomill.diagnosis.catalogue import Catalogue, Refinement
 from robomill.diagnosis.experiment.simulation import FINER, Simulator, setting
 from robomill.diagnosis.inference import sensitivities
 from robomill.diagnosis.inference.adequacy import LEVEL, SPREAD

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import toeplitz
 from scipy.special import logsumexp
 
-from robomill.diagnosis.catalogue import Candidate
+from robomill.diagnosis.candidates import Candidate
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.inference.evidence import FORM
 from robomill.diagnosis.inference.intervals import Noise, Problem

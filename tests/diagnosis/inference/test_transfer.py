@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from robomill.diagnosis.catalogue import Address, Catalogue, Nuisance
+from robomill.diagnosis.candidates import Address, Nuisance
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.simulation import Simulator
 from robomill.diagnosis.inference.adequacy import EXACT, HOLDS, MISFIT, kept, left_by

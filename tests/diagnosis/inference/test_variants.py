@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from robomill.diagnosis.catalogue import COS, SIN, Address, Candidate, Catalogue, Prior, Shape, physical
+from robomill.diagnosis.candidates import COS, SIN, Address, Candidate, Prior, Shape, physical
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.simulation import Simulator
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.search import Search

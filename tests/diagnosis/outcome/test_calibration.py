@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import Address, Catalogue, Nuisance
+from robomill.diagnosis.candidates import Address, Nuisance
+from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.simulation import Simulator
 from robomill.diagnosis.inference.estimation import Fit

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robomill.diagnosis.catalogue import Candidate, Prior
+from robomill.diagnosis.candidates import Candidate, Prior
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.outcome.families import families
 from robomill.orchestration.slaves.protocol import FloatArray
