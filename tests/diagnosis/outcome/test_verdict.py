@@ -80,7 +80,7 @@ class TestTested:
         assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
 
     def test_what_is_closed_here_is_no_merit_where_more_is_left_elsewhere(self, tmp_path: Path) -> None:
-        """Of a gap of 90 nothing is left, and a seventh of one of 70 in new conditions: as if a seventh was left here."""
+        """Nothing is left of a gap of 90 here, and a seventh of one of 70 in new conditions: as if a seventh was left here."""
         effect = catalogue(tmp_path).candidates[:1]
         little, much = (Transfer(70.0, after, 100.0, 100.0, 0.02, 1.0, 0.02) for after in (1.3, 11.0))
         found = [verdict.tested(search(), fit(90.0), fit(1.3, effect), 0.001, 0.001, m, 0.02, STEADY).p_fit for m in (little, much)]
