@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
-from scipy.stats import beta, cauchy, multivariate_normal, norm
+from scipy.stats import beta, cauchy, gamma, multivariate_normal, norm
 
 from robomill.diagnosis.candidates import LOGGING
 from robomill.diagnosis.inference.adequacy import (
@@ -247,6 +247,42 @@ def test_how_alike_amplitudes_are_is_the_ratio_of_the_integrals_over_how_far_law
 def test_a_number_off_its_tolerance_is_the_ratio_of_the_integrals(mean: float, variance: float) -> None:
     right, other = (beside(mean, variance, odds / (1.0 + odds)) for odds in (MISJUDGED, 1.0))
     assert within_tolerances(np.array([mean]), np.array([[variance]])) == pytest.approx(math.log(right / other), abs=QUADRATURE)
+
+
+def mixed(found: FloatArray, noise: FloatArray, free: tuple[bool, bool]) -> float:
+    """Likelihood of two numbers that were found with this noise, [2, 2]; one that is free is Cauchy, the other N(0, 1).
+
+    A Cauchy number is normal with a precision that is Gamma(1/2, 1/2).
+    """
+    x, weights = np.polynomial.legendre.leggauss(60)
+    precisions = np.exp(9.0 * x - 5.0)
+    weights = 9.0 * weights * precisions * gamma.pdf(precisions, 0.5, scale=2.0)
+    first, other = (zip(1.0 / precisions, weights, strict=True) if f else [(1.0, 1.0)] for f in free)
+    covariances = [(noise + np.diag([v, w]), p * q) for (v, p), (w, q) in itertools.product(first, other)]
+    return sum(p * math.exp(-0.5 * found @ np.linalg.solve(c, found)) / math.sqrt(np.linalg.det(c)) for c, p in covariances)
+
+
+@pytest.mark.parametrize(
+    ("found", "noise"),
+    [
+        ([5.0, 5.0], [[0.05, 0.0], [0.0, 0.05]]),
+        ([4.0, 4.0], [[30.0, -29.9], [-29.9, 30.0]]),
+        ([6.0, 0.2], [[0.5, 0.4], [0.4, 0.5]]),
+        ([2.0, -1.0], [[1.0, 0.5], [0.5, 2.0]]),
+    ],
+    ids=["each is off", "their sum is", "one is", "none is"],
+)
+def test_numbers_that_the_data_know_together_are_the_ratio_of_the_sums_over_which_are_off(
+    found: list[float], noise: list[list[float]]
+) -> None:
+    y, n = np.array(found), np.array(noise)
+    covariance = np.linalg.inv(np.eye(2) + np.linalg.inv(n))
+    likelihood = {free: mixed(y, n, free) for free in itertools.product((False, True), repeat=2)}
+    right, other = (
+        sum((odds / 2.0) ** sum(free) * x for free, x in likelihood.items()) / (1.0 + odds / 2.0) ** 2 for odds in (MISJUDGED, 1.0)
+    )
+    # of two numbers that do nearly the same either may be free: both ways are summed, and what is free beside is known to a few 0.001
+    assert within_tolerances(covariance @ np.linalg.solve(n, y), covariance) == pytest.approx(math.log(right / other), abs=0.01)
 
 
 def test_what_one_number_explains_counts_once() -> None:
