@@ -76,7 +76,7 @@ def test_arms_of_any_inertia_follow_no_turn_of_the_spindle():
     runout = true("milling.runout", 20e-6)
     torque = {steps: slot(steps, runout)["milling.spindle_torque"].mean() for steps in (*INERTIA_STEPS, 2)}
     usual = torque[INERTIA_STEPS[0]]
-    assert all(torque[steps] == pytest.approx(usual, rel=1e-3) for steps in INERTIA_STEPS)
+    assert all(abs(torque[steps] / usual - 1.0) < 1e-3 for steps in INERTIA_STEPS)
     assert torque[2] < 0.98 * usual
 
 
