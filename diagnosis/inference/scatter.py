@@ -1,16 +1,17 @@
-"""What repeats scatter for a while in several arrays, and good machines do not: the mark of something that differs from run to run.
+"""What repeats scatter, or swing within samples, for a while in several arrays, and good machines do not.
 
-In the mean over repeats it nearly vanishes, and their scatter would be taken for noise. But noise of a device is there all the time, and
-what a simulation with other noise scatters is known. A correction that is lost now and then, or a cutter that every start of the spindle
-finds at another angle, is seen where something changes, and in all arrays behind it.
+The former is the mark of something that differs from run to run. In the mean over repeats it nearly vanishes, and their scatter would be
+taken for noise. The latter is faster than the samples, which are means. But noise of a device is there all the time, and what a simulation
+with other noise does is known. A correction that is lost now and then, or a cutter that every start of the spindle finds at another angle,
+is seen where something changes, and in all arrays behind it.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -27,31 +28,68 @@ from robomill.orchestration.slaves.protocol import FloatArray
 
 @dataclass(frozen=True)
 class Spell:
-    """A while in which repeats scatter more than those of a good machine."""
+    """A while in which repeats scatter, or swing within samples, more than those of a good machine."""
 
     channel: str
-    """The channel that scatters most."""
+    """The channel that does so most."""
     condition: str
     """Its condition."""
     span: tuple[float, float]
     """From when to when [s]."""
     times: float
-    """Scatter of the array that scatters second most over what it may, standard deviations."""
+    """Standard deviation of the array that is second most over what it may, over that."""
 
 
 def spell(search: Search) -> Spell | None:
     """The while in which two arrays scatter most over what they may, if that is SHOWS times it or more; None where there is none.
 
     Only of conditions that were measured three times or more, as time series, and simulated with different noise: what two runs differ by
-    is one number, which chance makes large in some spell. What is judged is the second array: what one device does alone is its noise.
+    is one number, which chance makes large in some spell.
+    """
+    e = search.evidence
+    over = {}
+    for i, edges in _repeated(search):
+        measured, known = (_variance([x[:, e.active] for x in runs], edges) for runs in (search.groups[i], e.nominals[i]))
+        over[i] = edges, excess(measured, known, e.discrepancy)
+    return _shown(search, over)
+
+
+def swing(search: Search, fit: Fit) -> Spell | None:
+    """The while in which two arrays swing most within samples over what a model does there, if that is SHOWS times it or more; else None.
+
+    A sample is the mean over several communication steps. What is faster, such as the turn of a spindle, is not in it, and no effect
+    explains it. Only of time series.
+    """
+    e, laboratory = search.evidence, search.simulator.laboratory
+    here = [i for i in range(len(search.groups)) if not e.independent[i] and laboratory.factor(i) > 1]
+    if not here:
+        return None
+    every = replace(laboratory, decimation=1)
+    with search.simulator.beside(every) as simulator:
+        simulated = simulator.repeated(here, setting(fit.values), POLISH, "all samples")
+    over = {}
+    for i, runs in zip(here, simulated, strict=True):
+        if runs is None:
+            continue
+        factor = laboratory.factor(i) // every.factor(i)
+        edges = _edges(len(search.groups[i][0]), e.decimation)
+        measured, known = (_within([x[:, e.active] for x in group], factor, edges) for group in (every.measured_in(i), runs))
+        over[i] = edges, excess(measured, known, e.discrepancy)
+    return _shown(search, over)
+
+
+def _shown(search: Search, over: Mapping[int, tuple[npt.NDArray[np.int_], FloatArray]]) -> Spell | None:
+    """The while in which the array that is second most over what it may is so most, if that is SHOWS times it or more.
+
+    `over`: index of a condition -> first samples of its spells, and variance over what it may be there, [spells, active channels]. What one
+    device does alone is its noise.
     """
     e, laboratory = search.evidence, search.simulator.laboratory
     names = [c for c, on in zip(laboratory.channels, e.active, strict=True) if on]
     found: Spell | None = None
-    for i, edges in _repeated(search):
-        condition, runs = list(e.space.blocks)[i], search.groups[i]
-        over = excess([x[:, e.active] for x in runs], e.nominals[i], e.discrepancy, edges) * (e.judged & e.there[i])
-        arrays = np.stack([over[:, e.arrays == a].max(axis=1) for a in np.unique(e.arrays)], axis=1)
+    for i, (edges, excesses) in over.items():
+        judged = excesses * (e.judged & e.there[i])
+        arrays = np.stack([judged[:, e.arrays == a].max(axis=1) for a in np.unique(e.arrays)], axis=1)
         if arrays.shape[1] <= 1:
             continue
         second = np.sort(arrays, axis=1)[:, -2]
@@ -59,7 +97,7 @@ def spell(search: Search) -> Spell | None:
         times = float(np.sqrt(second[k]))
         if times >= SHOWS and (found is None or times > found.times):
             begin, end = (float(laboratory.conditions[i].grid[0] + e.decimation * laboratory.system.step * j) for j in edges[k : k + 2])
-            found = Spell(names[int(over[k].argmax())], condition, (begin, end), times)
+            found = Spell(names[int(judged[k].argmax())], list(e.space.blocks)[i], (begin, end), times)
     return found
 
 
@@ -68,8 +106,13 @@ def _repeated(search: Search) -> Iterator[tuple[int, npt.NDArray[np.int_]]]:
     e = search.evidence
     for i, runs in enumerate(search.groups):
         if not e.independent[i] and min(len(runs), len(e.nominals[i])) - 1 > 1:
-            rows = max(1, round(SPELL / e.decimation))
-            yield i, np.linspace(0, len(runs[0]), max(1, len(runs[0]) // rows) + 1).astype(int)
+            yield i, _edges(len(runs[0]), e.decimation)
+
+
+def _edges(samples: int, decimation: int) -> npt.NDArray[np.int_]:
+    """First samples of the spells of a condition, and the end of the last one."""
+    rows = max(1, round(SPELL / decimation))
+    return np.linspace(0, samples, max(1, samples // rows) + 1).astype(int)
 
 
 @dataclass(frozen=True)
@@ -180,18 +223,31 @@ def with_chance(search: Search, fits: Sequence[Fit]) -> list[Fit]:
     return [f for f in fits if len(f.model) != 1 or f.model[0].name not in found] + list(found.values())
 
 
-def excess(runs: Sequence[FloatArray], simulated: Sequence[FloatArray], discrepancy: FloatArray, edges: npt.NDArray[np.int_]) -> FloatArray:
-    """Variance of repeats over what it may be, by spell and channel: [spells, channels].
+def excess(measured: FloatArray, known: FloatArray, discrepancy: FloatArray) -> FloatArray:
+    """Variance over what it may be, by spell and channel: [spells, channels].
 
-    `runs`, `simulated`: [samples, channels] each; `edges`: first samples of the spells, and the end of the last one. It may be that of the
-    usual spell (median), which noise has all the time, with that of the simulated repeats in this spell and the square of the `discrepancy`
-    [channels] of two formulations.
+    It may be that of the usual spell (median), which noise has all the time, with that of simulations in this spell (`known`) and the
+    square of the `discrepancy` [channels] of two formulations.
     """
-    measured, known = (_variance(x, edges) for x in (runs, simulated))
     return np.asarray(measured / (np.median(measured, axis=0) + known + discrepancy**2 + 1e-300))
 
 
 def _variance(runs: Sequence[FloatArray], edges: npt.NDArray[np.int_]) -> FloatArray:
     """Variance of repeats in each spell, [spells, channels]."""
     variance = np.stack(runs).var(axis=0, ddof=1)
+    return np.stack([variance[a:b].mean(axis=0) for a, b in itertools.pairwise(edges)])
+
+
+def _within(runs: Sequence[FloatArray], factor: int, edges: npt.NDArray[np.int_]) -> FloatArray:
+    """Variance within blocks of `factor` rows in each spell of blocks, mean over the runs: [spells, channels].
+
+    It is about the straight line through the mean of a block with the slope of the blocks around it: what moves steadily does not swing.
+    """
+    found = []
+    for x in runs:
+        blocks = x[: len(x) // factor * factor].reshape(-1, factor, x.shape[1])
+        means = blocks.mean(axis=1)
+        line = np.gradient(means, axis=0)[:, None] / factor * (np.arange(factor) - 0.5 * (factor - 1))[:, None]
+        found.append(((blocks - means[:, None] - line) ** 2).sum(axis=1) / (factor - 1))
+    variance = np.mean(found, axis=0)
     return np.stack([variance[a:b].mean(axis=0) for a, b in itertools.pairwise(edges)])

@@ -22,7 +22,7 @@ from robomill.diagnosis.inference.evidence import FORM
 from robomill.diagnosis.inference.intervals import Known, by_least_squares
 from robomill.diagnosis.inference.machines import p_none
 from robomill.diagnosis.inference.priors import log_posteriors, probabilities
-from robomill.diagnosis.inference.scatter import Spell, levels, spell
+from robomill.diagnosis.inference.scatter import Spell, levels, spell, swing
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.sets import weighed
 from robomill.diagnosis.inference.time_varying import Changing, changing
@@ -100,6 +100,11 @@ class Conclusion:
         """When something differs from run to run."""
         return spell(self.search)
 
+    @cached_property
+    def swings(self) -> Spell | None:
+        """When something swings within samples that the nominal system does not have there."""
+        return swing(self.search, self.fits[0])
+
     def marginal(self) -> dict[Candidate, float]:
         """Probability of each candidate, largest first: the sum of those of all models that it is in, if the best model is right.
 
@@ -152,9 +157,11 @@ class Conclusion:
             value = self.best.values[address] if known is None else known.values[address]  # as `which` has it
             text = SAID[kind].format(place=c.location, way="late" if value > 0.0 else "early", size=_size(value, c.unit))
             self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, faulty, not faulty))
+        if verdict == "none" and self.swings is not None:
+            verdict = "unknown"
+            self.findings.append(_within_samples(self.swings, self.search))
         if (x := self.differs) is not None:
-            text = f"differs from run to run: {x.times:.0f} times what good machines scatter, in another array, too"
-            text += f" ({x.condition}, {x.span[0]:.1f} to {x.span[1]:.1f} s)"
+            text = f"differs from run to run: {x.times:.0f} times what good machines scatter, in another array, too{_when(x)}"
             self.findings.append(gate.Finding(x.channel, "scatter", x.times, "1", text, fatal=False))
         pairs = isolability.pairs(self.fits, [c for c, p in marginal.items() if p >= LISTED], self.search.evidence.space)
         gap = Gap(
@@ -370,7 +377,7 @@ class Conclusion:
         if found.where:
             first = where[0]
             unknown = replace(unknown, component=first.component, direction=first.direction, regime=first.regime)
-        if (x := self.differs) is not None and not self.best.model:
+        if (x := self.differs or self.swings) is not None and not self.best.model:
             unknown = replace(unknown, component=x.channel.partition(".")[0], direction=direction_of(x.channel), regime=[list(x.span)])
         if other is not None:
             unknown = replace(unknown, changes=other)
@@ -408,3 +415,15 @@ def _size(value: float, unit: str) -> str:
     if unit == "s":
         return f"{1e3 * abs(value):.1f} ms" if abs(value) < 1.0 else f"{abs(value):.4g} s"
     return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
+
+
+def _when(spell: Spell) -> str:
+    """The condition and the while that something was seen in, in brackets."""
+    return f" ({spell.condition}, {spell.span[0]:.1f} to {spell.span[1]:.1f} s)"
+
+
+def _within_samples(x: Spell, search: Search) -> gate.Finding:
+    """What is faster than the samples of the diagnosis, and no effect can explain."""
+    sample = search.evidence.decimation * search.simulator.laboratory.system.step
+    text = f"swings within samples of {_size(sample, 's')}: {x.times:.0f} times what good machines do, in another array, too{_when(x)}"
+    return gate.Finding(x.channel, "swing", x.times, "1", text, fatal=False)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,11 +14,15 @@ import numpy as np
 import pytest
 
 from robomill.diagnosis.candidates import Candidate
+from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.noise import SPELL
-from robomill.diagnosis.inference.scatter import Scattered, by_chance, excess, levels, spell, with_chance
+from robomill.diagnosis.inference.scatter import Scattered, by_chance, excess, levels, spell, swing, with_chance
 from robomill.diagnosis.inference.visibility import SHOWS
+from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
+from tests.diagnosis import axis
+from tests.diagnosis.demo import changed
 from tests.diagnosis.formula import candidate
 from tests.tolerances import ROUNDOFF, chance
 
@@ -55,9 +63,9 @@ def unsteady(
 
 
 def test_excess_is_over_usual_scatter_that_of_simulated_repeats_and_discrepancy() -> None:
-    deviations, known = np.ones((4, 1)), np.zeros((4, 1))
-    deviations[2], known[2] = 6.0, 2.0
-    found = excess(repeats(deviations), repeats(known), np.array([3.0]), SPELL * np.arange(5))
+    measured, known = np.ones((4, 1)), np.zeros((4, 1))
+    measured[2], known[2] = 36.0, 4.0
+    found = excess(measured, known, np.array([3.0]))
     assert found[:, 0] == pytest.approx([1 / 10, 1 / 10, 36 / (1 + 4 + 9), 1 / 10], rel=ROUNDOFF)
 
 
@@ -155,3 +163,64 @@ def test_repeats_that_scatter_as_usual_have_no_such_effect() -> None:
     assert fit.log_evidence < 0.0
     search.groups = [search.groups[0][:2]]
     assert by_chance(search, c) is None
+
+
+TOLERANCES = """
+[[nuisance]]
+component = "drive"
+parameters = ["viscous"]
+absolute = 1e-4
+unit = "N.m.s/rad"
+source = "made up"
+
+[[nuisance]]
+component = "drive"
+parameters = ["angle_offset"]
+absolute = 1e-6
+unit = "rad"
+source = "made up"
+"""
+
+
+def swinging(times: float, columns: Sequence[str]) -> list[Run]:
+    """Two runs of 10 s of a good axis; for a second something swings to and fro from step to step, by so many deviations of the noise."""
+
+    def swings(t: FloatArray, x: FloatArray, size: float) -> FloatArray:
+        return x + size * np.where((t > 4.0) & (t < 5.0), (-1.0) ** np.arange(len(t)), 0.0)
+
+    runs = axis.measure(seconds=10.0, repeats=2)
+    for column in columns:
+        runs = changed(runs, column, lambda t, x, size=times * axis.NOISE[column]: swings(t, x, size))
+    return runs
+
+
+@pytest.mark.parametrize(
+    ("times", "columns", "verdict"),
+    [
+        (3.0 * SHOWS, ("drive.torque", "drive.angle"), "unknown"),
+        (0.3 * SHOWS, ("drive.torque", "drive.angle"), "none"),
+        (3.0 * SHOWS, ("drive.torque",), "none"),
+    ],
+    ids=["in both arrays", "too little", "in one array"],
+)
+def test_what_swings_within_samples_is_seen_though_their_means_are_those_of_a_good_machine(
+    tmp_path: Path, times: float, columns: Sequence[str], verdict: str
+) -> None:
+    found = axis.catalogue(tmp_path, more=TOLERANCES)
+    result = diagnose(axis.system(), swinging(times, columns), found, resolver=axis.resolve).result
+    assert result["verdict"] == verdict
+    said = [f["text"] for f in result["gate"]["findings"] if f["kind"] == "swing"]
+    if verdict == "none":
+        assert not said
+        return
+    text = r"swings within samples of 8.0 ms: (\d+) times what good machines do, in another array, too \(size 1.0, 4\.\d to [45]\.\d s\)"
+    (match,) = (re.fullmatch(text, t) for t in said)
+    assert match is not None
+    assert SHOWS < float(match[1]) <= 3.0 * SHOWS * math.sqrt(2.0)  # of two samples in a block the variance is twice the square
+    assert result["unknown"]["component"] == "drive"
+
+
+def test_where_a_sample_is_a_step_nothing_is_faster() -> None:
+    search = unsteady(1e3)
+    search.simulator.laboratory.factor = lambda index: 1
+    assert swing(search, Fit((), {}, {}, 0.0, 0.0)) is None
