@@ -49,8 +49,8 @@ def spell(search: Search) -> Spell | None:
     e = search.evidence
     over = {}
     for i, edges in _repeated(search):
-        measured, known = (_variance([x[:, e.active] for x in runs], edges) for runs in (search.groups[i], e.nominals[i]))
-        over[i] = edges, excess(measured, known, e.discrepancy)
+        measured = _variance([x[:, e.active] for x in search.groups[i]], edges)
+        over[i] = edges, excess(measured, _variance(e.nominals[i], edges), e.discrepancy)
     return _shown(search, over)
 
 

@@ -27,7 +27,8 @@ from tests.diagnosis.formula import candidate
 from tests.tolerances import ROUNDOFF, chance
 
 ROWS, STEP = 8 * SPELL, 0.01
-CHANNELS = ("a.x[1]", "a.x[2]", "b.y", "c.z")
+CHANNELS = ("idle.w", "a.x[1]", "a.x[2]", "b.y", "c.z")
+"""No effect changes the first one."""
 ARRAYS = np.array([0, 0, 1, 2])
 SIGNS = (1.0, -1.0, 0.0)
 """Three runs, two of them on both sides of their mean: the variance is the square of the deviation."""
@@ -47,7 +48,7 @@ def unsteady(
     known[5] = simulated
     evidence = SimpleNamespace(
         space=SimpleNamespace(blocks={"there": slice(0, 1)}),
-        active=np.ones(4, dtype=np.bool_),
+        active=np.arange(5) > 0,
         arrays=ARRAYS,
         nominals=[repeats(known)],
         discrepancy=np.zeros(4),
@@ -59,7 +60,8 @@ def unsteady(
     laboratory = SimpleNamespace(
         channels=CHANNELS, system=SimpleNamespace(step=STEP), conditions=[SimpleNamespace(grid=STEP * np.arange(ROWS))]
     )
-    return SimpleNamespace(evidence=evidence, groups=[repeats(deviations)[:runs]], simulator=SimpleNamespace(laboratory=laboratory))
+    groups = [repeats(np.hstack([np.full((8, 1), 1e3), deviations]))[:runs]]
+    return SimpleNamespace(evidence=evidence, groups=groups, simulator=SimpleNamespace(laboratory=laboratory))
 
 
 def test_excess_is_over_usual_scatter_that_of_simulated_repeats_and_discrepancy() -> None:
@@ -127,11 +129,14 @@ def drawn(true: float) -> tuple[Any, Candidate]:
         deviations = np.where(np.arange(ROWS) // SPELL == 5, size, 0.0)[:, None] * np.array([1.0, 0.0, 1.0, 0.0])
         return [deviations * rng.normal(size=(ROWS, 4)) + noise * rng.normal(size=(ROWS, 4)) for _ in range(6)]
 
+    def idle(runs: list[FloatArray]) -> list[FloatArray]:
+        return [np.hstack([np.zeros((ROWS, 1)), x]) for x in runs]
+
     def repeated(conditions: Any, changes: Any, count: int, what: str) -> list[list[FloatArray]]:
-        return [made(dict(changes).get(c.addresses[0], 0.0), 0.0, 3)]
+        return [idle(made(dict(changes).get(c.addresses[0], 0.0), 0.0, 3))]
 
     search = unsteady(1.0, runs=3)
-    search.groups = [made(true, 1.0, 7)]
+    search.groups = [idle(made(true, 1.0, 7))]
     search.evidence.nominals = [made(0.0, 0.0, 5)]
     search.evidence.space = SimpleNamespace(blocks={"there": slice(0, 1)}, y=np.zeros(4), chi2=0.0, dot=lambda a, b: float(a @ b))
     search.evidence.mean_signature = lambda group: np.zeros(4)
