@@ -46,7 +46,7 @@ BEGINNING, SETTLING = 25, 0.1
 its initial values, and settles."""
 SUDDEN, AROUND = 1.0, 10
 """Communication steps, at random, that a sudden change may come early or late: signals go from one component to the next with a step, so
-that what begins at an instant is seen up to a step later. Sudden is what changes otherwise than over so many steps before and after."""
+that what begins at an instant is seen up to a step later. Sudden is what is no straight line over so many steps before and after."""
 
 INTERPLAY: Address = ("", "interplay")
 """What stands for calibrated numbers together among the names of nuisances."""
@@ -260,7 +260,7 @@ def gather(
     # change of each channel in a communication step; measurements of their own are neither late nor sudden
     rates = [np.gradient(m, axis=0) / laboratory.decimation * (not apart) for m, apart in zip(means, independent, strict=True)]
     span = max(1, round(AROUND / laboratory.decimation))
-    abrupt = [_sudden(m, span) * (not apart) for m, apart in zip(means, independent, strict=True)]
+    bends = [_bend(m, span) * (not apart) for m, apart in zip(means, independent, strict=True)]
     arrays = np.unique([base_name(c) for c, on in zip(laboratory.channels, active, strict=True) if on], return_inverse=True)[1]
     size = _discrepancy(changes, sizes, tolerances if doubts is None else doubts, arrays)
     spectra = _spectra(
@@ -271,7 +271,7 @@ def gather(
         [(len(m), apart) for m, apart in zip(means, independent, strict=True)],
     )
     doubt = [np.sqrt(n) * size * np.ones_like(m) for m, n in zip(means, counts, strict=True)]
-    sudden = [np.hypot(SUDDEN / laboratory.decimation * r * np.sqrt(n), d) for r, n, d in zip(abrupt, counts, doubt, strict=True)]
+    sudden = [np.hypot(SUDDEN / laboratory.decimation * bend * np.sqrt(n), d) for bend, n, d in zip(bends, counts, doubt, strict=True)]
     residuals = [[w.apply(x - m, 1.0, s, on) for x in g] for w, g, m, s, on in zip(ws, groups, means, sudden, there, strict=True)]
     halves = [
         (w.apply(np.mean(g[::2], axis=0) - m, 1.0, s, on), w.apply(np.mean(g[1::2] or g, axis=0) - m, 1.0, s, on))
@@ -492,19 +492,15 @@ def _late(space: Space, clocks: Sequence[Candidate], channels: Sequence[str], si
     return frozenset(a for component, least in smallest.items() if moved[a := (LOGGING, f"lag {component}.*")] > least)
 
 
-def _sudden(x: FloatArray, span: int) -> FloatArray:
-    """How fast each sample changes otherwise than its surroundings do, per sample: the largest of all distances of up to `span` samples.
+def _bend(x: FloatArray, span: int) -> FloatArray:
+    """How far each sample is, per sample of distance, from the straight line between two that are up to `span` samples before and after it.
 
-    At a distance of k that is how far a sample is from the straight line between those k before and k after it, over k; or how far its own
-    slope is from that of this line, where it is half way through a change. What changes steadily is only late, if anything.
+    The largest of all distances. What changes steadily is only late, if anything.
     """
-    rate, slope = np.zeros_like(x), np.gradient(x, axis=0)
+    away = np.zeros_like(x)
     for k in range(1, min(span, (len(x) - 1) // 2) + 1):
-        before, here, after = x[: -2 * k], x[k:-k], x[2 * k :]
-        line = 0.5 * (after - before) / k
-        away = np.maximum(np.abs(here - 0.5 * (before + after)) / k, np.abs(slope[k:-k] - line))
-        rate[k:-k] = np.maximum(rate[k:-k], away)
-    return rate
+        away[k:-k] = np.maximum(away[k:-k], np.abs(x[k:-k] - 0.5 * (x[: -2 * k] + x[2 * k :])) / k)
+    return away
 
 
 def _moved(changes: Changes) -> npt.NDArray[np.bool_]:
