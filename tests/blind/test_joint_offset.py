@@ -15,7 +15,7 @@ from robomill.blind_command import diagnose_case
 @pytest.mark.slow
 def test_a_joint_offset_is_named_and_has_its_expected_gain_in_new_conditions(tmp_path: Path) -> None:
     (tmp_path / "sealed").mkdir()
-    make_case(tmp_path, Plan(1, "single", ("drive.joint_offset",)), seed=9094, tier="T1")
+    make_case(tmp_path, Plan(1, "single", ("drive.joint_offset",)), seed=9096, tier="T1")
     (truth,) = json.loads((tmp_path / "sealed" / "0001.json").read_text())["effects"]
     diagnose_case(tmp_path / "cases" / "0001", tmp_path)
     result = json.loads((tmp_path / "diagnosis.json").read_text())
