@@ -61,10 +61,10 @@ def swing(search: Search, fit: Fit) -> Spell | None:
     explains it. Only of time series.
     """
     e, laboratory = search.evidence, search.simulator.laboratory
-    here = [i for i in range(len(search.groups)) if not e.independent[i] and laboratory.factor(i) > 1]
-    if not here:
+    if e.decimation == 1:
         return None
     every = replace(laboratory, decimation=1)
+    here = [i for i in range(len(search.groups)) if not e.independent[i] and laboratory.factor(i) >= 2 * every.factor(i)]
     with search.simulator.beside(every) as simulator:
         simulated = simulator.repeated(here, setting(fit.values), POLISH, "all samples")
     over = {}
