@@ -140,7 +140,7 @@ def most_left(looks: Sequence[tuple[float, float]], elsewhere: float = 0.0) -> f
 
     Each look has its log Bayes factor, and that which it would have if nothing were left (`left_by`). The look with the largest gap is
     the sharpest. The share that is left is the largest that any of them sees: what the others close is no merit, where a catalogue has
-    nothing for the rest. `elsewhere`: what the look in new conditions loses, 0 or less (`Transfer.fails`).
+    nothing for the rest. `elsewhere`: what the look in new conditions loses, 0 or less (`Transfer.loses`).
     """
     return max(most for _, most in looks) + min(elsewhere, *(odds - most for odds, most in looks))
 

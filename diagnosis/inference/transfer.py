@@ -64,6 +64,11 @@ class Transfer:
 
     @property
     def fails(self) -> float:
+        """Log Bayes factor for a right model against any stand-in, where too much is left: a right one, and one that holds, leave less."""
+        return min(self._left, self.worse, 0.0)
+
+    @property
+    def loses(self) -> float:
         """What the log Bayes factor for a right model against any stand-in loses, where more is left or made worse than by a right one.
 
         It is 0 or less, and that of one more look at the share that the model leaves (`most_left`): what it closes in the diagnosed

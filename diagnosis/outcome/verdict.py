@@ -108,12 +108,15 @@ def tested(
     # the first look is at the worst condition, the others at all together
     ways = ((channels, len(evidence.space.blocks)), (catalogue, CONDITIONS), (scatter, CONDITIONS))
     seen = [(left_by(b, a, *shape, n), left_by(b, min(a, LEVEL), *shape, n)) for (b, a), n in ways]
-    elsewhere = moved.fails if moved is not None else 0.0
-    fits += together(most_left(seen, elsewhere), worsened(evidence, before, after, best.signature))
+    known = evidence.guess <= 1.0  # else what is left in new conditions is of a noise that is a guess, and counts by itself
+    fits += together(
+        most_left(seen, moved.loses if moved is not None and known else 0.0), worsened(evidence, before, after, best.signature)
+    )
     holds = held_together(search, best)
     if moved is not None:
         odds += moved.gain
         holds += moved.holds
+        fits += moved.fails if not known else 0.0
     fits += kept(holds) + within_tolerances(*search.numbers(best)[1:], evidence.guess)
     # a lag of the machine leaves what the clocks leave, and does what they do in new conditions
     fits = -float(np.logaddexp(-fits, common_lag(search, best) + math.log(UNLISTED) - math.log(1.0 - UNLISTED)))

@@ -76,7 +76,7 @@ class TestTested:
         moved = Transfer(4.0, 1.5, -3.0, 20.0, 0.1, 0.6, 0.1)
         found = verdict.tested(search(), fit(9.0), fit(1.3, effect), 0.02, 0.01, moved, 0.02, STEADY)
         assert found.nothing == pytest.approx(expit(-(math.log(0.98 / 0.02) - 3.0)), rel=1e2 * ROUNDOFF)
-        odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(9.0, 1.3) + moved.worth
+        odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(9.0, 1.3) + kept(moved.holds) + moved.loses
         assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
 
     def test_what_is_closed_here_is_no_merit_where_more_is_left_elsewhere(self, tmp_path: Path) -> None:
@@ -88,6 +88,10 @@ class TestTested:
         assert found[1] < 0.3
         odds = math.log((1.0 - UNLISTED) / UNLISTED) + left_by(90.0, 1.3) + kept(much.promise) + left_by(70.0, 11.0) - left_by(70.0, 1.3)
         assert found[1] == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
+        guessed = search()  # where noise is a guess, what is left there counts by itself
+        guessed.evidence.guess = 5.0
+        apart = verdict.tested(guessed, fit(90.0), fit(1.3, effect), 0.001, 0.001, much, 0.02, STEADY).p_fit
+        assert apart == pytest.approx(expit(odds + left_by(70.0, 1.3)), rel=1e2 * ROUNDOFF)
 
     def test_what_is_left_of_several_conditions_is_that_of_the_worst_one(self, tmp_path: Path) -> None:
         effect = catalogue(tmp_path).candidates[:1]
