@@ -158,7 +158,7 @@ def nominal(place: Place) -> Cell:
         _many("drive", "payload_com_F"),
         _many("drive", "payload_inertia"),
     )
-    return Cell(flexure, drive, cut, sensor, control, dynamics, 4)
+    return Cell(flexure, drive, cut, sensor, control, dynamics, INERTIA_STEPS[0])
 
 
 def perturbed(c: Cell, draws: np.random.Generator) -> tuple[Cell, dict[str, dict[str, Any]]]:

@@ -213,9 +213,10 @@ class TestContent:
         def said(**gap: float) -> list[str]:
             return [line for line in lines(replace(answer, gap=replace(answer.gap, **gap))) if line.startswith("gap")]
 
-        assert said(before=50.0, within_calibration=47.0, noise=3.0) == [
-            "gap: 94\N{NO-BREAK SPACE}% of it lies within the tolerances of calibrated numbers"
-        ]
+        known = "gap: 94\N{NO-BREAK SPACE}% of it lies within the tolerances of calibrated numbers"
+        assert said(before=50.0, within_calibration=47.0, noise=3.0, noise_is_a_guess=False) == [known]
+        guessed = f"{known}; whether the rest is noise is a guess"
+        assert said(before=50.0, within_calibration=47.0, noise=3.0, noise_is_a_guess=True) == [guessed]
         assert not said(before=2.0, within_calibration=1.0, noise=3.0)  # there is none
         assert not [line for line in lines(subject("identified").answer) if line.startswith("gap")]
 
