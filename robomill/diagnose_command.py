@@ -29,6 +29,7 @@ from robomill.diagnosis.forms.layout import Form
 from robomill.diagnosis.inference.adequacy import FALSE_ALARM
 from robomill.diagnosis.outcome import adopt
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, as_json
+from robomill.diagnosis.outcome.reasons import WHY
 from robomill.files import FILES, vacant
 from robomill.fmus.components import NAMES, companion, component, home, is_component
 from robomill.fmus.python.builder import build
@@ -303,6 +304,7 @@ def lines(answer: Answer) -> list[str]:
     out += [f"calibrated: {p.text}" for p in answer.calibrated or ()]
     out += _gap_lines(answer)
     if answer.unknown:
+        out += [f"unknown: the best model {WHY[reason]}" for reason in answer.unknown.why]
         for x in answer.unknown.instead:
             there = ", ".join(x.ports)
             part = "more than all" if x.gain > 1.0 else f"{100 * x.gain:.1f} %"  # an effect may make the gap larger

@@ -33,6 +33,7 @@ from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.families import Family
 from robomill.diagnosis.outcome.how_far import HARDEST_FIRST
 from robomill.diagnosis.outcome.next_run import NextRun
+from robomill.diagnosis.outcome.reasons import Reason
 from robomill.diagnosis.outcome.steps import Steps
 from robomill.diagnosis.outcome.verdict import Tests, Verdict
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
@@ -131,6 +132,8 @@ class Unknown:
     """As in `Where`."""
     nearest: str
     """Name of the best model."""
+    why: tuple[Reason, ...] = ()
+    """What speaks against that model (`outcome.reasons`)."""
     changes: Changing | None = None
     """What it is like if it changes with time."""
     instead: tuple[Instead, ...] = ()

@@ -36,6 +36,7 @@ from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Menu, Unkno
 from robomill.diagnosis.outcome.calibration import pulled
 from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, Closing, metrics
+from robomill.diagnosis.outcome.reasons import Reason, reasons
 from robomill.diagnosis.outcome.steps import steps
 from robomill.diagnosis.outcome.verdict import IDENTIFIED, at_bound, changes, judged, over_noise, share_left, tested
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -135,7 +136,8 @@ class Conclusion:
         tests = tested(search, nominal, self.best, self.nothing, rank, moved, self.false_alarm, levels(search, self.best))
         if (more := self.diagnosed) is not self.best:  # what takes an effect out does not make surer of the others
             whole = tested(search, nominal, more, self.nothing, rank, self.transfer(more), self.false_alarm, levels(search, more))
-            tests = replace(tests, p_fit=min(tests.p_fit, whole.p_fit))
+            if whole.p_fit < tests.p_fit:
+                tests = replace(tests, p_fit=whole.p_fit, odds=whole.odds)
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
         sure = {c.component == LOGGING for c in self.best.model if believed[c] >= IDENTIFIED}
         faulty = sure == {True} and not self.repair  # beside effects of the machine a fault of the log is corrected, and said
@@ -143,13 +145,14 @@ class Conclusion:
         # with repeats, noise is known, and what a model leaves says whether it is right
         tried = verdict in ("identified", "ambiguous") and search.evidence.once
         instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if tried else Laws()
-        if instead.found:
-            verdict = "unknown"
+        bound = at_bound(self.best.model, self.best.values)
         if verdict != "none":
             self.known = by_least_squares(search, self.best)
             free = {a: v for known in self.known.values() for a, v in known.values.items()}
-            if at_bound(self.best.model, self.best.values | free):  # with all of the catalogue beside it an effect goes as far as it may
-                verdict = "unknown"
+            # with all of the catalogue beside it an effect goes as far as it may
+            bound = bound or at_bound(self.best.model, self.best.values | free)
+        if instead.found or (bound and verdict != "none"):
+            verdict = "unknown"
         said = [c for c in clocks if self.repair or (believed[c] >= IDENTIFIED and verdict != "unknown")]
         for c in said if verdict != "none" else []:
             (address,), (kind, _, pattern) = c.addresses, c.parameters[0].partition(" ")
@@ -157,9 +160,10 @@ class Conclusion:
             value = self.best.values[address] if known is None else known.values[address]  # as `which` has it
             text = SAID[kind].format(place=c.location, way="late" if value > 0.0 else "early", size=_size(value, c.unit))
             self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, faulty, not faulty))
-        if verdict == "none" and self.swings is not None:
+        swings = self.swings if verdict == "none" else None
+        if swings is not None:
             verdict = "unknown"
-            self.findings.append(_within_samples(self.swings, self.search))
+            self.findings.append(_within_samples(swings, self.search))
         if (x := self.differs) is not None:
             text = f"differs from run to run: {x.times:.0f} times what good machines scatter, in another array, too{_when(x)}"
             self.findings.append(gate.Finding(x.channel, "scatter", x.times, "1", text, fatal=False))
@@ -205,8 +209,10 @@ class Conclusion:
                 predictive={f.name: f.predictive for f in self.fits if f.predictive},
             )
         if verdict == "unknown":
-            changes_with_time = self.other is not None and changes(search, self.best, self.other)
-            answer = self.described(answer, found, instead, self.other if changes_with_time else None)
+            other = self.other if self.other is not None and changes(search, self.best, self.other) else None
+            seen: dict[Reason, bool] = {"bound": bound, "changes": other is not None, "instead": bool(instead.found)}
+            seen |= {"runs": self.differs is not None and not self.best.model, "swing": swings is not None}
+            answer = self.described(answer, found, instead, other, reasons(tests, bool(self.best.model), seen))
         return answer, adopted
 
     def held_out(self) -> FloatArray:
@@ -371,9 +377,9 @@ class Conclusion:
         fits, weights = [self.fits[i] for i in rivals], [max(float(self.weights[i]), LISTED) for i in rivals]
         return next_run.recommend(fits, weights, kinds, self.search, self.simulator)
 
-    def described(self, answer: Answer, found: Located, instead: Laws, other: Changing | None) -> Answer:
+    def described(self, answer: Answer, found: Located, instead: Laws, other: Changing | None, why: tuple[Reason, ...]) -> Answer:
         """The answer with what is known of an effect that is not in the catalogue; `other`: what it is like if it changes with time."""
-        unknown, where = replace(self.unknown(), instead=instead.found), answer.where
+        unknown, where = replace(self.unknown(), why=why, instead=instead.found), answer.where
         if found.where:
             first = where[0]
             unknown = replace(unknown, component=first.component, direction=first.direction, regime=first.regime)

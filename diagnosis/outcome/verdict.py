@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -49,6 +49,27 @@ IDENTIFIED = 0.8
 
 
 @dataclass(frozen=True)
+class Odds:
+    """Log Bayes factors for the best model against the nearest thing in the catalogue [nats], by what they come from.
+
+    Their sum and the odds before the data (UNLISTED) are log(p_fit / (1 - p_fit)).
+    """
+
+    left: float
+    """What it leaves of the gap in the diagnosed runs."""
+    worse: float
+    """What it makes worse there; 0 or less."""
+    elsewhere: float
+    """What it leaves or makes worse in new conditions; 0 or less."""
+    alike: float
+    """How alike it acts in all conditions, the new ones included."""
+    calibrated: float
+    """How far calibrated numbers would have to be off."""
+    lag: float
+    """That its clocks are late alike, which one lag of the machine would be, too; 0 or less."""
+
+
+@dataclass(frozen=True)
 class Tests:
     """What the verdict rests on."""
 
@@ -60,6 +81,8 @@ class Tests:
     """Probability that the best model is right, rather than the nearest thing in the catalogue."""
     nothing: float
     """Probability of the nominal model, new conditions included."""
+    odds: Odds | None = None
+    """What `p_fit` is made of."""
 
 
 def looks(search: Search, fit: Fit) -> tuple[float, float]:
@@ -99,7 +122,6 @@ def tested(
     """
     odds = math.log1p(-nothing) - math.log(nothing) if 0.0 < nothing < 1.0 else math.copysign(math.inf, 0.5 - nothing)
     kinds = max(len({c.effect for c in best.model}), 1)
-    fits = math.log(1.0 - UNLISTED) - math.log(UNLISTED)
     evidence, shape = search.evidence, (misfit(best), kinds)
     assert nominal.signature is not None
     assert best.signature is not None
@@ -109,18 +131,18 @@ def tested(
     ways = ((channels, len(evidence.space.blocks)), (catalogue, CONDITIONS), (scatter, CONDITIONS))
     seen = [(left_by(b, a, *shape, n), left_by(b, min(a, LEVEL), *shape, n)) for (b, a), n in ways]
     known = evidence.guess <= 1.0  # else what is left in new conditions is of a noise that is a guess, and counts by itself
-    fits += together(
-        most_left(seen, moved.loses if moved is not None and known else 0.0), worsened(evidence, before, after, best.signature)
-    )
-    holds = held_together(search, best)
+    here, anywhere = most_left(seen), most_left(seen, moved.loses if moved is not None and known else 0.0)
+    overall = together(anywhere, worsened(evidence, before, after, best.signature))
+    holds, elsewhere = held_together(search, best), anywhere - here
     if moved is not None:
         odds += moved.gain
         holds += moved.holds
-        fits += moved.fails if not known else 0.0
-    fits += kept(holds) + within_tolerances(*search.numbers(best)[1:], evidence.guess)
+        elsewhere += moved.fails if not known else 0.0
+    of = Odds(here, overall - anywhere, elsewhere, kept(holds), within_tolerances(*search.numbers(best)[1:], evidence.guess), 0.0)
+    fits = math.log(1.0 - UNLISTED) - math.log(UNLISTED) + sum(astuple(of))
     # a lag of the machine leaves what the clocks leave, and does what they do in new conditions
-    fits = -float(np.logaddexp(-fits, common_lag(search, best) + math.log(UNLISTED) - math.log(1.0 - UNLISTED)))
-    return Tests(alpha, p_none, float(expit(fits)), float(expit(-odds)))
+    lag = -float(np.logaddexp(0.0, fits + common_lag(search, best) + math.log(UNLISTED) - math.log(1.0 - UNLISTED)))
+    return Tests(alpha, p_none, float(expit(fits + lag)), float(expit(-odds)), replace(of, lag=lag))
 
 
 def common_lag(search: Search, fit: Fit) -> float:

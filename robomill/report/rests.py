@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from html import escape
 
 from robomill.diagnosis.inference.isolability import CONFUSABLE
@@ -11,7 +12,7 @@ from robomill.diagnosis.outcome.verdict import Tests
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import base_name
 from robomill.report.html import code, count, fold, paragraph, table
-from robomill.report.subject import GUESS, HELD_OUT, Subject, listed, spoken
+from robomill.report.subject import GUESS, HELD_OUT, Subject, because, listed, spoken
 from robomill.report.units import number, percent, quantity
 from robomill.report.words import likelihood, one_in, rank
 
@@ -45,9 +46,13 @@ def sure(s: Subject) -> str:
     if s.answer.which and s.verdict != "none":
         lines.append(
             f"Is it that effect, or the nearest thing in the catalogue? That the best model is right is {likelihood(tests.p_fit)}, "
-            "judged by what it leaves, and by how it holds in new conditions where there are any."
+            "judged by what it leaves, by how far calibrated numbers are off, and by how it holds in new conditions where there are any."
         )
-        numbers.append(f"p_fit = {number(tests.p_fit)}.")
+        of = asdict(tests.odds) if tests.odds else {}
+        made = f", made of {listed([f'{name} {number(value, 0.1)}' for name, value in of.items()])} nats" if of else ""
+        numbers.append(f"p_fit = {number(tests.p_fit)}{made}.")
+    if s.answer.unknown:
+        lines.append(f"What speaks against it? It {listed(because(s))}.")
     it = "the answer" if s.verdict in ("identified", "ambiguous") else "the nearest candidate"
     if moved is not None:
         lines.append(

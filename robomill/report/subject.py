@@ -15,6 +15,7 @@ from robomill.diagnosis.localisation.where import WHOLE, Replayed
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Which
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.how_far import CONDITION, DIAGNOSED, REPEAT
+from robomill.diagnosis.outcome.reasons import WHY
 from robomill.diagnosis.outcome.verdict import IDENTIFIED
 from robomill.orchestration.runs.recorder import frame_of
 from robomill.orchestration.runs.run import Run
@@ -251,12 +252,7 @@ def _answer(s: Subject) -> str:
     if known := s.answer.unknown:
         place = listed([listed([w.component, *(w.alternatives or ())], "or") for w in s.blamed]) or known.component
         where = f"; it shows most in {s.label(next(iter(known.channels)))}" if known.channels else ""
-        why = f"leaves {percent(s.left)} of the gap in the diagnosed runs"
-        if known.changes:
-            why = "does not change with time as the gap does"
-        elif (new := s.answer.transfer) is not None and new.worth < 0.0:
-            why = "does not hold in new conditions"
-        return f"Something real that is not in the catalogue, in {place}: the best model {why}{where}{_formed(s)}."
+        return f"Something real that is not in the catalogue, in {place}: the best model {because(s)[0]}{where}{_formed(s)}."
     if s.verdict == "ambiguous":
         sure, open_ = s.sure, [w for w in s.answer.which if w.probability < IDENTIFIED]
         first = f"The gap is caused by {causes(sure)}, together with one of" if sure else "The gap has one of"
@@ -264,6 +260,13 @@ def _answer(s: Subject) -> str:
         rest = f" or one of {len(open_) - CAUSES} others" if len(open_) > CAUSES else ""
         return f"{first} several causes that these runs cannot tell apart: {listed(names, 'or')}{rest}."
     return f"The gap is caused by {causes(s.sure)}{_shrinks(s)}."
+
+
+def because(s: Subject) -> list[str]:
+    """What is said against the best model of an answer that is `unknown` (`outcome.reasons`)."""
+    known = s.answer.unknown
+    assert known is not None
+    return [f"leaves {percent(s.left)} of the gap in the diagnosed runs" if r == "left" else WHY[r] for r in known.why]
 
 
 def _formed(s: Subject) -> str:
