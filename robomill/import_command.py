@@ -19,12 +19,18 @@ def run(options: Namespace) -> int:
         raise LogError(f"{options.mapping} is no mapping; give the mapping first, then the log: {options.log} {options.mapping}")
     done, left_out = import_log(options.mapping, options.log, options.out, options.overwrite, labels(options.label))
     if options.json:
-        told = [{"run": str(r.folder), "rows": r.rows, "step_s": r.step, "span_s": r.span, "columns": list(r.columns)} for r in done]
+        told = [
+            {"run": str(r.folder), "rows": r.rows, "step_s": r.step, "span_s": r.span, "gap_s": r.gap, "columns": list(r.columns)}
+            for r in done
+        ]
         print(json.dumps(told[0] if done[0].folder == options.out else {"runs": told, "left_out": left_out}))
         return 0
     for r in done:
         arrays = dict.fromkeys(base_name(c) for c in r.columns)
         print(f"{r.folder}: {r.rows} rows, {1e3 * r.step:.6g} ms apart, {len(r.columns)} columns of {', '.join(arrays)}")
+        if r.gap is not None:
+            begin, end = r.gap
+            print(f"{r.folder}: the log has no row for {1e3 * (end - begin):.6g} ms from {begin:.6g} s on")
     if left_out:
         print(f"left out: {left_out}")
     return 0

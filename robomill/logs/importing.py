@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from robomill.logs.cutting import Span, spans
+from robomill.logs.cutting import TICK, Span, spans
 from robomill.logs.mapping import AXES, LogMapping, Signal, load_mapping, rate_of, rotation_abc
 from robomill.logs.reading import SUFFIXES, FloatArray, Log, LogError, format_of, read_log
 from robomill.logs.timing import Timing
@@ -25,6 +25,10 @@ REPEAT = "repeat_"
 """Folder of a repeat within that of the import, before its number."""
 MIRRORED = 15
 """Rows that a filter forwards and backwards mirrors at each end: three times its coefficients (`scipy.signal.sosfiltfilt`)."""
+
+FORGOTTEN = 10.0
+"""Periods of its corner after which a low-pass has forgotten that there was an end: its slowest part decays by 1.08 in 2 pi of these,
+to e^-24 (the poles of a Butterworth of 4th order have real parts of 0.38 and 0.92 of the corner)."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,8 @@ class Imported:
     columns: tuple[str, ...]
     span: Span
     """Begin and end [s] in the time of the log."""
+    gap: Span | None
+    """Begin and end [s] of the longest time without a row of the log, where that is rows longer than usual; in the time of the log."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +118,19 @@ def import_log(
         about = {**source, "begin": r.span[0], "end": r.span[1], "date": timing.date(r.span[0])}
         info = {**mapping.about, "imported": about, "labels": r.labels, "parameters": dict(mapping.parameters)}
         write_run(r.folder, r.t, r.columns, ports, info, overwrite)
-    return [Imported(r.folder, len(r.t), float(np.median(np.diff(r.t))), tuple(r.columns), r.span) for r in runs], left_out
+    return [
+        Imported(r.folder, len(r.t), float(np.median(np.diff(r.t))), tuple(r.columns), r.span, _gap(base, r.span)) for r in runs
+    ], left_out
+
+
+def _gap(base: FloatArray, span: Span) -> Span | None:
+    """The longest time between two rows of the clock `base` in a span, if at least one row is missing there."""
+    t = base[(base >= span[0] - TICK) & (base < span[1] - TICK)]
+    steps = np.diff(t)
+    if not len(steps) or round(float(steps.max() / np.median(np.diff(base)))) <= 1:
+        return None
+    k = int(steps.argmax())
+    return float(t[k]), float(t[k + 1])
 
 
 def _first_repeat(mapping: LogMapping, labels: Mapping[str, Any]) -> int:
@@ -240,24 +258,29 @@ def _shown(mapping: LogMapping, series: _Series, t: FloatArray, element: int) ->
     """An element of a series at the times `t` [n]: low-passed without phase, then differentiated by central differences, if that is asked.
 
     The low-pass is a Butterworth of 4th order, forwards and backwards: half the amplitude at the corner. Times are evenly spaced then.
+    Both see what was recorded before and after these times: a piece of a log does not begin and end where the log does.
     """
-    signal, x = series.signal, np.interp(t, series.t, series.values[:, element])
+    signal = series.signal
     if not signal.low_pass and not signal.derivative:
-        return x
+        return np.interp(t, series.t, series.values[:, element])
     if not mapping.clock.step and not mapping.clock.rate:
         raise _problem(mapping, signal, "low_pass and derivative need evenly spaced times; set clock.step (or clock.rate)")
     h = mapping.clock.step or 1.0 / mapping.clock.rate
+    if signal.low_pass >= 0.5 / h:
+        raise _problem(mapping, signal, f"low_pass is {signal.low_pass:g} Hz; expected less than half the rate, {0.5 / h:g} Hz")
+    around = signal.derivative + (math.ceil(FORGOTTEN / (signal.low_pass * h)) if signal.low_pass else 0)
+    before, after = (min(around, max(math.floor(room / h + TICK), 0)) for room in (t[0] - series.t[0], series.t[-1] - t[-1]))
+    grid = np.concatenate([t[0] - h * np.arange(before, 0, -1), t, t[-1] + h * np.arange(1, after + 1)])
+    x = np.interp(grid, series.t, series.values[:, element])
     if signal.low_pass:
-        if signal.low_pass >= 0.5 / h:
-            raise _problem(mapping, signal, f"low_pass is {signal.low_pass:g} Hz; expected less than half the rate, {0.5 / h:g} Hz")
         if len(x) <= MIRRORED:
             raise _problem(
-                mapping, signal, f"low_pass needs more than {MIRRORED} rows, a piece has {len(x)}; import longer pieces, or leave it out"
+                mapping, signal, f"low_pass needs more than {MIRRORED} rows, there are {len(x)}; import a longer log, or leave it out"
             )
         x = x[0] + sosfiltfilt(butter(4, signal.low_pass, fs=1.0 / h, output="sos"), x - x[0])
     for _ in range(signal.derivative):
         x = np.gradient(x, h)
-    return np.asarray(x)
+    return np.asarray(x[before : before + len(t)])
 
 
 def _unit(mapping: LogMapping, signal: Signal, log: Log, names: list[str]) -> str:

@@ -86,16 +86,47 @@ def test_what_cannot_be_filtered_is_refused(tmp_path: Path) -> None:
     assert "low_pass and derivative need evenly spaced times; set clock.step (or clock.rate)" in refused(tmp_path, CLOCK + smooth)
     grid = CLOCK + 'step = "10 ms"\n'
     assert "low_pass is 60 Hz; expected less than half the rate, 50 Hz" in refused(tmp_path, grid + smooth.replace("20 Hz", "60 Hz"))
-    short = grid + f'[cut]\nperiod = "{0.01 * MIRRORED} s"\n' + smooth
-    assert f"low_pass needs more than {MIRRORED} rows, a piece has {MIRRORED}; import longer pieces" in refused(tmp_path, short)
+    few = csv(tmp_path, "time,fx,fy,fz\n" + "".join(f"{0.01 * i:.2f},1,2,3\n" for i in range(MIRRORED)))
+    assert f"low_pass needs more than {MIRRORED} rows, there are {MIRRORED}; import a longer log" in refused(tmp_path, grid + smooth, few)
     assert "expected a frequency above 0 Hz" in refused(tmp_path, grid + smooth.replace("20 Hz", "-1 Hz"))
     rate = (
         '[components]\nrobot = "inverse_dynamics"\n' + grid + '[[signal]]\nport = "robot.qd"\ncolumns = ["fx","fy","fz","fx","fy","fz"]\n'
     )
     assert "wrong unit: robot.qd is in rad/s" in refused(tmp_path, rate + 'unit = "deg"\n')
     assert bring(tmp_path, rate + 'unit = "deg"\nderivative = 1\n').unit("robot.qd") == "rad/s"
-    longer = short.replace(f"{0.01 * MIRRORED} s", f"{0.01 * (MIRRORED + 1)} s")
-    assert len(bring(tmp_path, longer, run="run/repeat_1")) == MIRRORED + 1
+    pieces = grid + f'[cut]\nperiod = "{0.01 * MIRRORED} s"\n' + smooth  # these have neighbours
+    assert len(bring(tmp_path, pieces, run="run/repeat_1")) == MIRRORED
+
+
+@pytest.mark.parametrize("clock", [CLOCK, CLOCK + 'step = "10 ms"\n'])
+def test_rows_that_are_missing_are_said(tmp_path: Path, clock: str, capsys: pytest.CaptureFixture[str]) -> None:
+    times = [0.01 * i + (2e-3 if i % 2 else 0.0) for i in range(60) if i not in (30, 31)]  # jitter is no gap
+    log = csv(tmp_path, "time,fx,fy,fz\n" + "".join(f"{t:.3f},1,2,3\n" for t in times))
+    (tmp_path / "map.toml").write_text(clock + FORCE, encoding="utf-8")
+    out = tmp_path / "run"
+    assert cli.main(["import", str(tmp_path / "map.toml"), str(log), "--out", str(out)]) == 0
+    assert f"{out}: the log has no row for 28 ms from 0.292 s on" in capsys.readouterr().out.splitlines()
+    assert cli.main(["import", str(tmp_path / "map.toml"), str(log), "--out", str(out), "--overwrite", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["gap_s"] == pytest.approx([0.292, 0.32])
+    whole = csv(tmp_path, "time,fx,fy,fz\n" + "".join(f"{0.01 * i:.2f},1,2,3\n" for i in range(60)))
+    assert import_log(tmp_path / "map.toml", whole, out, overwrite=True)[0][0].gap is None
+
+
+@pytest.mark.parametrize("clock", ['column = "t"\nunit = "s"\nstep = "2 ms"\n', 'rate = "500 Hz"\n'])
+@pytest.mark.parametrize("cut", ['from = "2.5 s"\nto = "3.5 s"\n', 'at = ["2.5 s"]\nlength = "1 s"\n', 'from = "0 s"\nto = "6.5 s"\n'])
+def test_a_filter_sees_no_end_where_a_piece_of_a_log_has_one(tmp_path: Path, clock: str, cut: str) -> None:
+    """The piece is that of the whole log, which is filtered at its own ends only."""
+    log = tmp_path / "log.npz"
+    np.savez(log, t=0.002 * np.arange(3001), x=np.random.default_rng(3).normal(size=3001).cumsum())
+    signal = '[[signal]]\nport = "motion.{}"\ncolumn = "x"\nunit = "deg"\n'
+    text = f"[clock]\n{clock}" + signal.format("q") + 'low_pass = "4 Hz"\nderivative = 2\n' + signal.format("v") + "derivative = 1\n"
+    whole = {port: bring(tmp_path, text, log)[port].copy() for port in ("motion.q", "motion.v")}
+    piece = bring(tmp_path, text + f"[cut]\n{cut}", log, run="run/repeat_1" if "length" in cut else "run")
+    begin = 1250 if "2.5 s" in cut else 0
+    assert len(piece) == (500 if begin else 3001)
+    for port, x in whole.items():
+        forgotten = 1e-10 if port == "motion.q" else 1e3 * ROUNDOFF  # FORGOTTEN
+        np.testing.assert_allclose(piece[port], x[begin : begin + len(piece)], rtol=0.0, atol=forgotten * np.abs(x).max())
 
 
 def test_an_rsi_log_has_its_units_its_answers_and_its_ipoc_as_clock(tmp_path: Path) -> None:
