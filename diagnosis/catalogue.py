@@ -18,7 +18,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from robomill.diagnosis.candidates import COS, LOGGING, SIN, Address, Candidate, CatalogueError, Prior, Shape, Tolerance
+from robomill.diagnosis.candidates import COS, LOGGING, SIN, Address, Candidate, CatalogueError, Prior, Shape, Tolerance, selects
+from robomill.orchestration.slaves.protocol import base_name
 from robomill.orchestration.system import keys
 from robomill.orchestration.system.entries import Entry
 from robomill.orchestration.system.keys import Keys, default, optional, required
@@ -82,31 +83,33 @@ class Catalogue:
         others = {a: t for a, t in usual.items() if a not in {g.address for g in given}}
         return replace(self, tolerances=(*others.values(), *(replace(g, usual=usual.get(g.address)) for g in given)))
 
-    def within(self, system: Mapping[str, Collection[str]]) -> tuple[Catalogue, tuple[str, ...]]:
-        """What of it a system has, and what is left out, in words; `system`: component -> its parameter elements.
+    def within(self, system: Mapping[str, Collection[str]], outputs: Collection[str]) -> tuple[Catalogue, tuple[str, ...]]:
+        """What of it a system has, and what is left out, in words.
 
-        Entries about the log stay.
+        `system`: component -> its parameter elements; `outputs`: its outputs, `component.port[1]`, which entries about the log are of.
         """
         left_out: dict[str, dict[str, dict[str, None]]] = {}
         used: dict[str, set[str]] = {}  # what another effect names is not what this one meant
         for c in self.candidates:
             used.setdefault(c.component, set()).update(c.named)
+        arrays = {base_name(o) for o in outputs}
+
+        def missing(kind: str, entry: str, lack: str, name: str, among: set[str]) -> bool:
+            near = get_close_matches(name, sorted(among), n=1)
+            meant = f" (no {name!r}; did you mean {near[0]!r}?)" if near else ""
+            left_out.setdefault(lack, {}).setdefault(kind, {})[entry + meant] = None
+            return False
 
         def there(kind: str, entry: str, component: str, *names: str) -> bool:
             if component == LOGGING:
-                return True
-            elements = system.get(component)
-            known = {*elements, *(e.partition("[")[0] for e in elements)} if elements is not None else set()
-            fits = elements is not None and known.issuperset(names)
-            if not fits:
-                lack = (
-                    f"component {component!r} has no parameters for" if elements is not None else f"there is no component {component!r} for"
-                )
-                missed = [n for n in names if n not in known] if elements is not None else []
-                near = [match for n in missed for match in get_close_matches(n, sorted(known - used.get(component, set())), n=1)]
-                meant = f" (no {missed[0]!r}; did you mean {near[0]!r}?)" if near else ""
-                left_out.setdefault(lack, {}).setdefault(kind, {})[entry + meant] = None
-            return fits
+                idle = [p for p in (n.partition(" ")[2] for n in names) if not any(selects(p, o) for o in outputs)]
+                return not idle or missing(kind, entry, "there is no output for", idle[0], arrays)
+            if component not in system:
+                return missing(kind, entry, f"there is no component {component!r} for", component, set(system) - set(used))
+            known = {*system[component], *(e.partition("[")[0] for e in system[component])}
+            missed = [n for n in names if n not in known]
+            lack = f"component {component!r} has no parameters for"
+            return not missed or missing(kind, entry, lack, missed[0], known - used.get(component, set()))
 
         candidates = tuple(c for c in self.candidates if there("effects", c.effect, c.component, *c.named))
         candidates = tuple(

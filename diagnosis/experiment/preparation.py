@@ -46,6 +46,8 @@ class _Settable:
     """Unit of each element."""
     values: dict[Address, float]
     """Value of each real element [unit]."""
+    outputs: frozenset[str]
+    """`component.port[1]` of each output."""
 
     @property
     def names(self) -> frozenset[Address]:
@@ -70,7 +72,7 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
     within: dict[str, list[str]] = {component: [] for c in conditions for component in _components(c.system or system)}
     for component, name in units:
         within[component].append(name)
-    catalogue, skipped = catalogue.within(within)
+    catalogue, skipped = catalogue.within(within, frozenset[str]().union(*(s.outputs for s in settable)))
     catalogue.check_units(units, convert)
     nuisances = _nuisances(catalogue, first, units)
     given = {a: first[a] for c in catalogue.candidates for a in c.addresses if first.get(a)}
@@ -103,6 +105,7 @@ def _components(system: System) -> list[str]:
 def _settable(system: System, resolver: Resolver | None, convert: Convert) -> _Settable:
     units: dict[Address, str] = {}
     values: dict[Address, float] = {}
+    outputs: set[str] = set()
     with assemble(system, resolver, convert) as assembly:
         for name, slave in assembly.slaves.items():
             parameters = [p for p in slave.ports if p.causality == "parameter"]
@@ -110,7 +113,8 @@ def _settable(system: System, resolver: Resolver | None, convert: Convert) -> _S
             starts = {p.name: p.start for p in parameters if p.type == "real"}
             given = {**starts, **assembly.parameters.get(name, {})}
             values |= {(name, k): float(v) for k, v in given.items() if k in starts and isinstance(v, int | float)}
-    return _Settable(units, values)
+            outputs |= {f"{name}.{p.name}" for p in slave.ports if p.causality == "output"}
+    return _Settable(units, values, frozenset(outputs))
 
 
 def _nuisances(catalogue: Catalogue, values: Mapping[Address, float], units: Mapping[Address, str]) -> tuple[Nuisance, ...]:

@@ -122,10 +122,10 @@ def test_variants_exclude_each_other_and_those_of_other_places_with_other_values
 
 def test_a_system_without_the_shape_keeps_the_effect(tmp_path: Path) -> None:
     shaped(tmp_path)
-    fitting, notes = Catalogue.load(tmp_path / "c.toml").within({"a": ["p[1]", "p[2]", "s[1]", "s[2]"]})
+    fitting, notes = Catalogue.load(tmp_path / "c.toml").within({"a": ["p[1]", "p[2]", "s[1]", "s[2]"]}, ())
     assert [c.variants for c in fitting.candidates] == [(), ()]
     assert notes == ("c.toml: component 'a' has no parameters for shapes of lag: skipped",)
-    whole, notes = Catalogue.load(tmp_path / "c.toml").within({"a": ["p[1]", "p[2]", "s[1]", "s[2]", "n"]})
+    whole, notes = Catalogue.load(tmp_path / "c.toml").within({"a": ["p[1]", "p[2]", "s[1]", "s[2]", "n"]}, ())
     assert [len(c.variants) for c in whole.candidates] == [6, 6]
     assert notes == ()
 
@@ -273,6 +273,9 @@ def test_the_line_is_named(tmp_path: Path, old: str, new: str, line: str) -> Non
     assert line in str(error.value)
 
 
+OUTPUTS = ("drive.q[1]", "drive.q[2]", "sensor.f")
+
+
 class TestWithin:
     CATALOGUE = """
 [[effect]]
@@ -320,7 +323,7 @@ sampled = ["sensor", "controller"]
     def test_what_the_system_has_stays_as_it_is(self, tmp_path: Path) -> None:
         catalogue = self.catalogue(tmp_path)
         whole = {"drive": ["p[1]", "p[2]"], "sensor": ["k[1]", "k[2]", "m", "seed", "resolution"], "controller": []}
-        found, notes = catalogue.within(whole)
+        found, notes = catalogue.within(whole, OUTPUTS)
         assert (found.candidates, found.tolerances, found.seeds, found.quiet) == (
             catalogue.candidates,
             catalogue.tolerances,
@@ -331,7 +334,7 @@ sampled = ["sensor", "controller"]
         assert notes == ()
 
     def test_entries_without_a_component_or_its_parameters_are_left_out_and_listed(self, tmp_path: Path) -> None:
-        found, notes = self.catalogue(tmp_path).within({"sensor": ["k"]})
+        found, notes = self.catalogue(tmp_path).within({"sensor": ["k"]}, OUTPUTS)
         assert [c.effect for c in found.candidates] == ["late"]
         assert [t.address for t in found.tolerances] == [("sensor", "k")]
         assert found.seeds == ()
@@ -345,14 +348,25 @@ sampled = ["sensor", "controller"]
         )
 
     def test_one_element_of_an_array_that_there_is_not(self, tmp_path: Path) -> None:
-        found, notes = self.catalogue(tmp_path).within({"drive": ["p[1]"], "sensor": ["k", "m", "seed", "resolution"], "controller": []})
+        found, notes = self.catalogue(tmp_path).within({"drive": ["p[1]"], "sensor": ["k", "m", "seed", "resolution"], "controller": []}, OUTPUTS)
         assert [(c.effect, c.location) for c in found.candidates] == [("a", "x"), ("late", "x")]
         assert notes == ("c.toml: component 'drive' has no parameters for effects a: skipped",)
 
     def test_a_parameter_that_no_other_effect_names_may_be_meant(self, tmp_path: Path) -> None:
         full = {"sensor": ["k", "m", "seed", "resolution"], "controller": []}
-        _, notes = self.catalogue(tmp_path).within({"drive": ["p_[1]", "p[2]"], **full})
+        _, notes = self.catalogue(tmp_path).within({"drive": ["p_[1]", "p[2]"], **full}, OUTPUTS)
         assert notes == ("c.toml: component 'drive' has no parameters for effects a (no 'p[1]'; did you mean 'p_[1]'?): skipped",)
+
+    def test_an_output_or_a_component_may_be_meant(self, tmp_path: Path) -> None:
+        full = {"sensor": ["k", "m", "seed", "resolution"], "controller": []}
+        found, notes = self.catalogue(tmp_path).within({"drives": ["p[1]", "p[2]"], **full}, ["drives.q[1]", "sensor.f"])
+        assert found.candidates == ()
+        assert notes == (
+            "c.toml: there is no component 'drive' for effects a (no 'drive'; did you mean 'drives'?): skipped",
+            "c.toml: there is no output for effects late (no 'drive.q'; did you mean 'drives.q'?): skipped",
+        )
+        _, notes = self.catalogue(tmp_path).within({"axis": [], **full}, ["sensor.f"])
+        assert notes[1] == "c.toml: there is no output for effects late: skipped"
 
     def test_a_seed_names_the_effects_that_it_draws(self, tmp_path: Path) -> None:
         plain = 'parameter = "seed"'
