@@ -301,6 +301,7 @@ def lines(answer: Answer) -> list[str]:
         out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}, {values}{idle}")
     if rest := answer.which[shown:]:
         out.append(f"which: {len(rest)} more, with probabilities up to {rest[0].probability:.2f}, in the report")
+    out += [f"suspected: {w.effect} at {w.location}, or noise that is slow; repeats say which" for w in answer.suspected]
     out += [f"calibrated: {p.text}" for p in answer.calibrated or ()]
     out += _gap_lines(answer)
     if answer.unknown:

@@ -35,7 +35,7 @@ from robomill.diagnosis.outcome.how_far import HARDEST_FIRST
 from robomill.diagnosis.outcome.next_run import NextRun
 from robomill.diagnosis.outcome.reasons import Reason
 from robomill.diagnosis.outcome.steps import Steps
-from robomill.diagnosis.outcome.verdict import Tests, Verdict
+from robomill.diagnosis.outcome.verdict import Tests, Verdict, believed
 from robomill.orchestration.slaves.protocol import FloatArray, PortData, base_name
 
 SCHEMA = "robomill-diagnosis/1"
@@ -231,6 +231,13 @@ class Answer:
         kind = next((k for k in HARDEST_FIRST if k in formed), None)
         nearest = next((h for h in self.how_far if h.on == kind and h.channel == WHOLE and h.closure is not None), None)
         return nearest if kind and nearest and (nearest.closure or 0.0) > formed[kind] else None
+
+    @property
+    def suspected(self) -> tuple[Which, ...]:
+        """What would be named of an answer that is `none` if noise were known: a guess of it may hide noise that is as slow as this."""
+        if self.verdict != "none" or not self.guessed or self.tests is None or not believed(self.tests):
+            return ()
+        return tuple(w for w in self.which if w.probability > 1.0 - w.probability)
 
     @property
     def guessed(self) -> bool:

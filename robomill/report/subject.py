@@ -248,18 +248,31 @@ def _answer(s: Subject) -> str:
         more = f" ({len(fatal) - 1} more findings below)" if len(fatal) > 1 else ""
         return f"This log cannot be diagnosed: {reason(fatal[0])}{more}." if fatal else "This log cannot be diagnosed."
     if s.verdict == "none":
-        return "No effect is needed to explain these runs: machine and simulation differ by no more than noise and the tolerances of calibrated numbers."
+        also = f". It may be noise that is slow, or {causes(maybe)}; repeats say which" if (maybe := s.answer.suspected) else ""
+        return f"No effect is needed to explain these runs: machine and simulation differ by no more than noise and the tolerances of calibrated numbers{also}."
     if known := s.answer.unknown:
         place = listed([listed([w.component, *(w.alternatives or ())], "or") for w in s.blamed]) or known.component
         where = f"; it shows most in {s.label(next(iter(known.channels)))}" if known.channels else ""
         return f"Something real that is not in the catalogue, in {place}: the best model {because(s)[0]}{where}{_formed(s)}."
     if s.verdict == "ambiguous":
-        sure, open_ = s.sure, [w for w in s.answer.which if w.probability < IDENTIFIED]
-        first = f"The gap is caused by {causes(sure)}, together with one of" if sure else "The gap has one of"
-        names = [f"{sized(w)} at {percent(w.probability)}" for w in open_[:CAUSES]]
-        rest = f" or one of {len(open_) - CAUSES} others" if len(open_) > CAUSES else ""
-        return f"{first} several causes that these runs cannot tell apart: {listed(names, 'or')}{rest}."
+        return _open(s.sure, [w for w in s.answer.which if w.probability < IDENTIFIED])
     return f"The gap is caused by {causes(s.sure)}{_shrinks(s)}."
+
+
+def _open(sure: Sequence[Which], doubtful: Sequence[Which]) -> str:
+    """The answer of which a part is doubtful: members of a set of which one is there, or effects each of which may be there."""
+    names = [f"{sized(w)} at {percent(w.probability)}" for w in doubtful[:CAUSES]]
+    more = len(doubtful) - len(names)
+    if len(doubtful) > 1 and sum(w.probability for w in doubtful) <= 1.0:  # else more than one of them must be there
+        first = f"The gap is caused by {causes(sure)}, together with one of" if sure else "The gap has one of"
+        rest = f" or one of {more} others" if more else ""
+        return f"{first} several causes that these runs cannot tell apart: {listed(names, 'or')}{rest}."
+    rest = f" and {more} others" if more else ""
+    if sure:
+        return (
+            f"The gap is caused by {causes(sure)}. What is beside {'it' if len(sure) == 1 else 'them'} is not sure: {listed(names)}{rest}."
+        )
+    return f"The likeliest answer is not sure: {listed(names)}{rest}."
 
 
 def because(s: Subject) -> list[str]:

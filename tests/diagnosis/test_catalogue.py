@@ -348,7 +348,9 @@ sampled = ["sensor", "controller"]
         )
 
     def test_one_element_of_an_array_that_there_is_not(self, tmp_path: Path) -> None:
-        found, notes = self.catalogue(tmp_path).within({"drive": ["p[1]"], "sensor": ["k", "m", "seed", "resolution"], "controller": []}, OUTPUTS)
+        found, notes = self.catalogue(tmp_path).within(
+            {"drive": ["p[1]"], "sensor": ["k", "m", "seed", "resolution"], "controller": []}, OUTPUTS
+        )
         assert [(c.effect, c.location) for c in found.candidates] == [("a", "x"), ("late", "x")]
         assert notes == ("c.toml: component 'drive' has no parameters for effects a: skipped",)
 

@@ -31,6 +31,7 @@ from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Estimate, Gap, 
 from robomill.diagnosis.outcome.calibration import Pulled
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.families import Family
+from robomill.diagnosis.outcome.verdict import Tests as VerdictTests
 from robomill.diagnosis.outcome.verdict import Verdict
 from robomill.models.robot.kinematics import forward
 from robomill.orchestration.runs.run import Run
@@ -595,6 +596,40 @@ def test_many_causes_are_counted() -> None:
     sentence = verdict_sentence(_cell(*entries, verdict="ambiguous"))
     assert re.findall(r"joint (\d)", sentence) == ["1", "2", "3", "4"]
     assert sentence.endswith(" or one of 2 others.")
+
+
+@pytest.mark.parametrize(
+    ("each", "said"),
+    [
+        ([0.74], "The likeliest answer is not sure: backlash, joint 1 (80.0 µrad) at 74 %."),
+        ([0.97, 0.6], "The gap is caused by backlash, joint 1 (80.0 µrad). What is beside it is not sure: backlash, joint 2"),
+        ([0.97, 0.9, 0.6, 0.7], "What is beside them is not sure: backlash, joint 3 (80.0 µrad) at 60 % and backlash, joint 4"),
+        ([0.97, 0.6, 0.3], "together with one of several causes that these runs cannot tell apart: backlash, joint 2"),
+        ([0.7] * 6, "backlash, joint 4 (80.0 µrad) at 70 % and 2 others."),
+    ],
+)
+def test_what_is_doubtful_is_said_as_what_it_is(each: list[float], said: str) -> None:
+    """A set of which one member is there, or effects that may all be there: their probabilities add up to more than 1."""
+    size = {"backlash[3]": Estimate(8e-5, [7e-5, 9e-5], "rad")}
+    entries = [Which("backlash", "drive", f"joint {i}", p, size, []) for i, p in enumerate(each, 1)]
+    assert said in verdict_sentence(_cell(*entries, verdict="ambiguous")).replace("\u00a0", " ")
+
+
+def test_what_may_be_slow_noise_is_said_where_nothing_is_named(subject: Callable[[str], Subject]) -> None:
+    late = Which("clock", "logging", "log", 0.86, {"lag sensors.y": Estimate(0.029, [0.025, 0.033], "s")}, [])
+    tests = VerdictTests(0.02, 0.0005, 0.9, 0.001)
+    s = subject("none")
+    assert s.answer.gap is not None
+    s = _saying(s, which=(late,), tests=tests, gap=replace(s.answer.gap, noise_is_a_guess=True))
+    assert "It may be noise that is slow, or clock, log (29.0 ms); repeats say which." in verdict_sentence(s).replace("\u00a0", " ")
+    assert "suspected: clock at log, or noise that is slow; repeats say which" in lines(s.answer)
+    for known in (
+        _saying(s, tests=replace(tests, p_none=0.5)),
+        _saying(s, gap=replace(s.answer.gap, noise_is_a_guess=False)),
+        _saying(s, which=(replace(late, probability=0.4),)),
+    ):
+        assert "slow" not in verdict_sentence(known)
+        assert not [line for line in lines(known.answer) if line.startswith("suspected")]
 
 
 def test_many_intervals_are_not_all_named() -> None:
