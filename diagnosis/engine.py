@@ -126,7 +126,7 @@ def diagnose_campaign(
                 faults = [f for f in findings if f.fatal and f.kind in log_faults.KINDS]
                 tried = log_faults.together(faults)
                 mended = next((some for some in tried if _explained(catalogue, search, fits, gate.without(some), nuisances, some)), ())
-                kept = "; without that, the log is explained no better: it is kept"
+                kept = "; with that put right, the log is not explained, or no better: it is kept as it is"
                 findings = [replace(f, text=f.text + kept, fatal=False) if f in faults and f not in mended else f for f in findings]
                 fatal = [f for f in findings if f.fatal]
             elif (finding := _wrong_channel(catalogue, search, fits, groups[:n], nuisances, gate.limits)) is not None:

@@ -32,8 +32,10 @@ def reasons(tests: Tests, effects: bool, seen: dict[Reason, bool]) -> tuple[Reas
     `effects`: whether that model has any. `seen`: what is seen apart from `p_fit`, and whether it is; that comes first. Where `p_fit`
     refutes the model, all that it is made of and speaks against it follows, the heaviest first.
     """
+    assert tests.odds is not None
+    odds: dict[Reason, float] = {r: getattr(tests.odds, r) for r in _ODDS}
     found = [r for r, so in seen.items() if so]
-    if effects and believed(tests) and tests.odds is not None and tests.p_fit < 1.0 - tests.p_fit:
-        odds = {r: float(getattr(tests.odds, r)) for r in _ODDS}
+    if effects and believed(tests) and tests.p_fit < 1.0 - tests.p_fit:
         found += sorted((r for r in _ODDS if odds[r] < 0.0), key=odds.__getitem__)
-    return tuple(found) or ("left",)  # nothing is believed, or the odds before the data decide: there is the gap
+    # nothing is believed, or the odds before the data decide: there is a gap, or calibrated numbers are far off
+    return tuple(found) or (min(("left", "calibrated"), key=odds.__getitem__),)

@@ -199,11 +199,11 @@ def judged(
     conditions, where a gap is one, too.
     """
     refuted = tests.p_fit < 1.0 - tests.p_fit or at_bound(best.model, best.values)
-    gap = max(over_noise(search, nominal), moved.before if moved is not None else 0.0) > UNKNOWN
+    gap = max(over_noise(search, nominal), moved.before if moved is not None else 0.0) > UNKNOWN or not sound(search, nominal)
     guess = search.evidence.guess > 1.0  # of noise: nobody knows how slow it is, and an effect within it may be that
     there = bool(best.model) and believed(tests) and (gap or not guess)
     if not there or refuted or ((other := changing()) is not None and changes(search, best, other)):
-        return "unknown" if gap or differs or there or not sound(search, nominal) else "none"
+        return "unknown" if gap or differs or there else "none"
     if faulty:
         return "bad_log"
     return "identified" if all(probabilities[c] >= IDENTIFIED for c in best.model) else "ambiguous"

@@ -265,7 +265,7 @@ class TestGate:
         (finding,) = (f for f in result["gate"]["findings"] if f["kind"] == "unit")
         assert not finding["fatal"]
         assert "millimetres for inches" in finding["text"]
-        assert finding["text"].endswith("; without that, the log is explained no better: it is kept")
+        assert finding["text"].endswith("; with that put right, the log is not explained, or no better: it is kept as it is")
 
     @pytest.mark.parametrize(("part", "verdict"), [(0.03, "bad_log"), (0.1, "unknown")])
     def test_a_unit_stops_the_log_where_it_is_nearly_explained_without_it_and_not_at_all_with_it(

@@ -53,8 +53,9 @@ def test_what_is_seen_apart_from_p_fit_comes_before_it() -> None:
     assert reasons.reasons(replace(REFUTED, p_fit=0.9), True, seen) == ("bound", "instead")
 
 
-def test_where_no_effect_is_believed_there_is_the_gap() -> None:
-    unbelieved = replace(REFUTED, nothing=0.5, odds=replace(FAIR, calibrated=-3.0))
-    assert reasons.reasons(unbelieved, True, {}) == ("left",)
-    assert reasons.reasons(REFUTED, False, {}) == ("left",)
-    assert reasons.reasons(REFUTED, False, {"swing": True}) == ("swing",)
+@pytest.mark.parametrize(("left", "calibrated", "why"), [(-2.0, 0.1, "left"), (0.5, -3.0, "calibrated"), (-4.0, -3.0, "left")])
+def test_where_no_effect_is_believed_there_is_the_gap_or_what_is_calibrated(left: float, calibrated: float, why: str) -> None:
+    tests = replace(REFUTED, odds=replace(FAIR, left=left, calibrated=calibrated, alike=-9.0))
+    assert reasons.reasons(replace(tests, nothing=0.5), True, {}) == (why,)
+    assert reasons.reasons(tests, False, {}) == (why,)
+    assert reasons.reasons(tests, False, {"swing": True}) == ("swing",)

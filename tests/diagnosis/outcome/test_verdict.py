@@ -232,6 +232,14 @@ class TestJudged:
             judged(search(guess=3.0), SURE, fit(1.01 * UNKNOWN), fit(1.1, model), steady, dict.fromkeys(model, 0.95), False) == "identified"
         )
 
+    def test_calibrated_numbers_that_are_far_off_are_a_gap_where_noise_is_a_guess(self, tmp_path: Path) -> None:
+        """What they take of it is no noise: an effect that is believed beside them is named."""
+        model = catalogue(tmp_path).candidates[:1]
+        for off, says in ((0.5, "none"), (8.0, "identified")):
+            made = search(guess=3.0)
+            made.numbers = lambda fit, off=off: ([], np.array([0.0 if fit.model else off]), np.array([[0.1]]))
+            assert judged(made, SURE, fit(1.0), fit(1.0, model), steady, {model[0]: 0.95}, False) == says
+
     def test_a_model_that_is_rather_a_stand_in_is_unknown_be_it_as_likely_as_it_may(self, tmp_path: Path) -> None:
         assert self.judged(replace(SURE, p_fit=0.49), folder=tmp_path) == "unknown"
         assert self.judged(replace(SURE, p_fit=0.49), faulty=True, folder=tmp_path) == "unknown"
