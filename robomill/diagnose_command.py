@@ -316,7 +316,7 @@ def lines(answer: Answer) -> list[str]:
         out += _form_lines(answer.form)
         if (nearest := answer.closer) is not None and not answer.form.refuted:
             closed = f"{100 * (nearest.closure or 0.0):.0f} %, {nearest.on}"
-            out.append(f"form: the effects that are nearest close more of the whole gap, {closed}")
+            out.append(f"form: the effects that are nearest close more of the whole gap (all signals, each over its noise), {closed}")
     if answer.next_run:
         out.append(f"next run: {answer.next_run.text}")
     return out

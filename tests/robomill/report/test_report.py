@@ -321,7 +321,7 @@ class TestContent:
         form = Form("masses", "input", 0.0, (port,), (), (far,), specification={"name": "x"})
         both = _saying(s, form=form, how_far=(replace(far, closure=closure),))
         assert ("in new conditions, the effects that are nearest 97\u00a0%" in verdict_sentence(both)) is said
-        line = "form: the effects that are nearest close more of the whole gap, 97 %, held-out condition"
+        line = "form: the effects that are nearest close more of the whole gap (all signals, each over its noise), 97 %, held-out condition"
         assert (line in lines(both.answer)) is said
 
     def test_a_form_that_the_loop_refutes_is_said_to_be_of_no_use(self, subject: Callable[[str], Subject], tmp_path: Path) -> None:
