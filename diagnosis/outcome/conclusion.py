@@ -38,7 +38,7 @@ from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, Closing, metrics
 from robomill.diagnosis.outcome.reasons import Reason, reasons
 from robomill.diagnosis.outcome.steps import steps
-from robomill.diagnosis.outcome.verdict import IDENTIFIED, at_bound, changes, judged, over_noise, share_left, tested
+from robomill.diagnosis.outcome.verdict import IDENTIFIED, at_bound, changes, judged, largest, over_noise, share_left, tested
 from robomill.orchestration.slaves.protocol import FloatArray
 
 SAID = {
@@ -212,7 +212,9 @@ class Conclusion:
             other = self.other if self.other is not None and changes(search, self.best, self.other) else None
             seen: dict[Reason, bool] = {"bound": bound, "changes": other is not None, "instead": bool(instead.found)}
             seen |= {"runs": self.differs is not None and not self.best.model, "swing": swings is not None}
-            answer = self.described(answer, found, instead, other, reasons(tests, bool(self.best.model), seen))
+            answer = self.described(
+                answer, found, instead, other, reasons(tests, bool(self.best.model), largest(search, nominal, moved), seen)
+            )
         return answer, adopted
 
     def held_out(self) -> FloatArray:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
+from robomill.diagnosis.inference.adequacy import UNKNOWN
 from robomill.diagnosis.outcome.verdict import Tests, believed
 
-Reason = Literal["left", "worse", "elsewhere", "alike", "calibrated", "lag", "bound", "changes", "instead", "runs", "swing"]
+Reason = Literal["left", "worse", "elsewhere", "alike", "calibrated", "lag", "bound", "changes", "instead", "runs", "swing", "nominal"]
 
 WHY: dict[Reason, str] = {
     "left": "leaves too much of the gap in the diagnosed runs",
@@ -20,22 +21,24 @@ WHY: dict[Reason, str] = {
     "instead": "has an effect that a law of no name does better than",
     "runs": "does not differ from run to run as the machine does",
     "swing": "does not swing within samples as the machine does",
+    "nominal": "is not believed, and without its effects calibrated numbers are farther off than their tolerances say",
 }
 """What is said of the best model."""
 _ODDS: tuple[Reason, ...] = ("left", "worse", "elsewhere", "alike", "calibrated", "lag")
 """The fields of `Odds`."""
 
 
-def reasons(tests: Tests, effects: bool, seen: dict[Reason, bool]) -> tuple[Reason, ...]:
+def reasons(tests: Tests, effects: bool, level: float, seen: dict[Reason, bool]) -> tuple[Reason, ...]:
     """What speaks against the best model of an answer that is `unknown`.
 
-    `effects`: whether that model has any. `seen`: what is seen apart from `p_fit`, and whether it is; that comes first. Where `p_fit`
-    refutes the model, all that it is made of and speaks against it follows, the heaviest first.
+    `effects`: whether that model has any; `level`: what the nominal system leaves, over noise (`verdict.largest`). `seen`: what is seen
+    apart from `p_fit`, and whether it is; that comes first. Where `p_fit` refutes the model, all that it is made of and speaks against it
+    follows, the heaviest first.
     """
     assert tests.odds is not None
-    odds: dict[Reason, float] = {r: getattr(tests.odds, r) for r in _ODDS}
     found = [r for r, so in seen.items() if so]
-    if effects and believed(tests) and tests.p_fit < 1.0 - tests.p_fit:
+    there = effects and believed(tests)
+    if there and tests.p_fit < 1.0 - tests.p_fit:
+        odds: dict[Reason, float] = {r: getattr(tests.odds, r) for r in _ODDS}
         found += sorted((r for r in _ODDS if odds[r] < 0.0), key=odds.__getitem__)
-    # nothing is believed, or the odds before the data decide: there is a gap, or calibrated numbers are far off
-    return tuple(found) or (min(("left", "calibrated"), key=odds.__getitem__),)
+    return tuple(found) or (("left",) if there or level > UNKNOWN else ("nominal",))

@@ -100,6 +100,11 @@ def over_noise(search: Search, fit: Fit) -> float:
     return max(looks(search, fit))
 
 
+def largest(search: Search, nominal: Fit, moved: Transfer | None) -> float:
+    """How much the nominal system leaves over noise, in the diagnosed conditions or in new ones."""
+    return max(over_noise(search, nominal), moved.before if moved is not None else 0.0)
+
+
 def share_left(search: Search, nominal: Fit, best: Fit) -> float:
     """Share of the gap of the nominal model that another one leaves (`unexplained`), by the look that sees more of it left."""
     seen = sorted(zip(looks(search, nominal), looks(search, best), strict=True))
@@ -199,7 +204,7 @@ def judged(
     conditions, where a gap is one, too.
     """
     refuted = tests.p_fit < 1.0 - tests.p_fit or at_bound(best.model, best.values)
-    gap = max(over_noise(search, nominal), moved.before if moved is not None else 0.0) > UNKNOWN or not sound(search, nominal)
+    gap = largest(search, nominal, moved) > UNKNOWN or not sound(search, nominal)
     guess = search.evidence.guess > 1.0  # of noise: nobody knows how slow it is, and an effect within it may be that
     there = bool(best.model) and believed(tests) and (gap or not guess)
     if not there or refuted or ((other := changing()) is not None and changes(search, best, other)):

@@ -10,6 +10,7 @@ from typing import get_args
 import pytest
 from scipy.special import expit
 
+from robomill.diagnosis.inference.adequacy import UNKNOWN
 from robomill.diagnosis.inference.transfer import Transfer
 from robomill.diagnosis.outcome import reasons, verdict
 from robomill.diagnosis.outcome.reasons import WHY, Reason
@@ -19,6 +20,7 @@ from tests.diagnosis.outcome.test_verdict import STEADY, fit, search
 from tests.tolerances import ROUNDOFF
 
 FAIR = Odds(2.0, 0.0, 0.0, 0.3, 0.1, 0.0)
+GAP = 2.0 * UNKNOWN
 REFUTED = verdict.Tests(0.02, 0.001, 0.1, 0.001, FAIR)
 
 
@@ -44,18 +46,19 @@ def test_every_reason_has_words_and_every_part_of_p_fit_is_one() -> None:
 @pytest.mark.parametrize("part", [f.name for f in fields(Odds)])
 def test_what_speaks_most_against_the_best_model_comes_first(part: str) -> None:
     tests = replace(REFUTED, odds=replace(FAIR, **{part: -9.0, "calibrated": -9.5 if part == "calibrated" else -1.0}))
-    assert reasons.reasons(tests, True, {}) == ((part, "calibrated") if part != "calibrated" else (part,))
+    assert reasons.reasons(tests, True, GAP, {}) == ((part, "calibrated") if part != "calibrated" else (part,))
 
 
 def test_what_is_seen_apart_from_p_fit_comes_before_it() -> None:
     seen: dict[Reason, bool] = {"bound": True, "changes": False, "instead": True}
-    assert reasons.reasons(replace(REFUTED, odds=replace(FAIR, left=-3.0)), True, seen) == ("bound", "instead", "left")
-    assert reasons.reasons(replace(REFUTED, p_fit=0.9), True, seen) == ("bound", "instead")
+    assert reasons.reasons(replace(REFUTED, odds=replace(FAIR, left=-3.0)), True, GAP, seen) == ("bound", "instead", "left")
+    assert reasons.reasons(replace(REFUTED, p_fit=0.9), True, GAP, seen) == ("bound", "instead")
 
 
-@pytest.mark.parametrize(("left", "calibrated", "why"), [(-2.0, 0.1, "left"), (0.5, -3.0, "calibrated"), (-4.0, -3.0, "left")])
-def test_where_no_effect_is_believed_there_is_the_gap_or_what_is_calibrated(left: float, calibrated: float, why: str) -> None:
-    tests = replace(REFUTED, odds=replace(FAIR, left=left, calibrated=calibrated, alike=-9.0))
-    assert reasons.reasons(replace(tests, nothing=0.5), True, {}) == (why,)
-    assert reasons.reasons(tests, False, {}) == (why,)
-    assert reasons.reasons(tests, False, {"swing": True}) == ("swing",)
+@pytest.mark.parametrize(("level", "why"), [(GAP, "left"), (0.9 * UNKNOWN, "nominal")])
+def test_where_no_effect_is_believed_there_is_a_gap_or_calibrated_numbers_are_far_off(level: float, why: str) -> None:
+    tests = replace(REFUTED, odds=replace(FAIR, alike=-9.0))
+    assert reasons.reasons(replace(tests, nothing=0.5), True, level, {}) == (why,)
+    assert reasons.reasons(tests, False, level, {}) == (why,)
+    assert reasons.reasons(tests, False, level, {"swing": True}) == ("swing",)
+    assert reasons.reasons(replace(REFUTED, p_fit=0.45), True, level, {}) == ("left",)  # by the odds before the data alone
