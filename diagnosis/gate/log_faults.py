@@ -46,6 +46,10 @@ FACTORS: Mapping[float, tuple[str, tuple[str, ...]]] = {
     1 / 4.4482216: ("pound-force for newtons", FORCES),
 }
 """Usual mistakes in units: measured over simulated, what it is called, and the units in which it is made (none: in any)."""
+ICE = unit_of("degC").offset
+"""K. Zero of the scale that temperatures are logged in: a sign or a prefix is wrong about it."""
+FAHRENHEIT = 1.0 / unit_of("degF").factor
+"""Degrees Fahrenheit in a kelvin; both scales show the same number at -40."""
 KEEPING = ("sign", "axes", "rotation")
 """Kinds of faults that keep the size of a signal: orthogonal operators."""
 KINDS = (*KEEPING, "unit")
@@ -64,17 +68,27 @@ class _Operator:
 
     members: tuple[int, ...]
     matrix: FloatArray
-    """[members, members]: logged = true @ matrix."""
+    """[members, members]: logged = true @ matrix + offset."""
     finding: Finding
     spread: float | None = None
     """Mean square that tolerances are a part of [unit^2]: of an array, where that is not the variance of each channel."""
     paid: float = 0.0
     """What its fitted numbers cost [nats] (Schwarz 1978, Ann. Stat. 6, 461)."""
+    offset: float = 0.0
+    """Of a scale whose zero is not that of the unit [unit]."""
 
     @property
     def scale(self) -> float:
         """Factor that it has."""
         return float(np.linalg.norm(self.matrix, 2))
+
+    def logged(self, true: FloatArray) -> FloatArray:
+        """What is logged of a true signal [samples, members]."""
+        return np.asarray(true @ self.matrix + self.offset)
+
+    def true(self, logged: FloatArray) -> FloatArray:
+        """The true signal of one that is logged [samples, members]."""
+        return np.asarray((logged - self.offset) @ np.linalg.inv(self.matrix))
 
 
 def judged(
@@ -118,19 +132,21 @@ def undone(faults: Sequence[Finding], x: FloatArray, s: FloatArray, channels: Se
     """
     x = x.copy()
     tried = list(_operators(x, s, channels, units))
-    scaled: dict[str, dict[int, float]] = {}
+    scaled: dict[str, dict[int, _Operator]] = {}
     for fault in faults:
         same = [o for o in tried if (o.finding.channel, o.finding.kind) == (fault.channel, fault.kind)]
         if same:
-            o = min(same, key=lambda o: float(((x[:, list(o.members)] - s[:, list(o.members)] @ o.matrix) ** 2).sum()))
-            x[:, list(o.members)] = x[:, list(o.members)] @ np.linalg.inv(o.matrix)
+            o = min(same, key=lambda o: float(((x[:, list(o.members)] - o.logged(s[:, list(o.members)])) ** 2).sum()))
+            x[:, list(o.members)] = o.true(x[:, list(o.members)])
             if fault.kind == "unit":
-                scaled.setdefault(base_name(fault.channel), {})[o.members[0]] = o.scale
+                scaled.setdefault(base_name(fault.channel), {})[o.members[0]] = o
     for name, members in by_array(channels).items():
         known = scaled.get(name, {})
-        if 2 * len(known) > len(members) and len(set(known.values())) == 1:
-            others = [i for i in members if i not in known]
-            x[:, others] /= next(iter(known.values()))
+        if 2 * len(known) > len(members) and len({(o.scale, o.offset) for o in known.values()}) == 1:
+            o = next(iter(known.values()))
+            for i in members:
+                if i not in known:
+                    x[:, [i]] = o.true(x[:, [i]])
     return x
 
 
@@ -161,14 +177,27 @@ def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str], units: Seq
         if not own.any():  # zero has no sign and no unit
             continue
         turned = Finding(name, "sign", -1.0, "1", "has the wrong sign; expected that of its simulation: turn it")
-        yield _Operator((i,), np.array([[-1.0]]), turned, pooled[i])
-        slope = float(x[:, i] @ s[:, i] / (s[:, i] @ s[:, i]))
-        for factor, (mistake, where) in FACTORS.items():
+        temperature = units[i] == "K"
+        for zero in (0.0, ICE) if temperature else (0.0,):
+            yield _Operator((i,), np.array([[-1.0]]), turned, pooled[i], offset=2.0 * zero)
+        usual = [(0.0, factor, mistake) for factor, (mistake, where) in FACTORS.items() if made_in(units[i], where)]
+        if temperature:
+            usual += [(ICE, factor, mistake) for _, factor, mistake in usual]
+            same = ICE - 40.0
+            usual += [(same, FAHRENHEIT, "degF for degC"), (same, 1.0 / FAHRENHEIT, "degC for degF")]
+        for zero, factor, mistake in usual:
+            measured, simulated = x[:, i] - zero, s[:, i] - zero
+            slope = float(measured @ simulated / (simulated @ simulated)) if simulated.any() else 0.0
             # a unit is exact: what is larger by another factor has an effect
-            if abs(slope / factor - 1.0) > TOLERANCE or not made_in(units[i], where):
+            if abs(slope / factor - 1.0) > TOLERANCE:
                 continue
             text = f"is {slope:.4g} times what it should be: {mistake}; expected 1 (give the unit that it is logged in)"
-            yield _Operator((i,), np.array([[factor]]), Finding(name, "unit", slope, "1", text), pooled[i])
+            finding = Finding(name, "unit", slope, "1", text)
+            yield _Operator((i,), np.array([[factor]]), finding, pooled[i], offset=zero * (1.0 - factor))
+        for offset, mistake in ((-ICE, "degC"), (ICE, "kelvin for degC")) if temperature else ():
+            way = "small" if offset < 0.0 else "large"
+            text = f"is {ICE:g} K too {way}: {mistake}; expected kelvin (give the unit that it is logged in)"
+            yield _Operator((i,), np.eye(1), Finding(name, "unit", offset, "K", text), pooled[i], offset=offset)
     for name, members in by_array(channels).items():
         for i, j in itertools.combinations(members, 2):
             text = f"is interchanged with {channels[j]}; give each the other's name"
@@ -193,7 +222,7 @@ def _log_bayes_factor(o: _Operator, x: FloatArray, s: FloatArray, noise: FloatAr
     """Log of the odds of the operator against none [nats]."""
     members = list(o.members)
     measured, plain = x[:, members], s[:, members]
-    faulted = plain @ o.matrix
+    faulted = o.logged(plain)
     left = ((measured - faulted) ** 2).mean(axis=0)
     usual = noise[members] ** 2 + (SINGLE * np.abs(x[:, members]).max(axis=0)) ** 2 + np.finfo(float).tiny
     off = ((measured - plain) ** 2).mean(axis=0)

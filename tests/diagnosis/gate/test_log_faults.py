@@ -207,3 +207,33 @@ def test_faults_are_tried_all_together_and_array_by_array() -> None:
     assert together([tracker, force, moment]) == [[tracker, force, moment], [tracker], [force, moment]]
     assert together([force, moment]) == [[force, moment]]
     assert together([]) == []
+
+
+KELVIN = 273.15 + 40.0 + 30.0 * np.sin(0.01 * np.arange(600.0))[:, None]
+"""A temperature between 10 and 70 degC [K]."""
+
+
+@pytest.mark.parametrize(
+    ("logged", "kind", "said"),
+    [
+        (273.15 + 1e3 * (KELVIN - 273.15), "unit", "is 1000 times what it should be: milli- for units"),
+        (273.15 + 1e-3 * (KELVIN - 273.15), "unit", "is 0.001 times what it should be: units for milli-"),
+        (1e3 * KELVIN, "unit", "is 1000 times what it should be: milli- for units"),
+        (273.15 - (KELVIN - 273.15), "sign", "has the wrong sign"),
+        (273.15 + 1.8 * (KELVIN - 273.15) + 32.0, "unit", "is 1.8 times what it should be: degF for degC"),
+        (273.15 + (KELVIN - 273.15 - 32.0) / 1.8, "unit", "is 0.5556 times what it should be: degC for degF"),
+        (KELVIN - 273.15, "unit", "is 273.15 K too small: degC"),
+        (KELVIN + 273.15, "unit", "is 273.15 K too large: kelvin for degC"),
+    ],
+)
+def test_temperatures_have_a_zero_of_their_own(logged: FloatArray, kind: str, said: str) -> None:
+    (finding,) = judged(logged, KELVIN, ["probe.shown"], ["K"], np.array([0.05]))
+    assert finding.kind == kind
+    assert finding.text.startswith(said)
+    np.testing.assert_allclose(undone([finding], logged, KELVIN, ["probe.shown"], ["K"]), KELVIN, rtol=1e3 * ROUNDOFF)
+    assert judged(logged, KELVIN, ["probe.shown"], ["N"], np.array([0.05])) == [] or kind == "unit"
+
+
+@pytest.mark.parametrize("other", [KELVIN + 5.0, 273.15 + 1.1 * (KELVIN - 273.15), 300.0 + 0.9 * (KELVIN - 300.0)])
+def test_a_temperature_that_is_a_little_off_has_no_other_unit(other: FloatArray) -> None:
+    assert judged(other, KELVIN, ["probe.shown"], ["K"], np.array([0.05])) == []
