@@ -277,7 +277,7 @@ class Conclusion:
                 continue
             fit = max((f for f in self.fits if c in f.model), key=lambda f: float(self.weights[self.fits.index(f)]))
             known = self.known.get(c.name)
-            closes = known.closes if known else None
+            closes = known.closes if known and not self.contradicted(c, self.best) else None
             listed.append(Which(c.effect, c.component, c.location, p * belief[c], self.parameters(c, fit), sets.get(c.name, []), closes))
         return tuple(listed)
 
@@ -285,28 +285,49 @@ class Conclusion:
         """Parameter of the component -> its value, 90 % interval and unit.
 
         Half of the interval: 1.645 sqrt((WIDER deviation)^2 + tolerance^2 + (FORM size)^2); of a single run value and deviation are those
-        of least squares (`intervals`), which need no factors.
+        of least squares (`intervals`), which need no factors. Where these two contradict each other (`contradicted`), it is the value of
+        the fit, and the interval reaches to the end of either.
         """
-        known = self.known.get(c.name) if fit is self.best else None
-        best = {a: fit.values[a] for a in c.addresses} | dict(known.values if known else {})
+        known, apart = (self.known.get(c.name) if fit is self.best else None), self.contradicted(c, fit)
+        best = {a: fit.values[a] for a in c.addresses} | dict(known.values if known and not apart else {})
         sizes, values = c.sizes(best), physical(best)
+        fitted = self.spread(c, fit)
+        spread = [known.deviations.get(a, s) if known else s for a, s in fitted.items()]
         # a calibrated number's own tolerance, and what the models are not trusted to, come on top of noise
-        spread = [math.hypot(WIDER * fit.deviations[a], FORM * sizes[a]) for a in c.addresses]
-        if known is not None:
-            spread = [known.deviations.get(a, s) for a, s in zip(c.addresses, spread, strict=True)]
-        half = [1.645 * math.hypot(d, self.tolerance(a)) for d, a in zip(spread, c.addresses, strict=True)]
+        half = [1.645 * math.hypot(d, self.tolerance(a)) for a, d in zip(c.addresses, spread, strict=True)]
+        off = [known.values[a] - best[a] if apart and known else 0.0 for a in c.addresses]
+        own = [1.645 * math.hypot(d, self.tolerance(a)) if apart else h for (a, d), h in zip(fitted.items(), half, strict=True)]
+        below = [max(h, w - x) for h, w, x in zip(own, half, off, strict=True)]
+        above = [max(h, w + x) for h, w, x in zip(own, half, off, strict=True)]
         units = [c.unit] * len(half)
         if c.has_phase:  # an error across the amplitude turns it
-            half, units = [max(half), min(max(half) / (sizes[c.addresses[0]] + 1e-300), math.pi)], [c.unit, "rad"]
+            most = max(*below, *above)
+            below, units = [most, min(most / (sizes[c.addresses[0]] + 1e-300), math.pi)], [c.unit, "rad"]
+            above = below
         low, high = (-math.inf, math.inf) if c.has_phase or known is None else c.bounds
         listed = {}
-        for name, h, unit in zip(c.named, half, units, strict=True):
+        for name, down, up, unit in zip(c.named, below, above, units, strict=True):
             value = values[c.component, name]
             given = self.laboratory.nominal.get((c.component, name))
-            listed[name] = Estimate(value, [max(value - h, low), min(value + h, high)], unit, given)
+            listed[name] = Estimate(value, [max(value - down, low), min(value + up, high)], unit, given)
         for (address, value), shape in zip(c.fixed, c.shapes, strict=bool(c.fixed)):
             listed[address[1]] = Estimate(value, [*c.bracket(address)], shape.unit)
         return listed
+
+    def spread(self, c: Candidate, fit: Fit) -> dict[Address, float]:
+        """Standard deviation [unit] of each number of an effect by the fit, with what its law may be off."""
+        sizes = c.sizes(fit.values)
+        return {a: math.hypot(WIDER * fit.deviations[a], FORM * sizes[a]) for a in c.addresses}
+
+    def contradicted(self, c: Candidate, fit: Fit) -> bool:
+        """Whether least squares, with all of the catalogue free, say something else of an effect than the fit: by 1.645 deviations of both.
+
+        Slopes reach only so far, and in a loop noise comes back as a signal. Then neither the value nor what it closes is known by them.
+        """
+        if fit is not self.best or (known := self.known.get(c.name)) is None:
+            return False
+        apart = {a: abs(known.values[a] - fit.values[a]) for a in c.addresses if a in known.values}
+        return any(x > 1.645 * math.hypot(known.deviations[a], self.spread(c, fit)[a], self.tolerance(a)) for a, x in apart.items())
 
     def tolerance(self, address: Address) -> float:
         """Standard deviation to which the nominal value is believed [unit]."""
