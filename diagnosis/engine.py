@@ -141,10 +141,11 @@ def diagnose_campaign(
         answer, adopted = conclusion.answer()
         if answer.verdict in ("identified", "ambiguous", "unknown"):
             onset = onset_of(search)
-            named = {(c.effect, c.location) for c in conclusion.best.model}
+            names = {(c.effect, c.location) for c in conclusion.best.model}
+            named = answer.verdict != "unknown" and onset is not None and (onset.effect, onset.location) in names
             # of another effect than those that are named it is what these do to the residual of the nominal system
-            if onset is not None and (answer.verdict == "unknown" or (onset.effect, onset.location) in named):
-                answer = replace(answer, onset=onset)
+            if onset is not None and (answer.verdict == "unknown" or named):
+                answer = replace(answer, onset=replace(onset, named=named))
         if answer.verdict == "unknown" or form:
             answer = replace(answer, form=discovered(search, groups, suspects(answer, laboratory), conclusion.titles, left_in(answer)))
         answer = replace(answer, effort=effort_of(began, simulator), skipped=tuple(skipped))

@@ -40,6 +40,7 @@ from robomill.models.model.cache import source_files
 from robomill.models.model.declaration import Model
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.system.definition import Component, System
+from robomill.report.subject import perhaps
 from robomill.report.units import percent
 from robomill.tables import say
 
@@ -301,7 +302,8 @@ def lines(answer: Answer) -> list[str]:
         out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}, {values}{idle}")
     if rest := answer.which[shown:]:
         out.append(f"which: {len(rest)} more, with probabilities up to {rest[0].probability:.2f}, in the report")
-    out += [f"suspected: {w.effect} at {w.location}, or noise that is slow; repeats say which" for w in answer.suspected]
+    if answer.suspected:
+        out.append(f"suspected: {perhaps(answer, ', '.join(f'{w.effect} at {w.location}' for w in answer.suspected))}")
     out += [f"calibrated: {p.text}" for p in answer.calibrated or ()]
     out += _gap_lines(answer)
     if answer.unknown:

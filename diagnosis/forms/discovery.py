@@ -173,8 +173,9 @@ def like_delays(found: Sequence[Solved]) -> tuple[str, ...]:
                 low, high = group[0][2]
             ports = ", ".join(f"{host}.{e}" for e, _, _ in group)
             what = "a delay" if mean > 0.0 else "a lead"
-            ends = sorted(abs(1e3 * x) for x in (low, high))
-            texts.append(f"like {what} of {1e3 * abs(mean):.3g} ms ({ends[0]:.3g} to {ends[1]:.3g}) in {ports}")
+            per, unit = (1e3, "ms") if abs(mean) < 1.0 else (1.0, "s")
+            ends = sorted(abs(per * x) for x in (low, high))
+            texts.append(f"like {what} of {per * abs(mean):.3g} {unit} ({ends[0]:.3g} to {ends[1]:.3g}) in {ports}")
     return tuple(texts)
 
 

@@ -54,11 +54,13 @@ class Onset:
     """Growth per second [unit/s], where it grows."""
     gain: float
     """Log Bayes factor [nats] against the same effect, or a better one, all the time; of an onset between runs, against the same."""
+    named: bool = False
+    """Whether the answer has the effect; else it is what the gap looks like."""
 
     @property
     def text(self) -> str:
         """In words."""
-        what = f"{self.effect} at {self.location}"
+        what = f"{'' if self.named else 'something like '}{self.effect} at {self.location}"
         if self.run is not None:
             return f"{what} is there from run {self.run} of {self.condition} on, with {self.value:.4g} {self.unit}"
         low, high = self.interval or [math.nan, math.nan]
@@ -69,15 +71,21 @@ class Onset:
 
 
 def onset_of(search: Search) -> Onset | None:
-    """The onset of the effect that explains most with one; None where nothing speaks for an onset."""
+    """The onset of the effect that explains most with one, of a size that it may have; None where nothing speaks for an onset."""
     best: tuple[float, Onset] | None = None
     candidates = _looked_at(search)
     usual = min((_always(search, c) for c in candidates), default=math.inf)
     for c in candidates:
         for found in (_within(search, c, usual), _between(search, c)):
-            if found is not None and (best is None or found[0] < best[0]):
+            if found is not None and _may_be(c, found[1].value) and (best is None or found[0] < best[0]):
                 best = found
     return None if best is None else best[1]
+
+
+def _may_be(c: Candidate, value: float) -> bool:
+    """Whether an effect may have this size [unit], by its sign and its largest one in the catalogue."""
+    low, high = c.bounds
+    return low <= value <= high
 
 
 def _sensitivity(search: Search, c: Candidate) -> FloatArray:

@@ -234,8 +234,14 @@ class Answer:
 
     @property
     def suspected(self) -> tuple[Which, ...]:
-        """What would be named of an answer that is `none` if noise were known: a guess of it may hide noise that is as slow as this."""
-        if self.verdict != "none" or not self.guessed or self.tests is None or not believed(self.tests):
+        """What may be there though the answer is `none`.
+
+        Where noise is a guess it may be as slow as an effect that is believed. Elsewhere an effect is likelier than none, and not as sure
+        as the false-alarm rate asks.
+        """
+        if self.verdict != "none" or (t := self.tests) is None or t.p_none > t.false_alarm:
+            return ()
+        if not (self.guessed and believed(t)) and not t.false_alarm < t.nothing < 1.0 - t.nothing:
             return ()
         return tuple(w for w in self.which if w.probability > 1.0 - w.probability)
 

@@ -30,7 +30,7 @@ def sure(s: Subject) -> str:
         lines.append(f"{GUESS}, from the fast part of what the best model leaves. Probabilities and intervals rest on that guess.")
     enough = {
         "p_none": "so no effect is believed",
-        "nothing": f"which is kept; but all in all nothing is wrong with a probability of {percent(tests.nothing)}, so no effect is believed",
+        "nothing": f"which is kept; but that nothing is wrong has a probability of {percent(tests.nothing)}, more than that limit, so no effect is believed",
         "p_fit": "so something is believed to be there",
     }[no_effect(tests)]
     lines.append(

@@ -33,7 +33,8 @@ def section(s: Subject, figures: Mapping[str, str]) -> str:
     shown_at = {(effect, v.location) for effect, places in effects for _, v in places}
     never = {(v.effect, v.location) for v in s.answer.smallest_visible or ()} - shown_at
     total, missed_in_all = sum(len(p) for _, p in effects) + len(never), sum(len(m) for m, _ in hidden.values()) + len(never)
-    known = "would have been seen" if not s.answer.suspected else "would have been named if the noise were not a guess"
+    slow = s.answer.suspected and s.answer.guessed
+    known = "would have been named if the noise were not a guess" if slow else "would have been seen"
     text = (
         f"“Not found” says as much as these runs can show: an effect above the sizes below {known} (five standard deviations of "
         f"noise and tolerances), a smaller one may be there. Of {total} effects and places, {missed_in_all} would have been missed at their usual size"

@@ -16,7 +16,7 @@ from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Which
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.how_far import CONDITION, DIAGNOSED, REPEAT
 from robomill.diagnosis.outcome.reasons import WHY
-from robomill.diagnosis.outcome.verdict import IDENTIFIED
+from robomill.diagnosis.outcome.verdict import IDENTIFIED, believed
 from robomill.orchestration.runs.recorder import frame_of
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
@@ -248,7 +248,7 @@ def _answer(s: Subject) -> str:
         more = f" ({len(fatal) - 1} more findings below)" if len(fatal) > 1 else ""
         return f"This log cannot be diagnosed: {reason(fatal[0])}{more}." if fatal else "This log cannot be diagnosed."
     if s.verdict == "none":
-        also = f". It may be noise that is slow, or {causes(maybe)}; repeats say which" if (maybe := s.answer.suspected) else ""
+        also = f". It may be {perhaps(s.answer, causes(maybe))}" if (maybe := s.answer.suspected) else ""
         return f"No effect is needed to explain these runs: machine and simulation differ by no more than noise and the tolerances of calibrated numbers{also}."
     if known := s.answer.unknown:
         place = listed([listed([w.component, *(w.alternatives or ())], "or") for w in s.blamed]) or known.component
@@ -257,6 +257,15 @@ def _answer(s: Subject) -> str:
     if s.verdict == "ambiguous":
         return _open(s.sure, [w for w in s.answer.which if w.probability < IDENTIFIED])
     return f"The gap is caused by {causes(s.sure)}{_shrinks(s)}."
+
+
+def perhaps(answer: Answer, cause: str) -> str:
+    """What is said of what is suspected: `cause`, and why it is not the answer."""
+    assert answer.tests is not None
+    if believed(answer.tests):
+        return f"noise that is slow, or {cause}; repeats say which"
+    nothing, limit = percent(answer.tests.nothing), percent(answer.tests.false_alarm)
+    return f"{cause}; but that nothing is wrong has a probability of {nothing}, and the limit is {limit}"
 
 
 def _open(sure: Sequence[Which], doubtful: Sequence[Which]) -> str:

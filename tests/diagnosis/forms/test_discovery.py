@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from robomill.cell.binding import resolve as with_forms
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.experiment.simulation import Simulator
-from robomill.diagnosis.forms.discovery import discovered, suspects
+from robomill.diagnosis.forms.discovery import discovered, like_delays, suspects
 from robomill.diagnosis.forms.layout import Form
 from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.inference.search import Search
@@ -148,7 +150,8 @@ class TestOnset:
         assert (found.effect, found.location, found.how, found.run) == ("gain", "sensor 2", "switches on", None)
         assert found.interval is not None
         assert found.interval[0] <= 4.5 <= found.interval[1]
-        assert "switches on at t = " in found.text
+        assert found.text.startswith("something like gain at sensor 2 switches on at t = ")
+        assert replace(found, named=True).text.startswith("gain at sensor 2 switches on at t = ")
 
     def test_is_found_between_runs(self, tmp_path: Path) -> None:
         runs = [*demo.measure(repeats=4)[:2], *self.gained(-1.0)[2:]]
@@ -157,7 +160,7 @@ class TestOnset:
         assert found is not None
         assert (found.effect, found.location, found.run) == ("gain", "sensor 2", 3)
         assert abs(found.value - 0.1) < demo.WELL
-        assert found.text == f"gain at sensor 2 is there from run 3 of {found.condition} on, with {found.value:.4g} 1"
+        assert found.text == f"something like gain at sensor 2 is there from run 3 of {found.condition} on, with {found.value:.4g} 1"
 
     def test_a_growing_effect_has_a_rate(self, tmp_path: Path) -> None:
         runs = demo.changed(demo.measure(repeats=4), "sensors.y[2]", lambda t, y: y * (1.0 + 0.05 * np.maximum(t - 3.0, 0.0)))
@@ -169,6 +172,24 @@ class TestOnset:
         assert abs(found.rate - 0.05) < 0.05 * 0.1  # a tenth: an onset and a rate are known together
         assert "grows from t = " in found.text
 
+    @pytest.mark.parametrize("sign", ["negative", "positive"])
+    def test_an_effect_has_no_size_there_that_the_catalogue_does_not_let_it_have(self, tmp_path: Path, sign: str) -> None:
+        search, _, _ = looked_at(tmp_path, self.gained(4.5, size=0.1 if sign == "positive" else -0.1))
+        search.candidates = [replace(c, both_signs=False) if c.effect == "gain" else c for c in search.candidates]
+        found = onset_of(search)
+        assert (found is not None and (found.effect, found.location) == ("gain", "sensor 2")) is (sign == "positive")
+
     def test_an_effect_that_is_always_there_has_none(self, tmp_path: Path) -> None:
         search, _, _ = looked_at(tmp_path, self.gained(-1.0))
         assert onset_of(search) is None
+
+
+@pytest.mark.parametrize(("seconds", "said"), [(-3.05e-3, "3.05 ms (2.98 to 3.12)"), (-32.4, "32.4 s (31.7 to 33.1)")])
+def test_a_delay_is_in_a_unit_that_one_reads(seconds: float, said: str) -> None:
+    host = SimpleNamespace(name="probe")
+    variable = SimpleNamespace(rate=True, name="shown")
+    term = SimpleNamespace(factors=[SimpleNamespace(kind="value", variable=variable)])
+    interval = [seconds * (3.12 / 3.05), seconds * (2.98 / 3.05)]
+    found = SimpleNamespace(values=[seconds], intervals=[interval])
+    solved = SimpleNamespace(terms=[("shown", term)], found=found, problem=SimpleNamespace(seen=SimpleNamespace(host=host)))
+    assert like_delays(cast("Any", [solved])) == (f"like a delay of {said} in probe.shown",)

@@ -278,7 +278,7 @@ class TestContent:
         assert tests is not None
         assert "so no effect is believed" in _text(html(_saying(s, tests=replace(tests, p_none=0.4)), {}))
         doubtful = replace(tests, p_none=1e-3, nothing=0.4)
-        assert "but all in all nothing is wrong with a probability of 40 %" in _text(html(_saying(s, tests=doubtful), {}))
+        assert "but that nothing is wrong has a probability of 40 %, more than that limit" in _text(html(_saying(s, tests=doubtful), {}))
         refuted = _text(html(_saying(s, tests=replace(doubtful, nothing=1e-3, p_fit=0.05)), {}))
         assert "That the nearest one is right is very unlikely (5 %)" in refuted
         assert "Probability that nothing is wrong" not in refuted
@@ -622,7 +622,12 @@ def test_what_may_be_slow_noise_is_said_where_nothing_is_named(subject: Callable
     assert s.answer.gap is not None
     s = _saying(s, which=(late,), tests=tests, gap=replace(s.answer.gap, noise_is_a_guess=True))
     assert "It may be noise that is slow, or clock, log (29.0 ms); repeats say which." in verdict_sentence(s).replace("\u00a0", " ")
-    assert "suspected: clock at log, or noise that is slow; repeats say which" in lines(s.answer)
+    assert "suspected: noise that is slow, or clock at log; repeats say which" in lines(s.answer)
+    unsure = _saying(s, tests=replace(tests, nothing=0.03))
+    said = "that nothing is wrong has a probability of 3 %, and the limit is 2 %"
+    assert f"It may be clock, log (29.0 ms); but {said}." in verdict_sentence(unsure).replace("\u00a0", " ")
+    assert f"suspected: clock at log; but {said}" in [line.replace("\u00a0", " ") for line in lines(unsure.answer)]
+    assert not _saying(s, tests=replace(tests, nothing=0.6)).answer.suspected
     for known in (
         _saying(s, tests=replace(tests, p_none=0.5)),
         _saying(s, gap=replace(s.answer.gap, noise_is_a_guess=False)),
