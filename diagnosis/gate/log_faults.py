@@ -75,7 +75,7 @@ class _Operator:
     paid: float = 0.0
     """What its fitted numbers cost [nats] (Schwarz 1978, Ann. Stat. 6, 461)."""
     offset: float = 0.0
-    """Of a scale whose zero is not that of the unit [unit]."""
+    """Where the zero of the scale is not that of the unit [unit]."""
 
     @property
     def scale(self) -> float:
