@@ -122,11 +122,6 @@ class Evidence:
     """What the best model leaves over what noise and discrepancy do [1]: so many samples more are worth one."""
 
     @property
-    def once(self) -> bool:
-        """Whether nothing was repeated of what is diagnosed: noise is a guess then, or is known from what is held out."""
-        return all(len(runs) == 1 for runs in self.residuals)
-
-    @property
     def guess(self) -> float:
         """chi2 of noise over that of the part of it that is known: 1, but where that is the fast part of a time series.
 

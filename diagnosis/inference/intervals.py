@@ -1,4 +1,4 @@
-"""Values and intervals of the effects of a model where nothing was repeated: ordinary least squares with all of the catalogue beside them.
+"""Values and intervals of the effects of a model where noise is a guess: ordinary least squares with all of the catalogue beside them.
 
 Effects are selected on whitened data, where reversals decide; there laws of friction are wrong. Their values come from plain squares, each
 channel over what is left of it. An effect that is not named is not zero: it is free within its prior and its bounds, so that what is named
@@ -272,11 +272,11 @@ def _left(search: Search, values: Mapping[Address, float]) -> list[FloatArray | 
 
 
 def by_least_squares(search: Search, fit: Fit) -> dict[str, Known]:
-    """What is known of each effect of a model, by name, where nothing was repeated; empty where there are repeats, or no effect.
+    """What is known of each effect of a model, by name, where noise is a guess; empty where it is known, or without an effect.
 
     Gauss-Newton: where the slopes of before move the values on from what a simulation at them leaves, slopes are taken anew.
     """
-    problem = Problem.of(search, fit, fit.values) if fit.model and search.evidence.once else None
+    problem = Problem.of(search, fit, fit.values) if fit.model and search.evidence.whitening.guessed else None
     if problem is None:
         return {}
     solution = problem.solved()

@@ -1,6 +1,6 @@
 """Which effects a single recording has: sets of effects, weighed by what least squares see of them.
 
-Where nothing was repeated, the search knows the fast part of the noise alone, and takes ten samples for one. That finds strong effects, and
+Where noise is a guess, the search knows the fast part of the noise alone, and takes ten samples for one. That finds strong effects, and
 what its best model leaves. From that, the noise is known with its memory (`intervals`), and with it what each set of effects explains of
 all that least squares see: each set has an evidence of its own, without another simulation. So an effect is judged by what it adds to
 all the others that are there, however many these are and however much more they do.
@@ -81,14 +81,14 @@ class Sets:
 
 
 def weighed(search: Search, fits: Sequence[Fit]) -> tuple[list[Fit], FloatArray]:
-    """Models and the probability of each, float64[models]: those of the search, and where nothing was repeated, those of `Sets`, too.
+    """Models and the probability of each, float64[models]: those of the search, and where noise is a guess, those of `Sets`, too.
 
     Sets are those about the best model: where another one is better, that is fitted, and sets are weighed anew, until it stays. A fault
     of the log that the best model of the search does not have is not looked at: there is more to it than evidence.
     """
     weights = probabilities(fits, search.candidates)
     best = fits[int(weights.argmax())]
-    if not best.model or not search.evidence.once:
+    if not best.model or not search.evidence.whitening.guessed:
         return list(fits), weights
     for _ in range(GUESSES):
         problem = Problem.of(search, best, best.values)

@@ -85,8 +85,8 @@ class Conclusion:
             self.fits, self.weights = weighed(search, fits)
         self.best = self.diagnosed = self.fits[int(self.weights.argmax())]
         self._moved: dict[frozenset[Candidate], Transfer | None] = {}
-        # of a log that is refused nothing else is asked; where nothing was repeated, evidence is of a noise that is a guess
-        if not search.evidence.once and any(c.component != LOGGING for c in self.best.model):
+        # of a log that is refused nothing else is asked; evidence of a noise that is a guess says nothing elsewhere
+        if not search.evidence.whitening.guessed and any(c.component != LOGGING for c in self.best.model):
             self.weights = self.held_out()
             self.best = self.fits[int(self.weights.argmax())]
         self.known: Mapping[str, Known] = {}
@@ -142,8 +142,8 @@ class Conclusion:
         sure = {c.component == LOGGING for c in self.best.model if believed[c] >= IDENTIFIED}
         faulty = sure == {True} and not self.repair  # beside effects of the machine a fault of the log is corrected, and said
         verdict = judged(search, tests, nominal, self.best, lambda: self.other, believed, faulty, self.differs is not None, moved)
-        # with repeats, noise is known, and what a model leaves says whether it is right
-        tried = verdict in ("identified", "ambiguous") and search.evidence.once
+        # where noise is known, what a model leaves says whether it is right
+        tried = verdict in ("identified", "ambiguous") and search.evidence.whitening.guessed
         instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if tried else Laws()
         bound = at_bound(self.best.model, self.best.values)
         if verdict != "none":

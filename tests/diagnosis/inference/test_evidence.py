@@ -206,7 +206,7 @@ class TestScales:
     def test_slow_noise_is_as_large_in_means_over_steps_and_white_noise_is_not(self, decimation: int, repeats: int, guess: float) -> None:
         runs = [[still(float(k)) for k in range(repeats)]]
         found = gathered(runs, [[still()]], {P: [still(1.0)]}, {P: 1.0}, {P: 1.0}, {}, decimation)
-        assert (found.guess, found.once) == (guess, repeats == 1)
+        assert (found.guess, found.whitening.guessed) == (guess, repeats == 1)
         assert found.noise == pytest.approx(guess * float(found.expected.sum()), rel=ROUNDOFF)
 
     def beside(self, runs: FloatArray, **condition: object) -> Evidence:
@@ -221,7 +221,6 @@ class TestScales:
     def test_held_out_repeats_say_what_noise_is(self, held_out: bool) -> None:
         """Two of a condition that is not diagnosed: their scatter is noise, whatever they have in common."""
         found = self.beside(0.5 * np.random.default_rng(8).normal(size=(2, ROWS)), held_out=held_out)
-        assert found.once
         assert found.whitening.guessed is not held_out
         assert found.whitening.deviation[0] == pytest.approx(0.5 if held_out else 0.0, rel=chance(0.5 * of_variance(ROWS)))
 
