@@ -157,7 +157,7 @@ class Conclusion:
         for c in said if verdict != "none" else []:
             (address,), (kind, _, pattern) = c.addresses, c.parameters[0].partition(" ")
             known = self.known.get(c.name)
-            value = self.best.values[address] if known is None else known.values[address]  # as `which` has it
+            value = (known if known and not self.contradicted(c, self.best) else self.best).values[address]  # as `which` has it
             text = SAID[kind].format(place=c.location, way="late" if value > 0.0 else "early", size=_size(value, c.unit))
             self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, faulty, not faulty))
         swings = self.swings if verdict == "none" else None
