@@ -289,16 +289,17 @@ class Conclusion:
         the fit, and the interval reaches to the end of either.
         """
         known, apart = (self.known.get(c.name) if fit is self.best else None), self.contradicted(c, fit)
-        best = {a: fit.values[a] for a in c.addresses} | dict(known.values if known and not apart else {})
+        free = known if known and not apart else None
+        best = {a: fit.values[a] for a in c.addresses} | dict(free.values if free else {})
         sizes, values = c.sizes(best), physical(best)
-        fitted = self.spread(c, fit)
-        spread = [known.deviations.get(a, s) if known else s for a, s in fitted.items()]
+        spread = self.spread(c, fit) | dict(free.deviations if free else {})
         # a calibrated number's own tolerance, and what the models are not trusted to, come on top of noise
-        half = [1.645 * math.hypot(d, self.tolerance(a)) for a, d in zip(c.addresses, spread, strict=True)]
-        off = [known.values[a] - best[a] if apart and known else 0.0 for a in c.addresses]
-        own = [1.645 * math.hypot(d, self.tolerance(a)) if apart else h for (a, d), h in zip(fitted.items(), half, strict=True)]
-        below = [max(h, w - x) for h, w, x in zip(own, half, off, strict=True)]
-        above = [max(h, w + x) for h, w, x in zip(own, half, off, strict=True)]
+        half = [1.645 * math.hypot(spread[a], self.tolerance(a)) for a in c.addresses]
+        below, above = list(half), list(half)
+        for i, a in enumerate(c.addresses):
+            if apart and known and a in known.values:
+                off, wide = known.values[a] - best[a], 1.645 * math.hypot(known.deviations[a], self.tolerance(a))
+                below[i], above[i] = max(half[i], wide - off), max(half[i], wide + off)
         units = [c.unit] * len(half)
         if c.has_phase:  # an error across the amplitude turns it
             most = max(*below, *above)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
+from robomill.diagnosis.outcome.verdict import believed
 from robomill.report.figures import smallest
 from robomill.report.html import figure, fold, paragraph, table
 from robomill.report.subject import Subject, listed, together
@@ -33,7 +34,7 @@ def section(s: Subject, figures: Mapping[str, str]) -> str:
     shown_at = {(effect, v.location) for effect, places in effects for _, v in places}
     never = {(v.effect, v.location) for v in s.answer.smallest_visible or ()} - shown_at
     total, missed_in_all = sum(len(p) for _, p in effects) + len(never), sum(len(m) for m, _ in hidden.values()) + len(never)
-    slow = s.answer.suspected and s.answer.guessed
+    slow = s.answer.suspected and s.answer.tests and believed(s.answer.tests)
     known = "would have been named if the noise were not a guess" if slow else "would have been seen"
     text = (
         f"“Not found” says as much as these runs can show: an effect above the sizes below {known} (five standard deviations of "

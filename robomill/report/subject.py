@@ -276,12 +276,10 @@ def _open(sure: Sequence[Which], doubtful: Sequence[Which]) -> str:
         first = f"The gap is caused by {causes(sure)}, together with one of" if sure else "The gap has one of"
         rest = f" or one of {more} others" if more else ""
         return f"{first} several causes that these runs cannot tell apart: {listed(names, 'or')}{rest}."
-    rest = f" and {more} others" if more else ""
+    each = listed([*names, *([f"{more} others"] if more else [])])
     if sure:
-        return (
-            f"The gap is caused by {causes(sure)}. What is beside {'it' if len(sure) == 1 else 'them'} is not sure: {listed(names)}{rest}."
-        )
-    return f"The likeliest answer is not sure: {listed(names)}{rest}."
+        return f"The gap is caused by {causes(sure)}. What is beside {'it' if len(sure) == 1 else 'them'} is not sure: {each}."
+    return f"The likeliest answer is not sure: {each}."
 
 
 def because(s: Subject) -> list[str]:

@@ -7,7 +7,7 @@ import pytest
 
 from robomill.diagnosis.experiment.observation import observe
 from robomill.diagnosis.gate.checks import Finding
-from robomill.diagnosis.gate.log_faults import FACTORS, judged, made_in, together, undone
+from robomill.diagnosis.gate.log_faults import FACTORS, FAHRENHEIT, ICE, judged, made_in, together, undone
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import ROUNDOFF
 
@@ -231,7 +231,12 @@ def test_temperatures_have_a_zero_of_their_own(logged: FloatArray, kind: str, sa
     assert finding.kind == kind
     assert finding.text.startswith(said)
     np.testing.assert_allclose(undone([finding], logged, KELVIN, ["probe.shown"], ["K"]), KELVIN, rtol=1e3 * ROUNDOFF)
-    assert judged(logged, KELVIN, ["probe.shown"], ["N"], np.array([0.05])) == [] or kind == "unit"
+
+
+@pytest.mark.parametrize("about", [ICE, ICE - 40.0])
+def test_only_temperatures_have_another_zero(about: float) -> None:
+    for factor in (-1.0, 1e3, FAHRENHEIT):
+        assert judged(about + factor * (KELVIN - about), KELVIN, ["probe.shown"], ["N"], np.array([0.05])) == []
 
 
 @pytest.mark.parametrize("other", [KELVIN + 5.0, 273.15 + 1.1 * (KELVIN - 273.15), 300.0 + 0.9 * (KELVIN - 300.0)])

@@ -605,7 +605,7 @@ def test_many_causes_are_counted() -> None:
         ([0.97, 0.6], "The gap is caused by backlash, joint 1 (80.0 µrad). What is beside it is not sure: backlash, joint 2"),
         ([0.97, 0.9, 0.6, 0.7], "What is beside them is not sure: backlash, joint 3 (80.0 µrad) at 60 % and backlash, joint 4"),
         ([0.97, 0.6, 0.3], "together with one of several causes that these runs cannot tell apart: backlash, joint 2"),
-        ([0.7] * 6, "backlash, joint 4 (80.0 µrad) at 70 % and 2 others."),
+        ([0.7] * 6, "at 70 %; backlash, joint 4 (80.0 µrad) at 70 % and 2 others."),
     ],
 )
 def test_what_is_doubtful_is_said_as_what_it_is(each: list[float], said: str) -> None:
