@@ -30,7 +30,7 @@ from robomill.diagnosis.inference.sensitivities import NOMINAL
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, curves_of, effort_of, titles_of
 from robomill.diagnosis.outcome.conclusion import Conclusion
 from robomill.diagnosis.outcome.how_far import CLOSING
-from robomill.diagnosis.outcome.verdict import over_noise, right, share_left
+from robomill.diagnosis.outcome.verdict import left_over, over_noise, right, share_left
 from robomill.orchestration.assembly import Resolver
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -121,6 +121,8 @@ def diagnose_campaign(
             if fatal:  # is it the machine, after all?
                 best = _simulated(search, _best(search, fits))
                 machine = _little(search, fits, best) and not any(c.component == LOGGING for c in best.model)
+                faults = [f for f in fatal if f.kind in log_faults.KEEPING]
+                machine = machine and not (faults and _nominal(search, gate.without(faults), best))
                 if machine and _shows(search, best, {f.channel for f in fatal}):
                     findings = told + gate.findings(setting(best.values))
                 faults = [f for f in findings if f.fatal and f.kind in log_faults.KINDS]
@@ -140,12 +142,9 @@ def diagnose_campaign(
         conclusion = Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, false_alarm)
         answer, adopted = conclusion.answer()
         if answer.verdict in ("identified", "ambiguous", "unknown"):
-            onset = onset_of(search)
-            names = {(c.effect, c.location) for c in conclusion.best.model}
-            named = answer.verdict != "unknown" and onset is not None and (onset.effect, onset.location) in names
-            # of another effect than those that are named it is what these do to the residual of the nominal system
-            if onset is not None and (answer.verdict == "unknown" or named):
-                answer = replace(answer, onset=replace(onset, named=named))
+            named = answer.verdict != "unknown"
+            onset = onset_of(search, conclusion.best if named else None)
+            answer = replace(answer, onset=replace(onset, named=named) if onset is not None else None)
         if answer.verdict == "unknown" or form:
             answer = replace(answer, form=discovered(search, groups, suspects(answer, laboratory), conclusion.titles, left_in(answer)))
         answer = replace(answer, effort=effort_of(began, simulator), skipped=tuple(skipped))
@@ -169,6 +168,14 @@ def _little(search: Search, fits: Sequence[Fit], best: Fit) -> bool:
     return over_noise(search, best) < UNKNOWN or share_left(search, fits[0], best) < LITTLE
 
 
+def _nominal(search: Search, groups: Sequence[Sequence[FloatArray]], best: Fit) -> bool:
+    """Whether the nominal system leaves no more of repeats with a fault undone than the `best` model leaves of the log as it is.
+
+    Then the fault alone explains the log, without a number that is fitted.
+    """
+    return left_over(search, search.evidence.residual(groups)) <= over_noise(search, best)
+
+
 def _wrong_channel(
     catalogue: Catalogue,
     search: Search,
@@ -180,10 +187,12 @@ def _wrong_channel(
     """The channel that has nearly all of a gap that nothing explains, if it stands still, or a model explains the log with its sign turned.
 
     The gate lets a channel rest at an extreme, as a limit does, and sees a wrong sign by the nominal signal: where an effect is
-    much larger than that, only both together say so.
+    much larger than that, only both together say so. What the parts of a signal are, all of them less by twice as much, explains a wrong
+    sign, too; so that of a gap that is explained is turned where the nominal system leaves no more then.
     """
     best = _best(search, fits)
-    if over_noise(search, best) < UNKNOWN:
+    explained = over_noise(search, best) < UNKNOWN
+    if explained and not best.model:
         return None
     names = [c for c, on in zip(search.simulator.laboratory.channels, search.evidence.active, strict=True) if on]
     gap = search.evidence.space.y
@@ -191,10 +200,13 @@ def _wrong_channel(
     if chi2.max() < DOMINANT * chi2.sum():
         return None
     name = names[int(chi2.argmax())]
+    sign = np.where(np.array(search.simulator.laboratory.channels) == name, -1.0, 1.0)
+    turned = [[sign * x for x in group] for group in groups]
+    if explained and not _nominal(search, turned, best):
+        return None
     if left_by(over_noise(search, fits[0]), over_noise(search, best)) < 0.0 and (rest := _rest(search, best, groups, name, limits)):
         return Finding(name, "constant", rest, "s", f"stands still for {rest:.3g} s, which nothing explains")
-    sign = np.where(np.array(search.simulator.laboratory.channels) == name, -1.0, 1.0)
-    other = _explained(catalogue, search, fits, [[sign * x for x in group] for group in groups], nuisances)
+    other = _explained(catalogue, search, fits, turned, nuisances)
     if other is None:
         return None
     return Finding(name, "sign", -1.0, "1", f"has the wrong sign: with the other one, {other.name} explains the log")

@@ -18,6 +18,7 @@ import numpy as np
 
 from robomill.diagnosis.candidates import LOGGING, Candidate
 from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT
+from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.search import SINGLES, Search
 from robomill.diagnosis.outcome.closure import BLOCKS
 from robomill.diagnosis.outcome.verdict import UNLISTED
@@ -70,13 +71,18 @@ class Onset:
         return f"{what} grows from {when} on, by {self.rate:.4g} {self.unit}/s"
 
 
-def onset_of(search: Search) -> Onset | None:
-    """The onset of the effect that explains most with one, of a size that it may have; None where nothing speaks for an onset."""
+def onset_of(search: Search, right: Fit | None = None) -> Onset | None:
+    """The onset of the effect that explains most with one, of a size that it may have; None where nothing speaks for an onset.
+
+    `right`: the model that is believed. Then it is one of its effects, and what all its others do is no part of the gap.
+    """
     best: tuple[float, Onset] | None = None
-    candidates = _looked_at(search)
-    usual = min((_always(search, c) for c in candidates), default=math.inf)
-    for c in candidates:
-        for found in (_within(search, c, usual), _between(search, c)):
+    does = right.signatures() if right is not None else {}
+    of = [c for c in does if len(c.parameters) == 1 and c.component != LOGGING] if right is not None else _looked_at(search)
+    other = {c: sum((s for d, s in does.items() if d != c), np.zeros_like(search.evidence.space.y)) for c in of}
+    usual = min((_always(search, c, other[c]) for c in of), default=math.inf)
+    for c in of:
+        for found in (_within(search, c, usual, other[c]), _between(search, c, other[c])):
             if found is not None and _may_be(c, found[1].value) and (best is None or found[0] < best[0]):
                 best = found
     return None if best is None else best[1]
@@ -107,19 +113,19 @@ def _looked_at(search: Search) -> list[Candidate]:
     return sorted(fit, key=lambda c: -explained(c))[:SINGLES]
 
 
-def _always(search: Search, c: Candidate) -> float:
-    """Squares that an effect leaves which is there all the time, with a size of its own in each condition."""
+def _always(search: Search, c: Candidate, other: FloatArray) -> float:
+    """Squares that an effect leaves which is there all the time, with a size of its own in each condition; `other` [n]: what others do."""
     space, v = search.evidence.space, _sensitivity(search, c)
-    together = [*(_only(v, b) for b in space.blocks.values()), space.y]
+    together = [*(_only(v, b) for b in space.blocks.values()), space.y - other]
     products = space.without(c.addresses).within(space.gram(np.column_stack(together)), range(len(together)))
     size, along = np.diag(products)[:-1], products[-1, :-1]
     return float(products[-1, -1] - np.where(size > 0.0, along**2 / np.where(size > 0.0, size, 1.0), 0.0).sum())
 
 
-def _within(search: Search, c: Candidate, usual_left: float) -> tuple[float, Onset] | None:
+def _within(search: Search, c: Candidate, usual_left: float, other: FloatArray) -> tuple[float, Onset] | None:
     """(squares left, onset) of an effect that begins within the runs of a condition.
 
-    `usual_left`: squares that the best effect leaves which is there all the time.
+    `usual_left`: squares that the best effect leaves which is there all the time; `other` [n]: what others do.
     """
     space, channels = search.evidence.space, int(search.evidence.active.sum())
     v = _sensitivity(search, c)
@@ -133,7 +139,7 @@ def _within(search: Search, c: Candidate, usual_left: float) -> tuple[float, Ons
         for begin in np.linspace(0.0, rows, BLOCKS + 1)[1:-1]:
             for shape in (at >= begin, np.maximum(at - begin, 0.0) / rows):
                 columns.append(_only(v, b, np.repeat(shape.astype(np.float64), channels)))
-    together = [*constant, *columns, space.y]
+    together = [*constant, *columns, space.y - other]
     products = own.within(space.gram(np.column_stack(together)), range(len(together)))
     n = len(blocks)
     square, along, size = products[-1, -1], products[:-1, -1], np.diag(products)[:-1]
@@ -177,8 +183,11 @@ def _within(search: Search, c: Candidate, usual_left: float) -> tuple[float, Ons
     return left, onset
 
 
-def _between(search: Search, c: Candidate) -> tuple[float, Onset] | None:
-    """(squares left, onset) of an effect that is there from one run of a condition on; runs in the order in which they were given."""
+def _between(search: Search, c: Candidate, other: FloatArray) -> tuple[float, Onset] | None:
+    """(squares left, onset) of an effect that is there from one run of a condition on; runs in the order in which they were given.
+
+    `other` [n]: what others do.
+    """
     evidence = search.evidence
     v = _sensitivity(search, c)
     best: tuple[float, Onset] | None = None
@@ -189,7 +198,8 @@ def _between(search: Search, c: Candidate) -> tuple[float, Onset] | None:
         size = float(w @ w)
         if size <= 0.0:
             continue
-        sizes = np.array([float(w @ r.ravel()) for r in residuals]) / size
+        rest = other[block] / math.sqrt(evidence.repeats[i])
+        sizes = np.array([float(w @ (r.ravel() - rest)) for r in residuals]) / size
         mean = float(sizes.mean())
         usual = size * float(((sizes - mean) ** 2).sum())
         lefts = {k: size * float((sizes[:k] ** 2).sum() + ((sizes[k:] - sizes[k:].mean()) ** 2).sum()) for k in range(1, len(sizes))}
@@ -200,7 +210,8 @@ def _between(search: Search, c: Candidate) -> tuple[float, Onset] | None:
         value, name = float(sizes[k:].mean()) * c.prior.scale, search.simulator.laboratory.conditions[i].name
         gain = 0.5 * (usual - lefts[k]) / unit
         onset = Onset(c.effect, c.component, c.location, "switches on", name, None, None, k + 1, value, c.unit, None, gain)
-        left = evidence.space.chi2 - size * float((sizes[k:] ** 2).sum())
+        gap = evidence.space.y - other
+        left = float(evidence.space.dot(gap, gap)) - size * float((sizes[k:] ** 2).sum())
         if best is None or left < best[0]:
             best = left, onset
     return best

@@ -166,17 +166,36 @@ def standstill(
         there = s[moving, i][stretch]
         passed = np.ptp(there) > max(LIMIT * spread, MOVED * noise[i], single) if still else False
         if still > REST * len(x) and (still > LONGER * longest + LONGER_BY or passed):
-            text = f"stands still for {still * step:.3g} s; expected up to {longest * step:.3g} s, as its simulation; record it anew"
-            found.append(Finding(name, "constant", still * step, "s", text))
+            places = np.flatnonzero(moving)[stretch]
+            sticks = _sticks(x[:, i], range(int(places[0]), int(places[-1]) + 1))
+            remedy = "it moves on from there, as what sticks does" if sticks else "record it anew"
+            text = f"stands still for {still * step:.3g} s; expected up to {longest * step:.3g} s, as its simulation; {remedy}"
+            found.append(Finding(name, "constant", still * step, "s", text, fatal=not sticks))
     return found
 
 
 def stopped(x: FloatArray, s: FloatArray, step: float, noise: float, limits: tuple[float, float] = (np.nan, np.nan)) -> float:
-    """How long [s] a measured channel stands still while its simulation moves; 0.0 if it does not, or if that is at a limit."""
+    """How long [s] a measured channel stands still while its simulation moves; 0.0 if it does not, is at a limit, or sticks."""
     stretch = _still(x)
     if stretch and (x[stretch[0]] in limits or (x[stretch[0]] in (x.max(), x.min()) and _again(x, float(x[stretch[0]])))):
         return 0.0
+    if stretch and _sticks(x, stretch):
+        return 0.0
     return len(stretch) * step if len(stretch) > REST * len(x) and np.ptp(s[stretch]) > MOVED * noise else 0.0
+
+
+def _sticks(x: FloatArray, stretch: range) -> bool:
+    """Whether a channel that stands still for a `stretch` of samples does so as a machine that sticks.
+
+    That moves on from where it is, with no larger step than it makes elsewhere, and stands at other places, too. A log that froze jumps to
+    where the machine is by then, and a live signal has noise.
+    """
+    if stretch.stop >= len(x):
+        return False
+    steps = np.abs(np.diff(x))
+    others = np.concatenate([steps[: stretch.start], steps[stretch.stop :]])
+    elsewhere = np.concatenate([x[:-1][: stretch.start], x[:-1][stretch.stop :]])[others == 0.0]
+    return bool(np.any(elsewhere != x[stretch.start]) and steps[stretch.stop - 1] <= others.max())
 
 
 def _again(x: FloatArray, extreme: float) -> bool:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp, voigt_profile
+from scipy.special import betainc, log_ndtr, logsumexp, voigt_profile
 from scipy.stats import norm
 
 from robomill.diagnosis.candidates import LOGGING
@@ -78,10 +78,28 @@ def agreement(amplitudes: FloatArray, precisions: FloatArray, misfit: float = MI
 def kept(odds: float) -> float:
     """Log Bayes factor for a right model against any stand-in, from that against one that does not hold elsewhere: `odds` [nats].
 
-    A stand-in holds with probability HOLDS, and then the data are as likely as with a right model: -log(HOLDS + (1 - HOLDS) exp(-odds)),
-    at most -log HOLDS.
+    A stand-in holds with probability HOLDS, see `unless`.
     """
-    return -float(np.logaddexp(math.log(HOLDS), math.log(1.0 - HOLDS) - odds))
+    return unless(odds, HOLDS)
+
+
+def unless(odds: float, chance: float) -> float:
+    """Log Bayes factor for a right model against any stand-in, from that against one that does not do as well by chance: `odds` [nats].
+
+    With this `chance` the data are as likely as with a right model: -log(chance + (1 - chance) exp(-odds)), at most -log chance.
+    """
+    return -float(np.logaddexp(math.log(chance), math.log1p(-chance) - odds)) if chance > 0.0 else odds
+
+
+def by_chance(room: float, kinds: int = 1) -> float:
+    """Probability [1] that a stand-in leaves no more than a right model may (MISFIT), beyond what `left_by` has of that.
+
+    `room`: how many dimensions its numbers leave of those in which the effects of a system differ. Of a direction at random in these as
+    much is left as Beta(room / 2, .) has. `left_by` has Beta(1, 2 `kinds` - 1): where the room is less than 2, the first 1 is room / 2.
+    """
+    others = 2 * kinds - 1
+    narrow = betainc(min(0.5 * room, 1.0), others, MISFIT) if room > 0.0 else 1.0
+    return float(narrow - betainc(1.0, others, MISFIT))
 
 
 def in_common(values: FloatArray, deviations: FloatArray, scale: float) -> float:

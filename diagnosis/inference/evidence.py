@@ -175,6 +175,12 @@ class Evidence:
         means = [None if g is None else np.asarray(np.mean(g, axis=0)) for g in groups]
         return self._white(means, [np.asarray(np.mean(n[: len(g or n)], axis=0)) for n, g in zip(self.nominals, groups, strict=True)])
 
+    def residual(self, groups: Sequence[Sequence[FloatArray]]) -> FloatArray:
+        """Whitened residual [n] of other measured repeats of the same conditions: their mean against that of all nominal simulations."""
+        found = self._white([np.mean(g, axis=0) for g in groups], [np.mean(n, axis=0) for n in self.nominals])
+        assert found is not None
+        return found
+
     def form(self, model: Model, signature: FloatArray, sensitivities: FloatArray, x: FloatArray) -> FloatArray | None:
         """What the effects of a model may do otherwise than their laws say: columns [n, k] of standard deviation FORM of what each does.
 

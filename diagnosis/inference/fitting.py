@@ -14,7 +14,7 @@ from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.simulation import Simulator, setting
 from robomill.diagnosis.inference.adequacy import FALSE_ALARM, beyond
 from robomill.diagnosis.inference.estimation import Fit, Gram, Model, Space, quadratic_fit, scaled_bounds, solved
-from robomill.diagnosis.inference.sensitivities import Sensitivities
+from robomill.diagnosis.inference.sensitivities import BENT, Sensitivities, cosine, per_scale
 from robomill.orchestration.slaves.protocol import FloatArray
 
 POLISH, POLISHED = 6, 8
@@ -51,7 +51,7 @@ class Fitting:
         self.catalogue, self.simulator, self.groups = catalogue, simulator, groups
         sensitivities = Sensitivities(catalogue, simulator, groups, nuisances, left, dispersion)
         self.evidence, self.candidates, self.starts = sensitivities.evidence, sensitivities.candidates, sensitivities.starts
-        self.bent = sensitivities.bent
+        self.bent, self.sizes, self.scales = sensitivities.bent, sensitivities.sizes, sensitivities.scales
 
     def nominal(self) -> Fit:
         """The fit of the nominal model, which has no effect: log evidence 0, signature 0."""
@@ -65,19 +65,47 @@ class Fitting:
         stacked = np.stack([self.evidence.sensitivities[a] for a in addresses], axis=1)
         return addresses, stacked, self.evidence.space.gram(stacked)
 
-    def linear_fits(self, bases: Sequence[Fit]) -> list[Fit]:
+    def turned(self, fit: Fit) -> bool:
+        """Whether the slopes of a model point elsewhere at its values than at the nominal system (cosine below BENT), where it is `rough`.
+
+        Then those of all others may, too: a loop with another gain answers otherwise to everything.
+        """
+        if not fit.model or fit.sensitivities is None or not self.rough(fit):
+            return False
+        before = [per_scale(self.evidence, self.starts, a) for c in fit.model for a in c.addresses]
+        return any(cosine(v, own) < BENT for v, own in zip(before, fit.sensitivities.T, strict=True))
+
+    def beside(self, fit: Fit) -> tuple[list[Address], FloatArray, Gram]:
+        """As `alone`, with the slopes that the candidates have beside a model, by one simulation each.
+
+        Those that cannot run beside it keep the slope that they have alone.
+        """
+        addresses, stacked, _ = self.alone
+        assert fit.sensitivities is not None
+        own = dict(zip((a for c in fit.model for a in c.addresses), fit.sensitivities.T, strict=True))
+        sizes = {a: s.x if (s := self.starts.get(a)) is not None else self.sizes[a] for a in addresses if a not in own}
+        trials = [fit.values, *({**fit.values, a: x * self.scales[a]} for a, x in sizes.items())]
+        here, *there = self._single(trials, fit.calibrated)
+        columns = {a: (s - here) / sizes[a] for a, s in zip(sizes, there, strict=True) if s is not None and here is not None} | own
+        stacked = np.stack([columns.get(a, stacked[:, i]) for i, a in enumerate(addresses)], axis=1)
+        return addresses, stacked, self.evidence.space.gram(stacked)
+
+    def linear_fits(self, bases: Sequence[Fit], at: Fit | None = None) -> list[Fit]:
         """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion: s + (ds/dx) (x - best) + v x'.
 
-        v is the sensitivity of the candidate, x' its size; no simulation is made. The parameters of the base are fitted again, too. Of the
-        variants of a candidate the best one; all of them where they are not proportional to their size: sensitivities say too little.
+        v is the sensitivity of the candidate, x' its size. It is that of the nominal system, without another simulation; beside the model
+        `at`, or the base, where that has `turned`. The parameters of the base are fitted again, too. Of the variants of a candidate the
+        best one; all of them where they are not proportional to their size: sensitivities say too little.
         """
         space = self.evidence.space
-        addresses, stacked, known = self.alone
-        place, count = {a: i for i, a in enumerate(addresses)}, len(addresses)
         found: dict[frozenset[Candidate], Fit] = {}
+        beside_at = self.beside(at) if at is not None and self.turned(at) else None
         for base in bases:
             assert base.signature is not None
             assert base.sensitivities is not None
+            turned = beside_at or (self.beside(base) if at is None and self.turned(base) else None)
+            addresses, stacked, known = turned or self.alone
+            place, count = {a: i for i, a in enumerate(addresses)}, len(addresses)
             scales, _, _ = scaled_bounds(base.model)
             best = np.array([base.values[a] for c in base.model for a in c.addresses]) / (scales if len(scales) else 1.0)
             target = space.y - base.signature + base.sensitivities @ best
@@ -89,7 +117,7 @@ class Fitting:
                 key = frozenset(model)
                 if key in found or any(c.excludes(m) for m in base.model):
                     continue
-                there = self.starts.get(c.addresses[0])
+                there = self.starts.get(c.addresses[0]) if turned is None else None
                 if there is not None:
                     sensitivities = np.concatenate([base.sensitivities, there.sensitivity[:, None]], axis=1)
                     start = np.append(best, there.x)
@@ -98,6 +126,10 @@ class Fitting:
                     own = wide.without([a for m in model for a in m.addresses])
                     products = own.within(gram, [*own_columns, *(place[a] for a in c.addresses), count + len(best)])
                     fit = solved(model, products, space, own)
+                    if turned is not None:
+                        fit.sensitivities = np.column_stack([base.sensitivities, stacked[:, [place[a] for a in c.addresses]]])
+                        x = np.array([fit.values[a] / m.prior.scale for m in model for a in m.addresses])
+                        fit.signature = base.signature - base.sensitivities @ best + fit.sensitivities @ x
                 found[key] = fit
         kept: dict[frozenset[tuple[str, object]], Fit] = {}
         for fit in sorted(found.values(), key=evidence_of):
@@ -107,12 +139,17 @@ class Fitting:
     def refine(self, fits: Sequence[Fit], rounds: int = 5) -> list[Fit]:
         """Gauss-Newton on real simulations, all models together (one simulation of each per round): the best of each that was simulated.
 
-        Sensitivities S follow by Broyden's rule from the step dx and what it did: S + (ds - S dx) dx' / dx'dx.
+        They begin with the slopes that they have at their values, or with those of each effect alone. Sensitivities S follow by Broyden's
+        rule from the step dx and what it did: S + (ds - S dx) dx' / dx'dx.
         """
         space = self.evidence.space
         states = []
         for f in fits:
             addresses = [a for c in f.model for a in c.addresses]
+            if f.sensitivities is not None and f.signature is not None:
+                values = np.array([f.values[a] / c.prior.scale for c in f.model for a in c.addresses])
+                states.append(_State(f, f.sensitivities, values, f.signature))
+                continue
             there = [self.starts.get(a) for a in addresses]
             sensitivities = np.stack(
                 [self.evidence.sensitivities[a] if t is None else t.sensitivity for a, t in zip(addresses, there, strict=True)], axis=1
@@ -317,7 +354,7 @@ class _State:
     def __init__(self, fit: Fit, sensitivities: FloatArray, x: FloatArray, signature: FloatArray) -> None:
         self.fit, self.sensitivities, self.x, self.signature = fit, sensitivities, x, signature
         self.scales, _, _ = scaled_bounds(fit.model)
-        self.best, self.settled = fit, False
+        self.best, self.settled = replace(fit, signature=None, sensitivities=None), False  # nothing has run yet
         self.chi2 = np.inf
 
     def update(self, signature: FloatArray | None, space: Space) -> None:

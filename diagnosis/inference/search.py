@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
+from scipy.special import entr
 
 from robomill.diagnosis.candidates import LOGGING, Candidate, Nuisance
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.simulation import Simulator, setting
-from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, MISFIT, UNKNOWN, unexplained
+from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, MISFIT, UNKNOWN, by_chance, unexplained
 from robomill.diagnosis.inference.estimation import Fit, Gram, leave_one_out
 from robomill.diagnosis.inference.evidence import dependence
 from robomill.diagnosis.inference.fitting import POLISH, POLISHED, SHARPENED, Fitting, addresses_of, evidence_of
@@ -43,6 +44,34 @@ class Search(Fitting):
         """
         columns = np.stack([per_scale(self.evidence, self.starts, a) for a in addresses_of(self.candidates)], axis=1)
         return columns, self.evidence.space.gram(columns)
+
+    @cached_property
+    def variety(self) -> tuple[float, float]:
+        """In how many directions the effects of the catalogue differ, and the part of one that all others can do, in the mean [1].
+
+        The first is the effective rank (Roy & Vetterli, EUSIPCO 2007) of what they do to the residual, each as large as any other: exp of
+        the entropy of the eigenvalues of their correlations R. An effect of one number has one; two that do the same have one together.
+        The second is the mean coefficient of determination of each on all others, 1 - 1 / (R^-1)_ii. Both as far as these runs show.
+        """
+        columns, known = self.together
+        gram = self.evidence.space.within(known, range(columns.shape[1]))
+        shows = np.diag(gram) > 1.0  # a deviation of noise, at its prior scale
+        size = np.sqrt(np.diag(gram)[shows])
+        alike = gram[np.ix_(shows, shows)] / np.outer(size, size)
+        shares = np.linalg.eigvalsh(alike) / max(len(size), 1)
+        others = 1.0 - 1.0 / np.diag(np.linalg.inv(alike + 1e-9 * np.eye(len(size))))
+        return float(np.exp(entr(np.maximum(shares, 0.0)).sum())), float(others.mean()) if len(size) else 0.0
+
+    def imitates(self, fit: Fit, kinds: int = 1) -> float:
+        """Probability [1] that a model of `kinds` of effects leaves next to nothing of an effect that is in no catalogue, by chance.
+
+        Such an effect does what the catalogue can do as far as the effects in it can do what the others do. Then it is a direction at
+        random among those of the effects, of which the numbers of the model leave some (`by_chance`). And a number that can have one sign
+        only has the right one once in two times.
+        """
+        directions, others = self.variety
+        signs = sum(len(c.addresses) for c in fit.model if not c.both_signs)
+        return others * 0.5**signs * by_chance(directions - len(fit.values), kinds)
 
     @property
     def growth(self) -> float:
@@ -111,7 +140,7 @@ class Search(Fitting):
             return []
         fewer = [_without(best, c) for c in best.model]
         seen = {frozenset(f.model) for f in known}
-        swapped = [f for f in sorted(self.linear_fits(fewer), key=evidence_of, reverse=True) if frozenset(f.model) not in seen]
+        swapped = [f for f in sorted(self.linear_fits(fewer, best), key=evidence_of, reverse=True) if frozenset(f.model) not in seen]
         trials = [f for f in swapped if f.log_evidence > best.log_evidence - self.growth][:EXTENSIONS]
         trials += [f for f in fewer if frozenset(f.model) not in seen]
         level = self.sharpened(self.polish(self.refine(trials), trials))

@@ -218,15 +218,15 @@ class Sensitivities:
             wanted = [a for a in some if _bends(first[a], other, sensitivities)]
             tried = self._signatures({a: [smaller[a]] for a in wanted})
             other |= {a: tried[a, smaller[a]] / smaller[a] for a in wanted if (a, smaller[a]) in tried}
-        alike = {a: _cosine(sensitivity, sensitivities[a]) for a, sensitivity in other.items()}
+        alike = {a: cosine(sensitivity, sensitivities[a]) for a, sensitivity in other.items()}
         gram = space.gram(np.stack([s for a in other for s in (sensitivities[a], other[a])], axis=1)) if other else None
-        for k, (a, cosine) in enumerate(alike.items()):
+        for k, (a, same) in enumerate(alike.items()):
             assert gram is not None
             if _apart(space.without([a]).within(gram, [2 * k, 2 * k + 1]), [1], [0], 1.0) > CONFUSABLE:
                 self.bent.add(single[a].name)
-            if cosine < BENT:
+            if same < BENT:
                 self._take_if_better(a, other[a], smaller[a])
-        turned = [a for a, cosine in alike.items() if cosine < TURNED or single[a].name in phases]
+        turned = [a for a, same in alike.items() if same < TURNED or single[a].name in phases]
         sizes = {**self._much_smaller(), **{a: _sizes(single[a]) for a in turned}}
         # which nuisances these are like at one size says nothing of another
         space.find_alike({a: np.zeros_like(sensitivities[a]) for a in sizes}, self.scales)
@@ -399,10 +399,11 @@ def _where_it_begins(found: Sequence[tuple[float, FloatArray]]) -> list[float]:
 
 def _bends(first: Address, other: Mapping[Address, FloatArray], sensitivities: Mapping[Address, FloatArray]) -> bool:
     """Whether the sensitivity at another size points elsewhere (cosine below BENT), or is not known yet."""
-    return first not in other or _cosine(other[first], sensitivities[first]) < BENT
+    return first not in other or cosine(other[first], sensitivities[first]) < BENT
 
 
-def _cosine(a: FloatArray, b: FloatArray) -> float:
+def cosine(a: FloatArray, b: FloatArray) -> float:
+    """Cosine of the angle between two changes [n]; 0 where one of them is nothing."""
     return float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-300))
 
 

@@ -30,6 +30,7 @@ from robomill.diagnosis.inference.adequacy import (
     most_left,
     together,
     unexplained,
+    unless,
     within_tolerances,
     worsened,
 )
@@ -38,6 +39,7 @@ from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
+from robomill.orchestration.slaves.protocol import FloatArray
 
 Verdict = Literal["none", "identified", "ambiguous", "unknown", "bad_log"]
 
@@ -95,6 +97,11 @@ def looks(search: Search, fit: Fit) -> tuple[float, float]:
     return search.evidence.level(left), search.explainable(left)
 
 
+def left_over(search: Search, left: FloatArray) -> float:
+    """How much a residual [n] is over noise and discrepancy, by the look that sees more of it (as `looks`)."""
+    return max(search.evidence.level(left), search.explainable(left))
+
+
 def over_noise(search: Search, fit: Fit) -> float:
     """How much a model leaves, by the look that sees more of it (`looks`)."""
     return max(looks(search, fit))
@@ -136,9 +143,11 @@ def tested(
     ways = ((channels, len(evidence.space.blocks)), (catalogue, CONDITIONS), (scatter, CONDITIONS))
     seen = [(left_by(b, a, *shape, n), left_by(b, min(a, LEVEL), *shape, n)) for (b, a), n in ways]
     known = evidence.guess <= 1.0  # else what is left in new conditions is of a noise that is a guess, and counts by itself
-    here, anywhere = most_left(seen), most_left(seen, moved.loses if moved is not None and known else 0.0)
+    elsewhere = most_left(seen, moved.loses if moved is not None and known else 0.0) - most_left(seen)
+    here = unless(most_left(seen), search.imitates(best, kinds))
+    anywhere = here + elsewhere
     overall = together(anywhere, worsened(evidence, before, after, best.signature))
-    holds, elsewhere = held_together(search, best), anywhere - here
+    holds = held_together(search, best)
     if moved is not None:
         odds += moved.gain
         holds += moved.holds

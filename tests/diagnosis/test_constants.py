@@ -227,6 +227,7 @@ AROUND_NOISE: Any = SimpleNamespace(
         guess=1.0,
     ),
     explainable=lambda left: 0.0,
+    imitates=lambda *_: 0.0,
     numbers=lambda fit: ([], np.zeros(0), np.zeros((0, 0))),
 )
 

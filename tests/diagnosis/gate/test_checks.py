@@ -32,9 +32,14 @@ def recorded(*columns: FloatArray) -> Run:
 
 def beside(measured: list[FloatArray], simulated: list[FloatArray], noise: float = 1e-12) -> list[str]:
     """Kinds of the findings of an array beside its simulation."""
+    return [f.kind for f in findings(measured, simulated, noise)]
+
+
+def findings(measured: list[FloatArray], simulated: list[FloatArray], noise: float = 1e-12) -> list[Finding]:
+    """Findings of an array beside its simulation."""
     run, n = recorded(*measured), len(measured)
     x, s = np.stack(measured, axis=1), np.stack(simulated, axis=1)
-    return [f.kind for f in checks.standstill(run, x, s, list(run.columns), STEP, np.full(n, noise))]
+    return checks.standstill(run, x, s, list(run.columns), STEP, np.full(n, noise))
 
 
 def spikes(*repeats: FloatArray) -> list[Finding]:
@@ -187,6 +192,29 @@ class TestBesideTheSimulation:
         measured = simulated.copy()
         measured[300 : 300 + still] = simulated[300]
         return beside([measured], [simulated])
+
+    def sticking(self, held: range, *, quantised: bool = True, jump: bool = False) -> FloatArray:
+        """An angle that rises and falls, in steps of an encoder; it stands still for a while, and moves on from there, or jumps back."""
+        n = np.arange(1000)
+        way = np.abs((n + 250) % 1000 - 500.0) / 500.0
+        x = way.copy()
+        x[held.start :] = np.concatenate([np.full(len(held), way[held.start]), way[held.start : 1000 - len(held)]])
+        if jump:
+            x = np.where(np.isin(n, held), way[held.start], way)
+        return np.round(x * 200.0) / 200.0 if quantised else x
+
+    @pytest.mark.parametrize(("jump", "quantised", "fatal"), [(False, True, False), (True, True, True), (False, False, True)])
+    def test_what_sticks_moves_on_from_there_and_stands_elsewhere_too(self, jump: bool, quantised: bool, fatal: bool) -> None:
+        measured = self.sticking(range(400, 520), quantised=quantised, jump=jump)
+        simulated = self.sticking(range(400, 400), quantised=False)
+        (finding,) = findings([measured], [simulated])
+        assert finding.fatal is fatal
+        assert finding.text.endswith("as its simulation; " + ("record it anew" if fatal else "it moves on from there, as what sticks does"))
+        assert (checks.stopped(measured, simulated, STEP, 0.0) > 0.0) is fatal
+
+    def test_what_stands_still_to_the_end_is_not_known_to_move_on(self) -> None:
+        (finding,) = findings([self.sticking(range(700, 1000))], [self.sticking(range(400, 400), quantised=False)])
+        assert finding.fatal
 
     def test_a_channel_may_stand_still_three_times_as_long_as_its_simulation_and_ten_samples(self) -> None:
         assert self.creeping(1e-4, 99, 308) == []  # with the sample before, the simulation rests for 100

@@ -25,12 +25,14 @@ from robomill.diagnosis.inference.adequacy import (
     SPREAD,
     agreement,
     beyond,
+    by_chance,
     kept,
     left_by,
     misfit,
     most_left,
     together,
     unexplained,
+    unless,
     within_tolerances,
     worsened,
 )
@@ -123,6 +125,25 @@ def test_a_model_that_leaves_nothing_of_a_large_gap_gains_at_most_the_odds_of_th
     """Beta(1, b) has the density b at 0: a right model has the mean of 1 / m - 1 there, where a stand-in has 2 `kinds` - 1."""
     mean = (TRUST**-2 - 1.0 / share) / math.log(share / TRUST**2) - 1.0
     assert left_by(1e7, LEVEL, share, kinds) == pytest.approx(math.log(mean / (2 * kinds - 1)), abs=QUADRATURE)
+
+
+@pytest.mark.parametrize("kinds", [1, 3])
+def test_the_less_room_a_model_leaves_the_likelier_a_stand_in_leaves_nothing_by_chance(kinds: int) -> None:
+    """Of random directions in r + k dimensions k of them leave the share Beta(r / 2, k / 2); k / 2 is what `left_by` has measured."""
+    found = [by_chance(room, kinds) for room in (-1.0, 0.0, 0.5, 1.0, 1.9, 2.0, 50.0)]
+    assert found == sorted(found, reverse=True)
+    usual = beta.cdf(MISFIT, 1.0, 2 * kinds - 1)
+    assert found[0] == found[1] == pytest.approx(1.0 - usual, rel=1e2 * ROUNDOFF)
+    assert found[3] == pytest.approx(beta.cdf(MISFIT, 0.5, 2 * kinds - 1) - usual, rel=1e4 * ROUNDOFF)
+    assert found[-2:] == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("odds", [-3.0, 0.0, 2.0, 30.0])
+@pytest.mark.parametrize("chance", [0.0, 0.1, 0.5])
+def test_what_may_be_so_by_chance_is_worth_no_more_than_that(odds: float, chance: float) -> None:
+    likelihood = chance + (1.0 - chance) * math.exp(-odds)
+    assert unless(odds, chance) == pytest.approx(-math.log(likelihood), rel=1e4 * ROUNDOFF, abs=1e2 * ROUNDOFF)
+    assert kept(odds) == unless(odds, HOLDS)
 
 
 def test_of_several_looks_the_sharpest_says_how_much_and_the_one_that_sees_most_left_what_it_is_worth() -> None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from robomill.diagnosis.experiment.measured import sort_by_condition
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
 from robomill.diagnosis.inference import fitting
 from robomill.diagnosis.inference import search as search_module
-from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, UNKNOWN
+from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, UNKNOWN, by_chance
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.search import FAULT, SUBSTANTIAL, Search, searched
 from robomill.diagnosis.inference.sensitivities import Start
@@ -430,3 +430,116 @@ class TestReplaced:
         again = replace(one, log_evidence=one.log_evidence + 1.0)
         nominal = s.nominal()
         assert [id(f) for f in search_module._distinct([nominal, one, other, again])] == [id(nominal), id(other), id(again)]
+
+
+class TestTurned:
+    """A loop whose pace an effect changes: what another one does then has another pace, too. A third one has that pace anyhow, nearly."""
+
+    ROWS, NOISE = 400, 0.02
+    T = np.arange(ROWS)
+    PACE, LOAD = ("a", "pace"), ("a", "load")
+
+    def formula(self, _: int, values: Mapping[Address, float]) -> FloatArray:
+        pace, load, other = (values.get(("a", n), 0.0) for n in ("pace", "load", "other"))
+        faster = (1.0 + pace) * self.T
+        return np.asarray(np.sin(0.02 * faster) + load * np.sin(0.1 * faster) + other * np.sin(0.155 * self.T))[:, None]
+
+    def made(self) -> Search:
+        rng = np.random.default_rng(1)
+        clean = self.formula(0, {self.PACE: 0.5, self.LOAD: 0.5})
+        groups = [[clean + self.NOISE * rng.normal(size=clean.shape) for _ in range(4)]]
+        entries = tuple(candidate(n) for n in ("pace", "load", "other"))
+        return Search(Catalogue(Path("made up"), entries), Simulator(Calculated(self.formula, self.ROWS)), groups, ())
+
+    def base(self, s: Search, *, rough: bool = True) -> Fit:
+        """The model of the pace alone, where it was put."""
+        found = s.fitted(model(s, self.PACE), {self.PACE: 0.5}, {self.PACE: 0.01})
+        assert found is not None
+        return found if rough else replace(found, chi2=float(s.evidence.expected.sum()))
+
+    def test_slopes_have_turned_where_they_point_elsewhere_than_alone_and_much_is_left(self) -> None:
+        s = self.made()
+        assert s.turned(self.base(s))
+        assert not s.turned(self.base(s, rough=False))
+        assert not s.turned(s.nominal())
+        straight = s.fitted(model(s, self.LOAD), {self.LOAD: 0.5}, {self.LOAD: 0.01})
+        assert straight is not None
+        assert s.rough(straight)
+        assert not s.turned(straight)
+
+    def test_slopes_beside_a_model_are_those_of_simulations_with_it(self) -> None:
+        s = self.made()
+        base = self.base(s)
+        addresses, columns, gram = s.beside(base)
+        base_values = {a: float(v) for a, v in base.values.items()}
+        for name in ("load", "other"):
+            there = [np.asarray(self.formula(0, {**base_values, ("a", name): x})) for x in (0.0, 1.0)]
+            expected = s.evidence.signature([there[1]]), s.evidence.signature([there[0]])
+            assert expected[0] is not None
+            assert expected[1] is not None
+            found = columns[:, addresses.index(("a", name))]
+            assert found == pytest.approx(expected[0] - expected[1], rel=1e4 * ROUNDOFF, abs=1e4 * ROUNDOFF)
+        assert gram.plain == pytest.approx(columns.T @ columns, rel=1e4 * ROUNDOFF, abs=1e2 * ROUNDOFF)
+
+    def test_beside_it_another_effect_is_found_that_by_its_slope_alone_is_of_no_use(self) -> None:
+        s = self.made()
+        base = self.base(s)
+        found = {frozenset(c.effect for c in f.model): f for f in s.linear_fits([base])}
+        right, wrong = found[frozenset(("pace", "load"))], found[frozenset(("pace", "other"))]
+        alone = {frozenset(c.effect for c in f.model): f for f in s.linear_fits([replace(base, chi2=0.0)])}  # not rough: not looked at
+        assert right.log_evidence > wrong.log_evidence + s.growth
+        assert alone[frozenset(("pace", "load"))].log_evidence < wrong.log_evidence - s.growth
+        (fitted,) = s.refine([right])
+        assert fitted.values[self.LOAD] == pytest.approx(0.5, rel=WELL)
+        assert fitted.values[self.PACE] == pytest.approx(0.5, rel=WELL)
+        assert {c.effect for c in max(s.run(), key=lambda f: f.log_evidence).model} == {"pace", "load"}
+
+    def test_what_cannot_run_beside_it_keeps_the_slope_that_it_has_alone(self) -> None:
+        s = self.made()
+        base = self.base(s)
+        plain = s.simulator.laboratory
+        assert isinstance(plain, Calculated)
+        formula = plain.formula
+        plain.formula = lambda i, values: None if ("a", "other") in values else formula(i, values)
+        addresses, columns, _ = s.beside(base)
+        at = addresses.index(("a", "other"))
+        assert columns[:, at] == pytest.approx(s.alone[1][:, at], rel=ROUNDOFF)
+
+
+class TestVariety:
+    """In how many directions effects differ, and what of one the others can do."""
+
+    ONE, TWO, THREE = 9.0 * np.eye(5)[:3]
+
+    def of(self, *columns: FloatArray) -> tuple[float, float]:
+        """Of a catalogue whose effects do this."""
+        entries = tuple(candidate(f"e{k}") for k in range(len(columns)))
+        n = len(columns[0])
+        evidence = SimpleNamespace(
+            space=Space(np.zeros(n), {"all": slice(0, n)}, np.zeros((n, 0))),
+            sensitivities={c.addresses[0]: x for c, x in zip(entries, columns, strict=True)},
+        )
+        return Search.variety.func(Known(entries, evidence, {}))
+
+    def test_effects_that_have_nothing_in_common_have_one_direction_each_and_twins_one_together(self) -> None:
+        one, two, three = self.ONE, self.TWO, self.THREE
+        assert self.of(one, two, three) == pytest.approx((3.0, 0.0), rel=WELL, abs=1e-6)
+        assert self.of(one, 5.0 * two, three) == pytest.approx((3.0, 0.0), rel=WELL, abs=1e-6)
+        assert self.of(one, 2.0 * one, -one) == pytest.approx((1.0, 1.0), rel=WELL)
+        # two thirds and a third: the entropy of that; two of three can be done by another one
+        assert self.of(one, 2.0 * one, two) == pytest.approx((math.exp(math.log(3.0) - math.log(2.0) * 2.0 / 3.0), 2.0 / 3.0), rel=WELL)
+
+    def test_of_an_effect_its_regression_on_the_others_says_what_they_can_do(self) -> None:
+        """With the cosine c of two, each does c^2 of the other."""
+        assert self.of(self.ONE, 0.6 * self.ONE + 0.8 * self.TWO)[1] == pytest.approx(0.36, rel=WELL)
+
+    def test_effects_that_do_not_show_have_none(self) -> None:
+        assert self.of(self.ONE, self.TWO, 0.1 * self.THREE)[0] == pytest.approx(2.0, rel=WELL)
+        assert self.of(0.01 * self.ONE) == (1.0, 0.0)
+
+    def test_a_model_imitates_by_the_numbers_that_it_has_and_signs_halve_the_chance(self) -> None:
+        of = cast(Any, SimpleNamespace(variety=(2.5, 0.6)))
+        both, one = candidate("e0"), candidate("e1", "log-normal")
+        assert Search.imitates(of, Fit((both,), {("a", "e0"): 1.0}, {}, 0.0, 0.0)) == 0.6 * by_chance(1.5)
+        two = Fit((both, one), {("a", "e0"): 1.0, ("a", "e1"): 2.0}, {}, 0.0, 0.0)
+        assert Search.imitates(of, two, 2) == 0.3 * by_chance(0.5, 2)

@@ -13,7 +13,7 @@ import pytest
 from scipy.special import expit
 
 from robomill.diagnosis.candidates import LOGGING, Candidate
-from robomill.diagnosis.inference.adequacy import EXACT, FALSE_ALARM, LEVEL, MISFIT, UNKNOWN, kept, left_by, together
+from robomill.diagnosis.inference.adequacy import EXACT, FALSE_ALARM, LEVEL, MISFIT, UNKNOWN, kept, left_by, together, unless
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.time_varying import Changing
 from robomill.diagnosis.inference.transfer import Transfer
@@ -30,7 +30,7 @@ STEADY = (0.0, 0.0)
 """Scatter of repeats, over what the nominal system and the model scatter: of models of which it is not asked."""
 
 
-def search(candidates: tuple[Candidate, ...] = (), explainable: float = 0.0, guess: float = 1.0) -> Any:
+def search(candidates: tuple[Candidate, ...] = (), explainable: float = 0.0, guess: float = 1.0, chance: float = 0.0) -> Any:
     """A residual of one number, which is its level; all candidates together can explain so much of any."""
     evidence = SimpleNamespace(
         noise=EXPECTED,
@@ -40,7 +40,9 @@ def search(candidates: tuple[Candidate, ...] = (), explainable: float = 0.0, gue
         guess=guess,
     )
     none = [], np.zeros(0), np.zeros((0, 0))
-    made = SimpleNamespace(candidates=candidates, evidence=evidence, explainable=lambda left: explainable, numbers=lambda fit: none)
+    made = SimpleNamespace(
+        candidates=candidates, evidence=evidence, explainable=lambda _: explainable, numbers=lambda _: none, imitates=lambda *_: chance
+    )
     return cast(Any, made)
 
 
@@ -165,6 +167,15 @@ def test_of_several_kinds_of_effects_that_were_fitted_together_less_must_be_left
         assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
     alone = verdict.tested(search(), fit(1.0), fit(1.0, model), 0.001, 0.001, None, 0.02, STEADY)
     assert alone.p_fit == pytest.approx(1.0 - UNLISTED, rel=QUADRATURE)  # where there is no gap, nothing is left of one
+
+
+@pytest.mark.parametrize("chance", [0.2, 0.9])
+def test_what_a_model_leaves_is_worth_no_more_than_the_chance_that_a_stand_in_leaves_as_little(tmp_path: Path, chance: float) -> None:
+    model = catalogue(tmp_path).candidates[:1]
+    found = verdict.tested(search(chance=chance), fit(90.0), fit(1.0, model), 0.001, 0.001, None, 0.02, STEADY)
+    odds = math.log((1.0 - UNLISTED) / UNLISTED) + unless(left_by(90.0, 1.0), chance)
+    assert found.p_fit == pytest.approx(expit(odds), rel=1e2 * ROUNDOFF)
+    assert 1.0 - UNLISTED < found.p_fit < expit(math.log((1.0 - UNLISTED) / UNLISTED / chance))
 
 
 def steady() -> None:
