@@ -118,6 +118,9 @@ class Evidence:
     """Communication steps that a sample is the mean over."""
     discrepancy: FloatArray
     """Standard deviation of what two formulations leave, of each active channel [its unit]."""
+    waves: list[list[FloatArray]]
+    """What two formulations may leave of each condition, as far as it could be seen: slow cosines of one standard deviation each,
+    [samples, channels] in units of the channels."""
     dispersion: float
     """What the best model leaves over what noise and discrepancy do [1]: so many samples more are worth one."""
 
@@ -304,10 +307,11 @@ def gather(
     scatter = np.sum(alone, axis=0) / np.maximum(np.sum(there, axis=0), 1)
     spell = max(1, round(SPELL / laboratory.decimation))
     together = _apart([white([x[:, active] for x in way]) for way in beyond], blocks)
-    differs = []
+    differs, different = [], []
     for i, (block, spectrum, mean) in enumerate(zip(blocks.values(), spectra, means, strict=True)):
         seen = counts[i] * there[i] * (1.0 / ((w.factor**2).sum(axis=1) + sudden[i] ** 2)).mean(axis=0)
-        waves = _waves(spectrum * size**2 * len(mean), seen, len(mean))
+        waves = list(_waves(spectrum * size**2 * len(mean), seen, len(mean)))
+        different.append(waves)
         columns = [ws[i].apply(wave, counts[i], sudden[i], there[i]) for wave in waves]
         padded = np.zeros((y.size, len(columns)))
         for k, column in enumerate(columns):
@@ -366,6 +370,7 @@ def gather(
         independent,
         laboratory.decimation,
         size,
+        different,
         dispersion,
     )
 

@@ -2,8 +2,9 @@
 
 Effects are selected on whitened data, where reversals decide; there laws of friction are wrong. Their values come from plain squares, each
 channel over what is left of it. An effect that is not named is not zero: it is free within its prior and its bounds, so that what is named
-does not stand for it. What is left is white noise plus an Ornstein-Uhlenbeck process of bounded memory, by channel; the covariance of the
-estimate is that of least squares with such noise (White, Econometrica 48 (1980) 817), and of the priors.
+does not stand for it. What two formulations of one machine may leave is free, too, as far as tolerances say how large and how slow it is.
+What is left is white noise plus an Ornstein-Uhlenbeck process of bounded memory, by channel; the covariance of the estimate is that of
+least squares with such noise (White, Econometrica 48 (1980) 817), of the priors, and of what laws may miss (FORM).
 """
 
 from __future__ import annotations
@@ -121,6 +122,8 @@ class Problem:
     """For each condition [samples, channels, numbers], per scale."""
     step: float
     """Time between samples [s]; infinite where they have no memory."""
+    parameters: int
+    """How many of the numbers are parameters, the first ones; the others are waves that two formulations may differ by."""
 
     @staticmethod
     def of(search: Search, fit: Fit, values: Mapping[Address, float]) -> Problem | None:
@@ -141,6 +144,7 @@ class Problem:
         results = simulator.many([(i, simulator.seeded(s)) for s in settings for i in range(n)], "intervals")
         ran = [results[k * n : (k + 1) * n] for k in range(len(settings))]
         moved = {a: some for a, some in zip(steps, ran[1:], strict=True) if all(r is not None for r in some)}
+        waves = [((f"formulation {i + 1}", f"wave {k + 1}"), i, w) for i, ws in enumerate(e.waves) for k, w in enumerate(ws)]
         left, slopes, step = [], [], math.inf
         for i, (base, rest) in enumerate(zip(ran[0], _left(search, at), strict=True)):
             if base is None or rest is None:
@@ -150,10 +154,14 @@ class Problem:
                 step = min(step, laboratory.conditions[i].step * laboratory.factor(i))
             left.append(rest)
             changed = [(some[i], known[a][0] / steps[a]) for a, some in moved.items()]
-            slopes.append(np.stack([(x - base)[rows, on] * e.there[i] * per for x, per in changed if x is not None], axis=-1))
-        scales, low, high = (np.array([known[a][k] for a in moved]) for k in range(3))
-        here, named = np.array([at[a] for a in moved]) / scales, np.array([a in fit.values for a in moved])
-        return Problem(list(moved), scales, low, high, here, named, left, slopes, step) if left else None
+            own = [(x - base)[rows, on] * e.there[i] * per for x, per in changed if x is not None]
+            own += [(w * e.there[i])[rows] if k == i else np.zeros_like(rest) for _, k, w in waves]
+            slopes.append(np.stack(own, axis=-1))
+        known |= {a: (1.0, -math.inf, math.inf) for a, _, _ in waves}
+        order = [*moved, *(a for a, _, _ in waves)]
+        scales, low, high = (np.array([known[a][k] for a in order]) for k in range(3))
+        here, named = np.array([at.get(a, 0.0) for a in order]) / scales, np.array([a in fit.values for a in order])
+        return Problem(order, scales, low, high, here, named, left, slopes, step, len(moved)) if left else None
 
     def solved(self) -> Solution:
         """The values by least squares, as if slopes were the same everywhere.
@@ -172,7 +180,8 @@ class Problem:
             rest = [y - J @ x for y, J in zip(gaps, self.slopes, strict=True)]
             noise = noise if counted else self._noise(rest)
         inverse = _inverse(gram)
-        middle = np.diag(prior) + sum(self._scatter(noise, weights, inverse))
+        form = self._form(weights, x)
+        middle = np.diag(prior) + sum(self._scatter(noise, weights, inverse)) + form @ form.T
         variances = np.maximum(np.diag(inverse @ middle @ inverse), 0.0)
         deviations = np.sqrt(np.where(np.diag(gram) > 0.0, variances, np.inf))  # what does nothing at these values may be anything
         return Solution(x, deviations, gaps, rest, noise)
@@ -191,6 +200,15 @@ class Problem:
             found.append(sum((J.T @ v.times(J) for J in parts), np.zeros_like(inverse)) * weights[c] ** 2 * there / max(there - used, 1.0))
         return found
 
+    def _form(self, weights: FloatArray, x: FloatArray) -> FloatArray:
+        """What effects of the sizes x [prior scales] may do otherwise than their laws say, FORM of it in each channel by itself.
+
+        By its products with the slopes, both weighed: one column for each channel and parameter, [numbers, channels * parameters].
+        """
+        n = self.parameters
+        grams = [w**2 * sum(J[:, c].T @ J[:, c, :n] for J in self.slopes) for c, w in enumerate(weights)]
+        return np.concatenate([FORM * of * x[:n] for of in grams], axis=1)
+
     def seen(self, solution: Solution) -> tuple[FloatArray, FloatArray]:
         """What least squares see of all numbers: their precision P [numbers, numbers] and P times their values [numbers], without priors.
 
@@ -200,10 +218,9 @@ class Problem:
         """
         noise = solution.noise
         weights = np.array([v.weight for v in noise])
-        grams = [weights[c] ** 2 * sum(J[:, c].T @ J[:, c] for J in self.slopes) for c in range(len(noise))]
-        G = np.sum(grams, axis=0)
+        G = sum(np.einsum("tci,tcj,c->ij", J, J, weights**2, optimize=True) for J in self.slopes)
         g = sum(np.einsum("tci,tc,c->i", J, y, weights**2, optimize=True) for J, y in zip(self.slopes, solution.gaps, strict=True))
-        form = np.concatenate([FORM * of * solution.x for of in grams], axis=1)
+        form = self._form(weights, solution.x)
         inverse = _inverse(G + np.diag(np.where(self.named, 0.0, 1.0)))
         M = sum(self._scatter(noise, weights, inverse)) + form @ form.T
         size = np.sqrt(np.diag(M))
@@ -281,11 +298,12 @@ def by_least_squares(search: Search, fit: Fit) -> dict[str, Known]:
         return {}
     solution = problem.solved()
     for _ in range(SHARPER):
-        values = dict(zip(problem.order, (float(v) for v in solution.x * problem.scales), strict=True))
+        there = solution.x * (np.arange(len(solution.x)) < problem.parameters)  # waves are not simulated
+        values = dict(zip(problem.order[: problem.parameters], (float(v) for v in there * problem.scales), strict=False))
         left = [r for r in _left(search, values) if r is not None]
         if len(left) < len(problem.left):
             break
-        on = replace(problem, at=solution.x, left=left).solved().x - solution.x
+        on = replace(problem, at=there, left=left).solved().x - solution.x
         if np.all(np.abs(on) < 0.3 * solution.deviations, where=problem.named):  # as fits settle in the search
             break
         again = Problem.of(search, fit, values)

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from robomill.diagnosis.inference.intervals import MATERIAL, MEMORY, Known, Noise, Problem
+from robomill.diagnosis.candidates import Address, Nuisance
+from robomill.diagnosis.catalogue import Catalogue
+from robomill.diagnosis.experiment.simulation import Simulator
+from robomill.diagnosis.inference.evidence import DISCREPANCY, FORM
+from robomill.diagnosis.inference.intervals import MATERIAL, MEMORY, Known, Noise, Problem, by_least_squares
+from robomill.diagnosis.inference.search import Search
 from robomill.orchestration.slaves.protocol import FloatArray
-from tests.diagnosis.formula import candidate
+from tests.diagnosis.formula import Calculated, candidate
 from tests.tolerances import ROUNDOFF
 
 STEP, ROWS = 0.02, 1000
@@ -25,13 +34,13 @@ def noise(rng: np.random.Generator, white: float = 0.3, coloured: float = 1.0, m
     return np.asarray(coloured * slow + white * rng.standard_normal(ROWS))
 
 
-def known(y: FloatArray, columns: FloatArray, *names: str, low: float = -math.inf) -> dict[str, Known]:
-    """What is known of the effects `names`; column i is what p<i> does."""
+def known(y: FloatArray, columns: FloatArray, *names: str, low: float = -math.inf, waves: int = 0) -> dict[str, Known]:
+    """What is known of the effects `names`; column i is what p<i> does. The last `waves` columns are what two formulations differ by."""
     k = columns.shape[1]
     order = [("a", f"p{i}") for i in range(k)]
     named = np.array([p in names for _, p in order])
     ends = np.full(k, low), np.full(k, math.inf)
-    made = Problem(order, np.ones(k), *ends, np.zeros(k), named, [y[:, None]], [columns[:, None, :]], STEP)
+    made = Problem(order, np.ones(k), *ends, np.zeros(k), named, [y[:, None]], [columns[:, None, :]], STEP, k - waves)
     return made.known(made.solved(), tuple(candidate(n) for n in names))
 
 
@@ -103,3 +112,49 @@ def test_a_number_that_does_nothing_may_be_anything_and_a_bound_is_met() -> None
     assert found["p2 @ place"].deviations["a", "p2"] == math.inf
     assert 0.0 < found["p0 @ place"].deviations["a", "p0"] < 0.2
     assert known(-y, x, "p0", low=-1.0)["p0 @ place"].values["a", "p0"] == -1.0
+
+
+def test_a_value_may_be_off_by_as_much_as_its_law() -> None:
+    """Of ten thousand times the noise nothing else is unsure."""
+    J = columns()[:, :1]
+    of = known(100.0 * J[:, 0] + 0.01 * noise(np.random.default_rng(6)), J, "p0")["p0 @ place"]
+    assert of.deviations["a", "p0"] == pytest.approx(FORM * 100.0, rel=1e-3)
+
+
+def test_what_two_formulations_may_differ_by_is_no_effect() -> None:
+    """A half wave in the whole run looks like a drift. Where formulations may differ by one as large, it is none."""
+    drift, wave = 2.0 * T / T[-1] - 1.0, np.cos(math.pi * np.arange(ROWS) / ROWS)
+    y = -wave + 0.1 * noise(np.random.default_rng(8))
+    alone = known(y, drift[:, None], "p0")["p0 @ place"]
+    beside = known(y, np.column_stack([drift, wave]), "p0", waves=1)["p0 @ place"]
+    assert alone.values["a", "p0"] > 10.0 * alone.deviations["a", "p0"]
+    assert abs(beside.values["a", "p0"]) < 2.0 * beside.deviations["a", "p0"]
+
+
+def test_formulations_differ_as_slowly_as_tolerances_do_and_are_not_simulated() -> None:
+    """A tolerance makes two half waves in a run; another formulation may make three. One of that is there, and a drift."""
+    t = (np.arange(ROWS) + 0.5) / ROWS
+    drift, number = ("a", "drift"), ("a", "number")
+
+    def formula(_: int, values: Mapping[Address, float]) -> FloatArray:
+        assert set(values) <= {drift, number}
+        return np.asarray(values.get(drift, 0.0) * t + values.get(number, 0.0) * np.cos(2.0 * math.pi * t))[:, None]
+
+    y = 1.5 * t + DISCREPANCY * np.cos(3.0 * math.pi * t) + 1e-3 * np.random.default_rng(9).standard_normal(ROWS)
+    catalogue = Catalogue(Path("made up"), (candidate("drift"),))
+    search = Search(catalogue, Simulator(Calculated(formula, ROWS)), [[y[:, None]]], [Nuisance(number, 1.0)])
+    fit = search.fitted(catalogue.candidates, {drift: 1.5}, {drift: 0.1})
+    assert fit is not None
+    made = Problem.of(search, fit, fit.values)
+    assert made is not None
+    assert made.parameters == 2
+    size = DISCREPANCY * math.sqrt(0.5)  # root of the mean square of what the tolerance does
+    begin = ROWS - len(made.left[0])
+    waves = made.slopes[0][:, 0, 2:]
+    assert waves == pytest.approx(size * np.cos(math.pi * np.outer(t[begin:], [2.0, 3.0])), rel=0.05, abs=0.05 * size)
+    of = by_least_squares(search, fit)["drift @ place"]
+    assert abs(of.values[drift] - 1.5) < 1.645 * of.deviations[drift]
+    first = {n: getattr(made, n)[:2] for n in ("order", "scales", "low", "high", "at", "named")}
+    without = replace(made, slopes=[made.slopes[0][:, :, :2]], **first)
+    plain = without.known(without.solved(), catalogue.candidates)["drift @ place"]
+    assert abs(plain.values[drift] - 1.5) > abs(of.values[drift] - 1.5)

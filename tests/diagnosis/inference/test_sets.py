@@ -41,7 +41,7 @@ def problem(y: FloatArray, columns: FloatArray, at: FloatArray | None = None) ->
     at = np.zeros(k) if at is None else at
     ends = np.full(k, -np.inf), np.full(k, np.inf)
     order = [("a", f"p{i}") for i in range(k)]
-    return Problem(order, np.ones(k), *ends, at, np.zeros(k, dtype=np.bool_), [(y - columns @ at)[:, None]], [columns[:, None, :]], STEP)
+    return Problem(order, np.ones(k), *ends, at, np.zeros(k, dtype=np.bool_), [(y - columns @ at)[:, None]], [columns[:, None, :]], STEP, k)
 
 
 def sets_of(made: Problem, candidates: tuple[Candidate, ...] = CANDIDATES) -> Sets:
