@@ -33,7 +33,7 @@ from robomill.diagnosis.inference.sensitivities import Sensitivities, changed
 from robomill.diagnosis.inference.visibility import SHOWS, Seen, Sight, settled
 from robomill.diagnosis.outcome.answer import Effort, effort_of
 from robomill.diagnosis.outcome.next_run import laboratory as laboratory_of
-from robomill.orchestration.assembly import Resolver, run
+from robomill.orchestration.assembly import MEASURED, Resolver, run
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 from robomill.orchestration.system.parameters import Convert, same_unit_only
 
@@ -161,7 +161,7 @@ def check(
             effects,
             tuple(c.name for c in start.catalogue.candidates if c.name not in here),
             _sets(sights),
-            tuple(_missing(repeats, found.evidence, effects)),
+            tuple(_missing(laboratory, repeats, found.evidence, effects)),
             start.skipped,
             replace(
                 effort,
@@ -225,10 +225,13 @@ def _sets(sights: Sequence[Sight]) -> tuple[tuple[str, ...], ...]:
     return tuple(sorted((tuple(sorted(c.name for c in s)) for s in sets), key=lambda names: (-len(names), names)))
 
 
-def _missing(repeats: Mapping[str, int], evidence: Evidence, effects: Sequence[Shown]) -> list[str]:
+def _missing(laboratory: Laboratory, repeats: Mapping[str, int], evidence: Evidence, effects: Sequence[Shown]) -> list[str]:
     """What is missing, in words."""
     out = []
-    if evidence.whitening.guessed:
+    systems = [c.system or laboratory.system for c in laboratory.conditions]
+    if evidence.whitening.guessed and any(part.source.startswith(f"{MEASURED}:") for s in systems for part in s.components):
+        out.append("repeats: each run is driven by what was measured in it and has none, so the noise is a guess, and so is every size")
+    elif evidence.whitening.guessed:
         out.append("repeats: nothing was repeated, so the noise is a guess, and so is every size; make each run at least three times")
     elif single := [name for name, n in repeats.items() if n == 1]:
         out.append(f"repeats: {', '.join(single)} was made once; its noise is taken from the other conditions")
@@ -236,7 +239,7 @@ def _missing(repeats: Mapping[str, int], evidence: Evidence, effects: Sequence[S
     helped = {(e.effect, e.location) for e in effects if e.state != "shows" and e.repeats is not None}
     if hidden:
         more = max((e.repeats for e in effects if e.state != "shows" and e.repeats is not None), default=0)
-        few = f"; repeats alone would show {len(helped)} of them, with {more} of each condition all of these" if helped else ""
+        few = f"; {len(helped)} of them would show with {'up to ' * (len(helped) > 1)}{more} repeats of each condition" if helped else ""
         out.append(f"excitation: {len(hidden)} of {len({(e.effect, e.location) for e in effects})} do not show at their usual size{few}")
     for what, first in (("channels", [e.channels[:1] for e in effects]), ("runs", [e.runs[:1] for e in effects])):
         counts = Counter(h.name for helps in first for h in helps)

@@ -5,19 +5,21 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from robomill.check_table import show
-from robomill.diagnosis.check import Checked, Shown, check
+from robomill.diagnosis.check import Checked, Shown, _missing, check
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.outcome.answer import as_json
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
+from robomill.orchestration.system.definition import Component
 from tests.diagnosis.demo import NOISE, RANGE, SYSTEM, catalogue, measure, resolve
 from tests.diagnosis.outcome.test_next_run import TWINS, kinds
 
@@ -128,6 +130,27 @@ class TestMissing:
         assert found.missing[0] == (
             "repeats: nothing was repeated, so the noise is a guess, and so is every size; make each run at least three times"
         )
+
+    def test_what_is_driven_by_what_was_measured_cannot_be_repeated(self) -> None:
+        driven = replace(SYSTEM, components=(*SYSTEM.components, Component("motion", "measured:run")))
+        laboratory = cast(Any, SimpleNamespace(conditions=[SimpleNamespace(system=driven)], system=SYSTEM))
+        guessed = cast(Any, SimpleNamespace(whitening=SimpleNamespace(guessed=True)))
+        assert _missing(laboratory, {"one": 1}, guessed, ()) == [
+            "repeats: each run is driven by what was measured in it and has none, so the noise is a guess, and so is every size"
+        ]
+
+    def test_what_repeats_would_show_is_said(self) -> None:
+        known = cast(Any, SimpleNamespace(whitening=SimpleNamespace(guessed=False)))
+        laboratory = cast(Any, SimpleNamespace(conditions=[], system=SYSTEM))
+        one = Shown("gain", "a", "here", "g", "1", 2.0, 1.0, 9.0, 0.1, "if large", [], 8, [], [])
+        said = [
+            _missing(laboratory, {"one": 3}, known, effects)
+            for effects in ((one,), (one, replace(one, location="there", repeats=12), replace(one, location="far", repeats=None)))
+        ]
+        assert said == [
+            ["excitation: 1 of 1 do not show at their usual size; 1 of them would show with 8 repeats of each condition"],
+            ["excitation: 3 of 3 do not show at their usual size; 2 of them would show with up to 12 repeats of each condition"],
+        ]
 
     def test_repeats_that_are_asked_for_are_enough(self, tmp_path: Path) -> None:
         hidden = of(checked(tmp_path, noisy(800.0, 3)), "gain", "sensor 1")
