@@ -11,7 +11,6 @@ import numpy as np
 from scipy.special import logsumexp
 
 from robomill.diagnosis.candidates import LOGGING, Address, Candidate, physical
-from robomill.diagnosis.experiment.repeats import as_share
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, setting
 from robomill.diagnosis.forms.instead import Laws, laws
 from robomill.diagnosis.gate import checks as gate
@@ -19,7 +18,7 @@ from robomill.diagnosis.inference import isolability
 from robomill.diagnosis.inference.adequacy import UNKNOWN
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.evidence import FORM
-from robomill.diagnosis.inference.intervals import Known, by_least_squares
+from robomill.diagnosis.inference.intervals import by_least_squares
 from robomill.diagnosis.inference.machines import p_none
 from robomill.diagnosis.inference.priors import log_posteriors, probabilities
 from robomill.diagnosis.inference.scatter import Spell, levels, spell, swing
@@ -29,15 +28,16 @@ from robomill.diagnosis.inference.time_varying import Changing, changing
 from robomill.diagnosis.inference.transfer import Transfer, transfer
 from robomill.diagnosis.inference.visibility import Seen
 from robomill.diagnosis.localisation.replay_attribution import intervals
-from robomill.diagnosis.localisation.swap import shapley
-from robomill.diagnosis.localisation.where import Located, Where, combined, direction_of, located
+from robomill.diagnosis.localisation.where import Located, combined, direction_of, located
 from robomill.diagnosis.outcome import next_run
-from robomill.diagnosis.outcome.answer import Answer, Estimate, Gap, Menu, Unknown, Visible, Which, curves_of, titles_of
+from robomill.diagnosis.outcome.answer import Answer, Gap, Menu, Unknown, Visible, Which, curves_of, titles_of
 from robomill.diagnosis.outcome.calibration import pulled
 from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, Closing, metrics
 from robomill.diagnosis.outcome.reasons import Reason, reasons
+from robomill.diagnosis.outcome.shares import shares
 from robomill.diagnosis.outcome.steps import steps
+from robomill.diagnosis.outcome.values import WIDER, Values
 from robomill.diagnosis.outcome.verdict import IDENTIFIED, at_bound, changes, judged, largest, over_noise, share_left, tested
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -50,8 +50,6 @@ SAID = {
 """What is wrong with the log, in words."""
 FAULTS = {"smooth": "filter", "gain": "unit"}
 """Kinds of findings, where they are called otherwise than what is wrong with the log."""
-WIDER = 1.25
-"""Factor on the deviation of a fit in intervals [1]. Fitted to 59 values of the second set of blind cases: 90 % are within."""
 LISTED = 0.01
 """Probability from which a candidate is listed."""
 
@@ -89,7 +87,7 @@ class Conclusion:
         if not search.evidence.whitening.guessed and any(c.component != LOGGING for c in self.best.model):
             self.weights = self.held_out()
             self.best = self.fits[int(self.weights.argmax())]
-        self.known: Mapping[str, Known] = {}
+        self.values = Values(search, self.best)
 
     @cached_property
     def other(self) -> Changing | None:
@@ -147,8 +145,8 @@ class Conclusion:
         instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if tried else Laws()
         bound = at_bound(self.best.model, self.best.values)
         if verdict != "none":
-            self.known = by_least_squares(search, self.best)
-            free = {a: v for known in self.known.values() for a, v in known.values.items()}
+            self.values = Values(search, self.best, by_least_squares(search, self.best))
+            free = {a: v for known in self.values.known.values() for a, v in known.values.items()}
             # with all of the catalogue beside it an effect goes as far as it may
             bound = bound or at_bound(self.best.model, self.best.values | free)
         if instead.found or (bound and verdict != "none"):
@@ -156,8 +154,7 @@ class Conclusion:
         said = [c for c in clocks if self.repair or (believed[c] >= IDENTIFIED and verdict != "unknown")]
         for c in said if verdict != "none" else []:
             (address,), (kind, _, pattern) = c.addresses, c.parameters[0].partition(" ")
-            known = self.known.get(c.name)
-            value = (known if known and not self.contradicted(c, self.best) else self.best).values[address]  # as `which` has it
+            value = self.values.said(c)[address]
             text = SAID[kind].format(place=c.location, way="late" if value > 0.0 else "early", size=_size(value, c.unit))
             self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, faulty, not faulty))
         swings = self.swings if verdict == "none" else None
@@ -198,7 +195,7 @@ class Conclusion:
             found = located(self.laboratory, self.n, self.search.catalogue, self.search.nuisances, self.figures(), self.menu.projections)
             answer = replace(
                 answer,
-                where=combined(verdict, self.where(), found.where),
+                where=combined(verdict, shares(search, self.best), found.where),
                 how_far=closing.of(adopted, list(closing.kinds)) if closing else (),
                 steps=steps(closing, self.best) if closing else None,
                 next_run=self.next_run(verdict) if acts else None,
@@ -276,109 +273,9 @@ class Conclusion:
             if p < LISTED:
                 continue
             fit = max((f for f in self.fits if c in f.model), key=lambda f: float(self.weights[self.fits.index(f)]))
-            known = self.known.get(c.name)
-            closes = known.closes if known and not self.contradicted(c, self.best) else None
-            listed.append(Which(c.effect, c.component, c.location, p * belief[c], self.parameters(c, fit), sets.get(c.name, []), closes))
+            parameters, closes = self.values.parameters(c, fit), self.values.closes(c)
+            listed.append(Which(c.effect, c.component, c.location, p * belief[c], parameters, sets.get(c.name, []), closes))
         return tuple(listed)
-
-    def parameters(self, c: Candidate, fit: Fit) -> dict[str, Estimate]:
-        """Parameter of the component -> its value, 90 % interval and unit.
-
-        Half of the interval: 1.645 sqrt((WIDER deviation)^2 + tolerance^2 + (FORM size)^2); of a single run value and deviation are those
-        of least squares (`intervals`), which need no factors. Where these two contradict each other (`contradicted`), it is the value of
-        the fit, and the interval reaches to the end of either.
-        """
-        known, apart = (self.known.get(c.name) if fit is self.best else None), self.contradicted(c, fit)
-        free = known if known and not apart else None
-        best = {a: fit.values[a] for a in c.addresses} | dict(free.values if free else {})
-        sizes, values = c.sizes(best), physical(best)
-        spread = self.spread(c, fit) | dict(free.deviations if free else {})
-        # a calibrated number's own tolerance, and what the models are not trusted to, come on top of noise
-        half = [1.645 * math.hypot(spread[a], self.tolerance(a)) for a in c.addresses]
-        below, above = list(half), list(half)
-        for i, a in enumerate(c.addresses):
-            if apart and known and a in known.values:
-                off, wide = known.values[a] - best[a], 1.645 * math.hypot(known.deviations[a], self.tolerance(a))
-                below[i], above[i] = max(half[i], wide - off), max(half[i], wide + off)
-        units = [c.unit] * len(half)
-        if c.has_phase:  # an error across the amplitude turns it
-            most = max(*below, *above)
-            below, units = [most, min(most / (sizes[c.addresses[0]] + 1e-300), math.pi)], [c.unit, "rad"]
-            above = below
-        low, high = (-math.inf, math.inf) if c.has_phase or known is None else c.bounds
-        listed = {}
-        for name, down, up, unit in zip(c.named, below, above, units, strict=True):
-            value = values[c.component, name]
-            given = self.laboratory.nominal.get((c.component, name))
-            listed[name] = Estimate(value, [max(value - down, low), min(value + up, high)], unit, given)
-        for (address, value), shape in zip(c.fixed, c.shapes, strict=bool(c.fixed)):
-            listed[address[1]] = Estimate(value, [*c.bracket(address)], shape.unit)
-        return listed
-
-    def spread(self, c: Candidate, fit: Fit) -> dict[Address, float]:
-        """Standard deviation [unit] of each number of an effect by the fit, with what its law may be off."""
-        sizes = c.sizes(fit.values)
-        return {a: math.hypot(WIDER * fit.deviations[a], FORM * sizes[a]) for a in c.addresses}
-
-    def contradicted(self, c: Candidate, fit: Fit) -> bool:
-        """Whether least squares, with all of the catalogue free, say something else of an effect than the fit: by 1.645 deviations of both.
-
-        Slopes reach only so far, and in a loop noise comes back as a signal. Then neither the value nor what it closes is known by them.
-        """
-        if fit is not self.best or (known := self.known.get(c.name)) is None:
-            return False
-        apart = {a: abs(known.values[a] - fit.values[a]) for a in c.addresses if a in known.values}
-        return any(x > 1.645 * math.hypot(known.deviations[a], self.spread(c, fit)[a], self.tolerance(a)) for a, x in apart.items())
-
-    def tolerance(self, address: Address) -> float:
-        """Standard deviation to which the nominal value is believed [unit]."""
-        return math.hypot(*self.search.evidence.space.alike.get(address, {}).values())
-
-    def where(self) -> list[Where]:
-        """Share of each component in the gap, largest first: exact Shapley values of the effects of the best model.
-
-        The worth of a subset of components is 1 - G(their effects) / G(nothing).
-        """
-        parts = list(dict.fromkeys(c.component for c in self.best.model))
-        before, noise = self.search.gap(self.search.nominal(), calibrated=False)
-
-        def closed(members: frozenset[str]) -> FloatArray:
-            """Part of the gap that the effects in these components close."""
-            values = {a: v for a, v in self.best.values.items() if a[0] in members}
-            signature = self.search.mean_signature(values) if values else None
-            if signature is None or before <= 0.0:
-                return np.zeros(())
-            trial = Fit((), {}, {}, 0.0, 0.0, signature)
-            return np.array(1.0 - self.search.gap(trial, calibrated=False)[0] / before)
-
-        worth = shapley(parts, closed)
-        shares = []
-        for part in parts:
-            value = float(worth[part])
-            half = 1.645 * noise / before if before > 0.0 else 1.0
-            here = [c for c in self.best.model if c.component == part]
-            interval, location = [as_share(value - half), as_share(value + half)], ", ".join(dict.fromkeys(c.location for c in here))
-            strongest, regime = self.local(here)
-            shares.append(Where(part, as_share(value), interval, location, direction_of(strongest), strongest, regime))
-        return sorted(shares, key=lambda s: -s.share)
-
-    def local(self, members: Sequence[Candidate]) -> tuple[str, list[list[float]]]:
-        """Channel with the strongest signature, and the times [s] when it is there."""
-        values = {a: self.best.values[a] for c in members for a in c.addresses}
-        results = self.simulator.many([(i, self.simulator.seeded(setting(values))) for i in range(self.n)], "shares")
-        active = self.search.evidence.active
-        names = [c for c, on in zip(self.laboratory.channels, active, strict=True) if on]
-        variance = self.search.evidence.whitening.deviation**2 + 1e-30
-        total, regime = np.zeros(len(names)), []
-        for i, r in enumerate(results):
-            if r is None:
-                continue
-            squares = (r[:, active] - self.search.evidence.nominals[i][0]) ** 2 / (variance + np.median(variance) * 1e-12)
-            total += squares.sum(axis=0)
-            over = squares.sum(axis=1)
-            if i == 0 and over.max() > 0.0:
-                regime = intervals(over > 0.1 * over.max(), self.laboratory.conditions[0].grid, self.laboratory.decimation)
-        return names[int(total.argmax())], regime
 
     def figures(self) -> dict[str, FloatArray]:
         """Weights of the channels in each figure, name -> [channels]: 1 for those in it, 0 for the others."""

@@ -10,7 +10,7 @@ import pytest
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.evidence import FORM
 from robomill.diagnosis.inference.intervals import Known
-from robomill.diagnosis.outcome.conclusion import WIDER, Conclusion
+from robomill.diagnosis.outcome.values import WIDER, Values
 from tests.diagnosis.formula import candidate
 from tests.tolerances import ROUNDOFF
 
@@ -20,14 +20,13 @@ NAME = EFFECT.named[0]
 DEVIATION = 0.05
 
 
-def concluded(value: float, free: float, deviation: float) -> Any:
-    """The conclusion on an effect that is fitted as `value`, and is `free` by least squares with everything free, with that deviation."""
-    made: Any = object.__new__(Conclusion)
-    made.best = Fit((EFFECT,), {ADDRESS: value}, {ADDRESS: DEVIATION}, 0.0, 0.0)
-    made.known = {EFFECT.name: Known({ADDRESS: free}, {ADDRESS: deviation}, 1e-4)}
-    made.laboratory = SimpleNamespace(nominal={})
-    made.search = cast("Any", SimpleNamespace(evidence=SimpleNamespace(space=SimpleNamespace(alike={}))))
-    return made
+def made(value: float, *free: float) -> Values:
+    """Values of an effect that is fitted as `value`; `free`: what least squares with everything free say, and its deviation."""
+    search = SimpleNamespace(
+        evidence=SimpleNamespace(space=SimpleNamespace(alike={})), simulator=SimpleNamespace(laboratory=SimpleNamespace(nominal={}))
+    )
+    known = {EFFECT.name: Known({ADDRESS: free[0]}, {ADDRESS: free[1]}, 1e-4)} if free else {}
+    return Values(cast("Any", search), Fit((EFFECT,), {ADDRESS: value}, {ADDRESS: DEVIATION}, 0.0, 0.0), known)
 
 
 def of_fit(value: float) -> float:
@@ -36,9 +35,10 @@ def of_fit(value: float) -> float:
 
 
 def test_least_squares_have_the_value_and_the_interval() -> None:
-    made = concluded(0.5, 0.6, 0.1)
-    assert not made.contradicted(EFFECT, made.best)
-    found = made.parameters(EFFECT, made.best)[NAME]
+    of = made(0.5, 0.6, 0.1)
+    assert not of.contradicted(EFFECT, of.best)
+    assert (of.said(EFFECT)[ADDRESS], of.closes(EFFECT)) == (0.6, 1e-4)
+    found = of.parameters(EFFECT, of.best)[NAME]
     assert found.value == 0.6
     assert found.interval == pytest.approx([0.6 - 0.1645, 0.6 + 0.1645], rel=1e2 * ROUNDOFF)
 
@@ -48,17 +48,18 @@ def test_where_they_contradict_the_fit_the_fit_has_the_value_and_the_interval_re
     free: float, ends: tuple[float | None, float | None]
 ) -> None:
     """What is printed is what adopt.ssv holds, and what closes the gap."""
-    made = concluded(0.5, free, 0.1)
-    assert made.contradicted(EFFECT, made.best)
-    found = made.parameters(EFFECT, made.best)[NAME]
+    of = made(0.5, free, 0.1)
+    assert of.contradicted(EFFECT, of.best)
+    assert (of.said(EFFECT)[ADDRESS], of.closes(EFFECT)) == (0.5, None)
+    found = of.parameters(EFFECT, of.best)[NAME]
     low, high = (own if end is None else end for own, end in zip((0.5 - of_fit(0.5), 0.5 + of_fit(0.5)), ends, strict=True))
     assert found.value == 0.5
     assert found.interval == pytest.approx([max(low, EFFECT.bounds[0]), high], rel=1e2 * ROUNDOFF)
 
 
 def test_what_is_known_of_neither_is_no_contradiction() -> None:
-    made = concluded(0.5, 0.1, 0.3)
-    assert not made.contradicted(EFFECT, made.best)
-    made.known = {}
-    assert not made.contradicted(EFFECT, made.best)
-    assert made.parameters(EFFECT, made.best)[NAME].interval == pytest.approx([0.5 - of_fit(0.5), 0.5 + of_fit(0.5)], rel=1e2 * ROUNDOFF)
+    of, alone = made(0.5, 0.1, 0.3), made(0.5)
+    assert not of.contradicted(EFFECT, of.best)
+    assert not alone.contradicted(EFFECT, alone.best)
+    found = alone.parameters(EFFECT, alone.best)[NAME]
+    assert found.interval == pytest.approx([0.5 - of_fit(0.5), 0.5 + of_fit(0.5)], rel=1e2 * ROUNDOFF)
