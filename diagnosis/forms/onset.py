@@ -89,9 +89,9 @@ def onset_of(search: Search, right: Fit | None = None) -> Onset | None:
 
 
 def _may_be(c: Candidate, value: float) -> bool:
-    """Whether an effect may have this size [unit], by its sign and its largest one in the catalogue."""
+    """Whether an effect may have this size [unit], by its sign, its largest one and its smallest that counts in the catalogue."""
     low, high = c.bounds
-    return low <= value <= high
+    return low <= value <= high and abs(value) >= c.minimum
 
 
 def _sensitivity(search: Search, c: Candidate) -> FloatArray:

@@ -179,6 +179,26 @@ class TestOnset:
         found = onset_of(search)
         assert (found is not None and (found.effect, found.location) == ("gain", "sensor 2")) is (sign == "positive")
 
+    def test_an_effect_that_would_not_count_as_a_finding_begins_nowhere(self, tmp_path: Path) -> None:
+        search, _, _ = looked_at(tmp_path, self.gained(4.5))
+        found = onset_of(search)
+        assert found is not None
+        larger = 2.0 * abs(found.value)
+        search.candidates = [replace(c, minimum=larger) if c.effect == "gain" else c for c in search.candidates]
+        assert (other := onset_of(search)) is None or other.effect != "gain"
+
+    @pytest.mark.parametrize("since", [-1.0, 4.5])
+    def test_of_a_believed_model_only_an_effect_of_its_own_begins_beside_what_the_others_do(self, tmp_path: Path, since: float) -> None:
+        """One gain is there all the time, and is much larger than the other one."""
+        runs = demo.changed(self.gained(since), "sensors.y[1]", lambda t, y: 1.5 * y)
+        search, _, _ = looked_at(tmp_path, runs)
+        both = tuple(c for c in search.candidates if c.effect == "gain" and c.location in ("sensor 1", "sensor 2"))
+        values = {a: x for c, x in zip(both, (0.5, 0.1), strict=True) for a in c.addresses}
+        right = search.fitted(both, values, dict.fromkeys(values, 0.01))
+        assert right is not None
+        found = onset_of(search, right)
+        assert (None if found is None else found.location) == (None if since < 0.0 else "sensor 2")
+
     def test_an_effect_that_is_always_there_has_none(self, tmp_path: Path) -> None:
         search, _, _ = looked_at(tmp_path, self.gained(-1.0))
         assert onset_of(search) is None
