@@ -93,19 +93,17 @@ class Fitting:
     def linear_fits(self, bases: Sequence[Fit], at: Fit | None = None) -> list[Fit]:
         """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion: s + (ds/dx) (x - best) + v x'.
 
-        v is the sensitivity of the candidate, x' its size. It is that of the nominal system, without another simulation; beside the model
-        `at`, or the base, where that has `turned`. The parameters of the base are fitted again, too. Of the variants of a candidate the
-        best one; all of them where they are not proportional to their size: sensitivities say too little.
+        v is the sensitivity of the candidate, x' its size. It is that of the nominal system, without another simulation, or the one that it
+        has beside the model `at`. The parameters of the base are fitted again, too. Of the variants of a candidate the best one; all of
+        them where they are not proportional to their size: sensitivities say too little.
         """
         space = self.evidence.space
+        addresses, stacked, known = self.alone if at is None else self.beside(at)
+        place, count = {a: i for i, a in enumerate(addresses)}, len(addresses)
         found: dict[frozenset[Candidate], Fit] = {}
-        beside_at = self.beside(at) if at is not None and self.turned(at) else None
         for base in bases:
             assert base.signature is not None
             assert base.sensitivities is not None
-            turned = beside_at or (self.beside(base) if at is None and self.turned(base) else None)
-            addresses, stacked, known = turned or self.alone
-            place, count = {a: i for i, a in enumerate(addresses)}, len(addresses)
             scales, _, _ = scaled_bounds(base.model)
             best = np.array([base.values[a] for c in base.model for a in c.addresses]) / (scales if len(scales) else 1.0)
             target = space.y - base.signature + base.sensitivities @ best
@@ -117,7 +115,7 @@ class Fitting:
                 key = frozenset(model)
                 if key in found or any(c.excludes(m) for m in base.model):
                     continue
-                there = self.starts.get(c.addresses[0]) if turned is None else None
+                there = self.starts.get(c.addresses[0]) if at is None else None
                 if there is not None:
                     sensitivities = np.concatenate([base.sensitivities, there.sensitivity[:, None]], axis=1)
                     start = np.append(best, there.x)
@@ -126,7 +124,7 @@ class Fitting:
                     own = wide.without([a for m in model for a in m.addresses])
                     products = own.within(gram, [*own_columns, *(place[a] for a in c.addresses), count + len(best)])
                     fit = solved(model, products, space, own)
-                    if turned is not None:
+                    if at is not None:
                         fit.sensitivities = np.column_stack([base.sensitivities, stacked[:, [place[a] for a in c.addresses]]])
                         x = np.array([fit.values[a] / m.prior.scale for m in model for a in m.addresses])
                         fit.signature = base.signature - base.sensitivities @ best + fit.sensitivities @ x

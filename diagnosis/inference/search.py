@@ -134,17 +134,23 @@ class Search(Fitting):
     def _exchanged(self, best: Fit, known: Sequence[Fit]) -> list[Fit]:
         """Models that have another effect, or none, in place of one of `best`: the likeliest by sensitivities, fitted on simulations.
 
-        What came first, when little else was known, may stand for two that came later.
+        What came first, when little else was known, may stand for two that came later. Where slopes have `turned` beside it, those that
+        the others have there say so, and also which effect it lacks.
         """
-        if len(best.model) <= 1:
+        turned = self.turned(best)
+        if len(best.model) <= 1 and not turned:
             return []
-        fewer = [_without(best, c) for c in best.model]
+        fewer = [_without(best, c) for c in best.model] if len(best.model) > 1 else []
         seen = {frozenset(f.model) for f in known}
-        swapped = [f for f in sorted(self.linear_fits(fewer, best), key=evidence_of, reverse=True) if frozenset(f.model) not in seen]
-        trials = [f for f in swapped if f.log_evidence > best.log_evidence - self.growth][:EXTENSIONS]
+        beside = self.linear_fits([*fewer, best] if turned else fewer, best if turned else None)
+        ranked = [f for f in sorted(beside, key=evidence_of, reverse=True) if frozenset(f.model) not in seen]
+        larger = [f for f in ranked if len(f.model) > len(best.model)]
+        swapped = [f for f in ranked if f not in larger]
+        trials = [f for f in larger if f.log_evidence > best.log_evidence + self.growth][:EXTENSIONS]
+        trials += [f for f in swapped if f.log_evidence > best.log_evidence - self.growth][:EXTENSIONS]
         trials += [f for f in fewer if frozenset(f.model) not in seen]
         level = self.sharpened(self.polish(self.refine(trials), trials))
-        return level + self._replaced(best, fewer, [f for f in swapped if f not in trials])
+        return level + (self._replaced(best, fewer, [f for f in swapped if f not in trials]) if fewer else [])
 
     def _replaced(self, best: Fit, fewer: Sequence[Fit], swapped: Sequence[Fit]) -> list[Fit]:
         """Models that have another effect in place of one of `best`: those of `swapped` that make up for most of what it explains.

@@ -484,14 +484,15 @@ class TestTurned:
     def test_beside_it_another_effect_is_found_that_by_its_slope_alone_is_of_no_use(self) -> None:
         s = self.made()
         base = self.base(s)
-        found = {frozenset(c.effect for c in f.model): f for f in s.linear_fits([base])}
+        found, alone = ({frozenset(c.effect for c in f.model): f for f in s.linear_fits([base], at)} for at in (base, None))
         right, wrong = found[frozenset(("pace", "load"))], found[frozenset(("pace", "other"))]
-        alone = {frozenset(c.effect for c in f.model): f for f in s.linear_fits([replace(base, chi2=0.0)])}  # not rough: not looked at
         assert right.log_evidence > wrong.log_evidence + s.growth
         assert alone[frozenset(("pace", "load"))].log_evidence < wrong.log_evidence - s.growth
         (fitted,) = s.refine([right])
         assert fitted.values[self.LOAD] == pytest.approx(0.5, rel=WELL)
         assert fitted.values[self.PACE] == pytest.approx(0.5, rel=WELL)
+        best = max(s._exchanged(base, [base]), key=lambda f: f.log_evidence)
+        assert {c.effect for c in best.model} == {"pace", "load"}
         assert {c.effect for c in max(s.run(), key=lambda f: f.log_evidence).model} == {"pace", "load"}
 
     def test_what_cannot_run_beside_it_keeps_the_slope_that_it_has_alone(self) -> None:
