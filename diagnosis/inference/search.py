@@ -145,7 +145,7 @@ class Search(Fitting):
         beside = self.linear_fits([*fewer, best] if turned else fewer, best if turned else None)
         ranked = [f for f in sorted(beside, key=evidence_of, reverse=True) if frozenset(f.model) not in seen]
         larger = [f for f in ranked if len(f.model) > len(best.model)]
-        swapped = [f for f in ranked if f not in larger]
+        swapped = [f for f in ranked if len(f.model) <= len(best.model)]
         trials = [f for f in larger if f.log_evidence > best.log_evidence + self.growth][:EXTENSIONS]
         trials += [f for f in swapped if f.log_evidence > best.log_evidence - self.growth][:EXTENSIONS]
         trials += [f for f in fewer if frozenset(f.model) not in seen]

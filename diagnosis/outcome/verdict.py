@@ -103,8 +103,9 @@ def left_over(search: Search, left: FloatArray) -> float:
 
 
 def over_noise(search: Search, fit: Fit) -> float:
-    """How much a model leaves, by the look that sees more of it (`looks`)."""
-    return max(looks(search, fit))
+    """How much a model leaves, by the look that sees more of it (`left_over`)."""
+    assert fit.signature is not None
+    return left_over(search, search.evidence.space.y - fit.signature)
 
 
 def largest(search: Search, nominal: Fit, moved: Transfer | None) -> float:
