@@ -52,6 +52,7 @@ class Fitting:
         sensitivities = Sensitivities(catalogue, simulator, groups, nuisances, left, dispersion)
         self.evidence, self.candidates, self.starts = sensitivities.evidence, sensitivities.candidates, sensitivities.starts
         self.bent, self.sizes, self.scales = sensitivities.bent, sensitivities.sizes, sensitivities.scales
+        self._beside: tuple[list[Address], FloatArray, Gram] | None = None
 
     def nominal(self) -> Fit:
         """The fit of the nominal model, which has no effect: log evidence 0, signature 0."""
@@ -78,8 +79,10 @@ class Fitting:
     def beside(self, fit: Fit) -> tuple[list[Address], FloatArray, Gram]:
         """As `alone`, with the slopes that the candidates have beside a model, by one simulation each.
 
-        Those that cannot run beside it keep the slope that they have alone.
+        Those that cannot run beside it keep the slope that they have alone. They are taken once: beside the first model that is asked for.
         """
+        if self._beside is not None:
+            return self._beside
         addresses, stacked, _ = self.alone
         assert fit.sensitivities is not None
         own = dict(zip((a for c in fit.model for a in c.addresses), fit.sensitivities.T, strict=True))
@@ -88,7 +91,8 @@ class Fitting:
         here, *there = self._single(trials, fit.calibrated)
         columns = {a: (s - here) / sizes[a] for a, s in zip(sizes, there, strict=True) if s is not None and here is not None} | own
         stacked = np.stack([columns.get(a, stacked[:, i]) for i, a in enumerate(addresses)], axis=1)
-        return addresses, stacked, self.evidence.space.gram(stacked)
+        self._beside = addresses, stacked, self.evidence.space.gram(stacked)
+        return self._beside
 
     def linear_fits(self, bases: Sequence[Fit], at: Fit | None = None) -> list[Fit]:
         """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion: s + (ds/dx) (x - best) + v x'.
