@@ -129,7 +129,7 @@ def test_a_model_that_leaves_nothing_of_a_large_gap_gains_at_most_the_odds_of_th
 
 @pytest.mark.parametrize("kinds", [1, 3])
 def test_the_less_room_a_model_leaves_the_likelier_a_stand_in_leaves_nothing_by_chance(kinds: int) -> None:
-    """Of random directions in r + k dimensions k of them leave the share Beta(r / 2, k / 2); k / 2 is what `left_by` has measured."""
+    """A random direction in r + k dimensions leaves k of them the share Beta(r / 2, k / 2); k / 2 is what `left_by` has measured."""
     found = [by_chance(room, kinds) for room in (-1.0, 0.0, 0.5, 1.0, 1.9, 2.0, 50.0)]
     assert found == sorted(found, reverse=True)
     usual = beta.cdf(MISFIT, 1.0, 2 * kinds - 1)

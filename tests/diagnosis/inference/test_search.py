@@ -511,9 +511,11 @@ class TestVariety:
     """In how many directions effects differ, and what of one the others can do."""
 
     ONE, TWO, THREE = 9.0 * np.eye(5)[:3]
+    RIDGE = 1e-8
+    """The ridge with which correlations are inverted (1e-9), times the number of effects."""
 
     def of(self, *columns: FloatArray) -> tuple[float, float]:
-        """Of a catalogue whose effects do this."""
+        """What a catalogue has whose effects do this."""
         entries = tuple(candidate(f"e{k}") for k in range(len(columns)))
         n = len(columns[0])
         evidence = SimpleNamespace(
@@ -524,8 +526,8 @@ class TestVariety:
 
     def test_effects_that_have_nothing_in_common_have_one_direction_each_and_twins_one_together(self) -> None:
         one, two, three = self.ONE, self.TWO, self.THREE
-        assert self.of(one, two, three) == pytest.approx((3.0, 0.0), rel=WELL, abs=1e-6)
-        assert self.of(one, 5.0 * two, three) == pytest.approx((3.0, 0.0), rel=WELL, abs=1e-6)
+        assert self.of(one, two, three) == pytest.approx((3.0, 0.0), rel=WELL, abs=self.RIDGE)
+        assert self.of(one, 5.0 * two, three) == pytest.approx((3.0, 0.0), rel=WELL, abs=self.RIDGE)
         assert self.of(one, 2.0 * one, -one) == pytest.approx((1.0, 1.0), rel=WELL)
         # two thirds and a third: the entropy of that; two of three can be done by another one
         assert self.of(one, 2.0 * one, two) == pytest.approx((math.exp(math.log(3.0) - math.log(2.0) * 2.0 / 3.0), 2.0 / 3.0), rel=WELL)
