@@ -52,7 +52,7 @@ class Fitting:
         sensitivities = Sensitivities(catalogue, simulator, groups, nuisances, left, dispersion)
         self.evidence, self.candidates, self.starts = sensitivities.evidence, sensitivities.candidates, sensitivities.starts
         self.bent, self.sizes, self.scales = sensitivities.bent, sensitivities.sizes, sensitivities.scales
-        self._beside: tuple[list[Address], FloatArray, Gram] | None = None
+        self._anew = False
 
     def nominal(self) -> Fit:
         """The fit of the nominal model, which has no effect: log evidence 0, signature 0."""
@@ -69,9 +69,9 @@ class Fitting:
     def turned(self, fit: Fit) -> bool:
         """Whether the slopes of a model point elsewhere at its values than at the nominal system (cosine below BENT), where it is `rough`.
 
-        Then those of all others may, too: a loop with another gain answers otherwise to everything.
+        Then those of all others may, too: a loop with another gain answers otherwise to everything. It is asked of one model of a search.
         """
-        if not fit.model or fit.sensitivities is None or not self.rough(fit):
+        if self._anew or not fit.model or fit.sensitivities is None or not self.rough(fit):
             return False
         before = [per_scale(self.evidence, self.starts, a) for c in fit.model for a in c.addresses]
         return any(cosine(v, own) < BENT for v, own in zip(before, fit.sensitivities.T, strict=True))
@@ -79,10 +79,8 @@ class Fitting:
     def beside(self, fit: Fit) -> tuple[list[Address], FloatArray, Gram]:
         """As `alone`, with the slopes that the candidates have beside a model, by one simulation each.
 
-        Those that cannot run beside it keep the slope that they have alone. They are taken once: beside the first model that is asked for.
+        Those that cannot run beside it keep the slope that they have alone.
         """
-        if self._beside is not None:
-            return self._beside
         addresses, stacked, _ = self.alone
         assert fit.sensitivities is not None
         own = dict(zip((a for c in fit.model for a in c.addresses), fit.sensitivities.T, strict=True))
@@ -91,8 +89,8 @@ class Fitting:
         here, *there = self._single(trials, fit.calibrated)
         columns = {a: (s - here) / sizes[a] for a, s in zip(sizes, there, strict=True) if s is not None and here is not None} | own
         stacked = np.stack([columns.get(a, stacked[:, i]) for i, a in enumerate(addresses)], axis=1)
-        self._beside = addresses, stacked, self.evidence.space.gram(stacked)
-        return self._beside
+        self._anew = True
+        return addresses, stacked, self.evidence.space.gram(stacked)
 
     def linear_fits(self, bases: Sequence[Fit], at: Fit | None = None) -> list[Fit]:
         """Every model that is one of `bases` plus a candidate, as if signatures added up in proportion: s + (ds/dx) (x - best) + v x'.

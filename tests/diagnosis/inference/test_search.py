@@ -491,9 +491,14 @@ class TestTurned:
         (fitted,) = s.refine([right])
         assert fitted.values[self.LOAD] == pytest.approx(0.5, rel=WELL)
         assert fitted.values[self.PACE] == pytest.approx(0.5, rel=WELL)
+
+    def test_the_search_looks_so_beside_one_model(self) -> None:
+        s = self.made()
+        base = self.base(s)
         best = max(s._exchanged(base, [base]), key=lambda f: f.log_evidence)
         assert {c.effect for c in best.model} == {"pace", "load"}
-        assert {c.effect for c in max(s.run(), key=lambda f: f.log_evidence).model} == {"pace", "load"}
+        assert not s.turned(base)  # once is enough
+        assert {c.effect for c in max(self.made().run(), key=lambda f: f.log_evidence).model} == {"pace", "load"}
 
     def test_what_cannot_run_beside_it_keeps_the_slope_that_it_has_alone(self) -> None:
         s = self.made()
