@@ -23,6 +23,7 @@ from robomill.diagnosis.candidates import Address, Candidate
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.design import Design, Kind
+from robomill.diagnosis.experiment.measured import is_driven
 from robomill.diagnosis.experiment.preparation import Prepared, prepared
 from robomill.diagnosis.experiment.simulation import Laboratory, Report, Simulator
 from robomill.diagnosis.experiment.store import Store
@@ -33,7 +34,7 @@ from robomill.diagnosis.inference.sensitivities import Sensitivities, changed
 from robomill.diagnosis.inference.visibility import SHOWS, Seen, Sight, settled
 from robomill.diagnosis.outcome.answer import Effort, effort_of
 from robomill.diagnosis.outcome.next_run import laboratory as laboratory_of
-from robomill.orchestration.assembly import MEASURED, Resolver, run
+from robomill.orchestration.assembly import Resolver, run
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 from robomill.orchestration.system.parameters import Convert, same_unit_only
 
@@ -228,8 +229,7 @@ def _sets(sights: Sequence[Sight]) -> tuple[tuple[str, ...], ...]:
 def _missing(laboratory: Laboratory, repeats: Mapping[str, int], evidence: Evidence, effects: Sequence[Shown]) -> list[str]:
     """What is missing, in words."""
     out = []
-    systems = [c.system or laboratory.system for c in laboratory.conditions]
-    if evidence.whitening.guessed and any(part.source.startswith(f"{MEASURED}:") for s in systems for part in s.components):
+    if evidence.whitening.guessed and any(is_driven(c.system or laboratory.system) for c in laboratory.conditions):
         out.append("repeats: each run is driven by what was measured in it and has none, so the noise is a guess, and so is every size")
     elif evidence.whitening.guessed:
         out.append("repeats: nothing was repeated, so the noise is a guess, and so is every size; make each run at least three times")

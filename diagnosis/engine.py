@@ -20,7 +20,7 @@ from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.gate import log_faults, phases
 from robomill.diagnosis.gate.checks import Finding, stopped
 from robomill.diagnosis.gate.gate import Gate
-from robomill.diagnosis.inference.adequacy import FALSE_ALARM, UNKNOWN, left_by, unexplained
+from robomill.diagnosis.inference.adequacy import FALSE_ALARM, LEVEL, UNKNOWN, left_by, unexplained
 from robomill.diagnosis.inference.dormant import searched_beside
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import probabilities
@@ -30,7 +30,7 @@ from robomill.diagnosis.inference.sensitivities import NOMINAL
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, curves_of, effort_of, titles_of
 from robomill.diagnosis.outcome.conclusion import Conclusion
 from robomill.diagnosis.outcome.how_far import CLOSING
-from robomill.diagnosis.outcome.verdict import left_over, over_noise, right, share_left
+from robomill.diagnosis.outcome.verdict import looks_at, over_noise, right, share_left
 from robomill.orchestration.assembly import Resolver
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -121,8 +121,9 @@ def diagnose_campaign(
             if fatal:  # is it the machine, after all?
                 best = _simulated(search, _best(search, fits))
                 machine = _little(search, fits, best) and not any(c.component == LOGGING for c in best.model)
-                faults = [f for f in fatal if f.kind in log_faults.KEEPING]
-                machine = machine and not (faults and _nominal(search, gate.without(faults), best))
+                turned = [f for f in fatal if f.kind in log_faults.KEEPING]
+                if machine and turned:
+                    machine = not _nominal(search, gate.without(turned), best)
                 if machine and _shows(search, best, {f.channel for f in fatal}):
                     findings = told + gate.findings(setting(best.values))
                 faults = [f for f in findings if f.fatal and f.kind in log_faults.KINDS]
@@ -171,9 +172,11 @@ def _little(search: Search, fits: Sequence[Fit], best: Fit) -> bool:
 def _nominal(search: Search, groups: Sequence[Sequence[FloatArray]], best: Fit) -> bool:
     """Whether the nominal system leaves no more of repeats with a fault undone than the `best` model leaves of the log as it is.
 
-    Then the fault alone explains the log, without a number that is fitted.
+    Then the fault alone explains the log, without a number that is fitted. Of several effects that do all of it together, each would have
+    to be as large by chance; so no more is asked than a right model leaves (LEVEL). A single effect that does it is one of the catalogue.
     """
-    return left_over(search, search.evidence.residual(groups)) <= over_noise(search, best)
+    least = LEVEL if len(best.model) > 1 else 0.0
+    return max(looks_at(search, search.evidence.residual(groups))) <= max(over_noise(search, best), least)
 
 
 def _wrong_channel(
@@ -187,12 +190,12 @@ def _wrong_channel(
     """The channel that has nearly all of a gap that nothing explains, if it stands still, or a model explains the log with its sign turned.
 
     The gate lets a channel rest at an extreme, as a limit does, and sees a wrong sign by the nominal signal: where an effect is
-    much larger than that, only both together say so. What the parts of a signal are, all of them less by twice as much, explains a wrong
-    sign, too; so that of a gap that is explained is turned where the nominal system leaves no more then.
+    much larger than that, only both together say so. Twice as little of all that a signal consists of does what a wrong sign does. So
+    a gap that effects explain is looked at, too, where the nominal system explains as much with the sign turned.
     """
     best = _best(search, fits)
     explained = over_noise(search, best) < UNKNOWN
-    if explained and not best.model:
+    if explained and over_noise(search, fits[0]) < UNKNOWN:  # there is no gap
         return None
     names = [c for c, on in zip(search.simulator.laboratory.channels, search.evidence.active, strict=True) if on]
     gap = search.evidence.space.y
@@ -236,7 +239,7 @@ def _explained(
     little = _little(other, found, best)
     if faults and all(f.kind in log_faults.KEEPING for f in faults):
         little = little or unexplained(over_noise(search, fits[0]), left) < LITTLE
-    return best if little and left < left_with else None
+    return best if little and (left < left_with or not best.model) else None
 
 
 def _right(search: Search, fits: Sequence[Fit], best: Fit) -> bool:

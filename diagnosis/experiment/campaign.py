@@ -20,8 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from robomill.diagnosis.experiment.measured import Condition, DataError, driven, sort_by_condition
-from robomill.orchestration.assembly import MEASURED
+from robomill.diagnosis.experiment.measured import Condition, DataError, driven, is_driven, sort_by_condition
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.system import keys
 from robomill.orchestration.system.definition import System
@@ -95,7 +94,7 @@ def _told_apart(conditions: Sequence[Condition]) -> list[Condition]:
     """The conditions, numbered where one that is driven by its own measured signals has the name of another: it is no repeat of that."""
     made: list[Condition] = []
     for c in conditions:
-        own = c.system is not None and any(part.source.startswith(f"{MEASURED}:") for part in c.system.components)
+        own = c.system is not None and is_driven(c.system)
         made.append(replace(c, name=f"{c.name} ({len(made) + 1})") if own and any(c.name == other.name for other in made) else c)
     return made
 

@@ -159,6 +159,11 @@ def driven(system: System, run: Run) -> System:
     return system
 
 
+def is_driven(system: System) -> bool:
+    """Whether components of a `driven` system play what was measured: no other run is a repeat of that."""
+    return any(c.source.startswith(f"{MEASURED}:") for c in system.components)
+
+
 def known_parameters(run: Run, system: System) -> dict[str, dict[str, Any]]:
     """What the experimenter says the parameters of this run were; files relative to the run's folder made absolute."""
     names = {c.name for c in system.components}

@@ -298,8 +298,9 @@ def by_least_squares(search: Search, fit: Fit) -> dict[str, Known]:
         return {}
     solution = problem.solved()
     for _ in range(SHARPER):
-        there = solution.x * (np.arange(len(solution.x)) < problem.parameters)  # waves are not simulated
-        values = dict(zip(problem.order[: problem.parameters], (float(v) for v in there * problem.scales), strict=False))
+        n = problem.parameters
+        there = solution.x * (np.arange(len(solution.x)) < n)  # waves are not simulated
+        values = dict(zip(problem.order[:n], (float(v) for v in (there * problem.scales)[:n]), strict=True))
         left = [r for r in _left(search, values) if r is not None]
         if len(left) < len(problem.left):
             break

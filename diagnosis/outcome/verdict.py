@@ -93,19 +93,17 @@ def looks(search: Search, fit: Fit) -> tuple[float, float]:
     See `Evidence.level` and `Search.explainable`.
     """
     assert fit.signature is not None
-    left = search.evidence.space.y - fit.signature
+    return looks_at(search, search.evidence.space.y - fit.signature)
+
+
+def looks_at(search: Search, left: FloatArray) -> tuple[float, float]:
+    """How much a residual [n] is over noise and discrepancy, by both looks (`looks`)."""
     return search.evidence.level(left), search.explainable(left)
 
 
-def left_over(search: Search, left: FloatArray) -> float:
-    """How much a residual [n] is over noise and discrepancy, by the look that sees more of it (as `looks`)."""
-    return max(search.evidence.level(left), search.explainable(left))
-
-
 def over_noise(search: Search, fit: Fit) -> float:
-    """How much a model leaves, by the look that sees more of it (`left_over`)."""
-    assert fit.signature is not None
-    return left_over(search, search.evidence.space.y - fit.signature)
+    """How much a model leaves, by the look that sees more of it (`looks`)."""
+    return max(looks(search, fit))
 
 
 def largest(search: Search, nominal: Fit, moved: Transfer | None) -> float:
@@ -144,8 +142,9 @@ def tested(
     ways = ((channels, len(evidence.space.blocks)), (catalogue, CONDITIONS), (scatter, CONDITIONS))
     seen = [(left_by(b, a, *shape, n), left_by(b, min(a, LEVEL), *shape, n)) for (b, a), n in ways]
     known = evidence.guess <= 1.0  # else what is left in new conditions is of a noise that is a guess, and counts by itself
-    elsewhere = most_left(seen, moved.loses if moved is not None and known else 0.0) - most_left(seen)
-    here = unless(most_left(seen), search.imitates(best, kinds))
+    left = most_left(seen)
+    elsewhere = most_left(seen, moved.loses if moved is not None and known else 0.0) - left
+    here = unless(left, search.imitates(best, kinds))
     anywhere = here + elsewhere
     overall = together(anywhere, worsened(evidence, before, after, best.signature))
     holds = held_together(search, best)

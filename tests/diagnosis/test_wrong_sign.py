@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
+import pytest
 
+from robomill.diagnosis import engine
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.inference.estimation import Fit
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.system.definition import Component, Connection, System
 from tests.diagnosis.demo import Part, changed, real
+from tests.diagnosis.formula import candidate
 
 NOISE = 0.01
 """rad/s"""
@@ -93,3 +98,17 @@ def test_a_wrong_sign_is_no_dry_friction_whose_slope_turns_the_rotor_round(tmp_p
     result = answer(tmp_path, changed(measure(rotor={"coulomb": 0.2}), "rotor.w", lambda t, w: -w))
     assert result["verdict"] == "bad_log"
     assert [(f["kind"], f["channel"]) for f in result["gate"]["findings"]] == [("sign", "rotor.w")]
+
+
+@pytest.mark.parametrize(
+    ("turned", "left", "effects", "alone"),
+    [(1.2, 1.46, 1, True), (1.2, 1.1, 1, False), (1.2, 1.1, 3, True), (1.4, 1.1, 3, False), (9.0, 12.0, 3, True)],
+)
+def test_a_turned_sign_explains_by_itself_what_several_effects_do_together(turned: float, left: float, effects: int, alone: bool) -> None:
+    """What is over noise: `turned`, of the log with the other sign by the nominal system, and `left`, by that many effects as it is."""
+    evidence = SimpleNamespace(
+        residual=lambda groups: np.array([turned]), level=lambda x: float(x[0]), space=SimpleNamespace(y=np.array([left + 5.0]))
+    )
+    search = cast("Any", SimpleNamespace(evidence=evidence, explainable=lambda x: 0.0))
+    model = tuple(candidate(f"part {k}") for k in range(effects))
+    assert engine._nominal(search, [], Fit(model, {}, {}, 0.0, 0.0, np.array([5.0]))) is alone
