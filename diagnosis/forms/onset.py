@@ -117,7 +117,7 @@ def _always(search: Search, c: Candidate, other: FloatArray) -> float:
     """Squares that an effect leaves which is there all the time, with a size of its own in each condition; `other` [n]: what others do."""
     space, v = search.evidence.space, _sensitivity(search, c)
     together = [*(_only(v, b) for b in space.blocks.values()), space.y - other]
-    products = space.without(c.addresses).within(space.gram(np.column_stack(together)), range(len(together)))
+    products = space.without(c.addresses).within(space.gram(np.stack(together).T), range(len(together)))
     size, along = np.diag(products)[:-1], products[-1, :-1]
     return float(products[-1, -1] - np.where(size > 0.0, along**2 / np.where(size > 0.0, size, 1.0), 0.0).sum())
 
@@ -140,7 +140,7 @@ def _within(search: Search, c: Candidate, usual_left: float, other: FloatArray) 
             for shape in (at >= begin, np.maximum(at - begin, 0.0) / rows):
                 columns.append(_only(v, b, np.repeat(shape.astype(np.float64), channels)))
     together = [*constant, *columns, space.y - other]
-    products = own.within(space.gram(np.column_stack(together)), range(len(together)))
+    products = own.within(space.gram(np.stack(together).T), range(len(together)))
     n = len(blocks)
     square, along, size = products[-1, -1], products[:-1, -1], np.diag(products)[:-1]
     gains = np.where(size > 0.0, along**2 / np.where(size > 0.0, size, 1.0), 0.0)

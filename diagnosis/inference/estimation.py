@@ -20,10 +20,10 @@ from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.sparse import csc_array, hstack
 from scipy.special import logsumexp
 
 from robomill.diagnosis.candidates import Address, Candidate
+from robomill.diagnosis.inference.columns import Columns
 from robomill.orchestration.slaves.protocol import FloatArray
 
 Model = tuple[Candidate, ...]
@@ -102,30 +102,25 @@ class Space:
         self,
         y: FloatArray,
         blocks: Mapping[str, slice],
-        nuisances: FloatArray | csc_array,
+        nuisances: FloatArray | Columns,
         names: Sequence[Address] = (),
-        products: FloatArray | None = None,
         gone: Collection[Address] = (),
     ) -> None:
         """`y` [n]; `blocks` condition -> its part of y; `nuisances` B [n, m], whitened sensitivities per standard deviation.
 
-        Nuisances are kept as sparse columns: most of them are of one channel only. `names`: parameter of each; `products`: B'B, if known;
-        `gone`: names that do not count.
+        `names`: parameter of each nuisance; `gone`: names that do not count.
         """
         self.y, self.blocks, self.names, self.gone = y, blocks, tuple(names), frozenset(gone)
-        self.nuisances = csc_array(nuisances)
-        self._across = self.nuisances.T.tocsr()
-        self._products: FloatArray = (self._across @ self.nuisances).toarray() if products is None else products
+        self.nuisances = nuisances if isinstance(nuisances, Columns) else Columns.of(nuisances, blocks)
+        self._products = self.nuisances.products()
         m = self.nuisances.shape[1]
         here = np.ix_(*2 * [[i for i in range(m) if i >= len(self.names) or self.names[i] not in self.gone]])
         precision = (np.eye(m) + self._products)[here]
         self._inner = np.zeros((m, m))
         self._inner[here] = np.linalg.inv(precision)
-        self._on_y: FloatArray = self._across @ y
+        self._on_y = self.nuisances.across(y)
         self.chi2 = float(y @ y - self._on_y @ (self._inner @ self._on_y))
         self.log_determinant = float(np.linalg.slogdet(precision)[1])
-        self._parts: dict[tuple[str, ...], FloatArray] = {}
-        """B'B of the rows of some conditions."""
         self._without: dict[frozenset[Address], Space] = {}
         self.alike: dict[Address, dict[Address, float]] = {}
         """parameter -> nuisances that do the same as it, and their standard deviation in its unit."""
@@ -160,23 +155,20 @@ class Space:
         kept = [i for i, name in enumerate(self.names) if name not in names]
         if len(kept) == len(self.names):
             return self
-        return Space(self.y, self.blocks, self.nuisances[:, kept], [self.names[i] for i in kept])
+        return Space(self.y, self.blocks, self.nuisances.chosen(kept), [self.names[i] for i in kept])
 
     def widened(self, columns: FloatArray | None) -> Space:
         """A space of its own that has these nuisances, [n, k], too; this one where there are none."""
         if columns is None or not columns.shape[1]:
             return self
-        across, m = self._across @ columns, self.nuisances.shape[1]
-        products = np.block([[self._products, across], [across.T, columns.T @ columns]])
-        names = [*self.names, *[("", "")] * (m - len(self.names)), *[FORM_ERROR] * columns.shape[1]]
-        together = hstack([self.nuisances, csc_array(columns)], format="csc")
-        wide = Space(self.y, self.blocks, together, names, products, self.gone)
+        names = [*self.names, *[("", "")] * (self.nuisances.shape[1] - len(self.names)), *[FORM_ERROR] * columns.shape[1]]
+        wide = Space(self.y, self.blocks, self.nuisances.beside(columns), names, self.gone)
         wide.alike = self.alike
         return wide
 
     def moved(self, left: FloatArray) -> FloatArray:
         """Standard deviations by which the nuisances are moved to explain the residual `left` [n]: (I + B'B)^-1 B' left, [m]."""
-        return np.asarray(self._inner @ (self._across @ left))
+        return np.asarray(self._inner @ self.nuisances.across(left))
 
     def covariance(self, nuisances: Sequence[int]) -> FloatArray:
         """Covariance of these nuisances after the data, [k, k], where it was the unit matrix before: a part of (I + B'B)^-1."""
@@ -190,7 +182,7 @@ class Space:
         """
         sizes = np.sqrt(np.diag(self._products))
         places = {name: i for i, name in enumerate(self.names)}
-        projected = self._across @ np.stack(list(sensitivities.values()), axis=1) if sensitivities else np.zeros((len(sizes), 0))
+        projected = self.nuisances.across(np.stack(list(sensitivities.values())).T) if sensitivities else np.zeros((len(sizes), 0))
         for (a, c), products in zip(sensitivities.items(), projected.T, strict=True):
             square = float(c @ c) + 1e-300
             same = np.abs(products) > SAME_SIGNATURE * sizes * float(np.linalg.norm(c))
@@ -200,33 +192,34 @@ class Space:
 
     def explained(self, left: FloatArray) -> FloatArray:
         """What the nuisances make of the residual `left` [n]: B (I + B'B)^-1 B' left, [n]."""
-        return np.asarray(self.nuisances @ self.moved(left))
+        return np.asarray(self.nuisances.along(self.moved(left)))
 
     def dot(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Inner product <a, b> of vectors [n], or of the columns of matrices [n, k] and [n, l]: [k, l]."""
-        left = self._across @ a
-        right = left if b is a else self._across @ b
+        left = self.nuisances.across(a)
+        right = left if b is a else self.nuisances.across(b)
         return np.asarray(a.T @ b - left.T @ (self._inner @ right))
 
     def against(self, vector: FloatArray) -> tuple[float, float]:
         """<v, y> and <v, v> of a vector [n]."""
-        seen = self._across @ vector
+        seen = self.nuisances.across(vector)
         inner = self._inner @ seen
         return float(vector @ self.y - inner @ self._on_y), float(vector @ vector - inner @ seen)
 
     def gram(self, matrix: FloatArray) -> Gram:
         """Products of the columns of a matrix [n, k], for `within` of this space and of those that are it `without` some nuisances."""
-        return Gram(matrix.T @ matrix, self._across @ matrix)
+        return Gram(matrix.T @ matrix, self.nuisances.across(matrix))
 
     def beside(self, known: Gram, matrix: FloatArray, columns: FloatArray) -> Gram:
         """Products of the columns of a matrix [n, k] and of `columns` [n, l] after them, where those of the matrix are `known`.
 
         Known may be from the space that this one is `widened` from.
         """
-        more = self.nuisances[:, len(known.projected) :].T @ matrix
+        first = len(known.projected)
+        more = self.nuisances.across(matrix, first)[first:]
         across = matrix.T @ columns
         plain = np.block([[known.plain, across], [across.T, columns.T @ columns]])
-        return Gram(plain, np.hstack([np.vstack([known.projected, more]), self._across @ columns]))
+        return Gram(plain, np.hstack([np.vstack([known.projected, more]), self.nuisances.across(columns)]))
 
     def within(self, gram: Gram, chosen: Sequence[int]) -> FloatArray:
         """The inner products of the `chosen` columns in this space, [chosen, chosen]."""
@@ -235,15 +228,13 @@ class Space:
 
     def chi2_of(self, vectors: FloatArray) -> FloatArray:
         """chi2 of each column of [n, k], <v, v>: [k]."""
-        left = self._across @ vectors
+        left = self.nuisances.across(vectors)
         return np.asarray((vectors * vectors).sum(axis=0) - (left * (self._inner @ left)).sum(axis=0))
 
     def only(self, blocks: Sequence[str]) -> Space:
         """Space restricted to the rows of some conditions; it has no blocks."""
         rows = self.rows(blocks)
-        made = Space(self.y[rows], {}, self.nuisances.tocsr()[rows], self.names, self._parts.get(tuple(blocks)), self.gone)
-        self._parts[tuple(blocks)] = made._products
-        return made
+        return Space(self.y[rows], {}, self.nuisances.restricted([self.blocks[b] for b in blocks]), self.names, self.gone)
 
     def rows(self, blocks: Sequence[str]) -> FloatArray:
         """Indices of the rows of y that belong to some conditions."""

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.fft import dct
-from scipy.sparse import csc_array, hstack
 
 from robomill.diagnosis.candidates import LOGGING, Address, Candidate, selects
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.experiment.simulation import Laboratory
+from robomill.diagnosis.inference.columns import Columns
 from robomill.diagnosis.inference.estimation import Model, Space
 from robomill.diagnosis.inference.noise import SPELL, Whitening, fast, own_noise, whitening
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
@@ -203,7 +203,7 @@ class Evidence:
                         column = np.zeros(self.space.y.size)
                         column[block] = np.where(here, part, 0.0).ravel()
                         columns.append(column)
-        return np.stack(columns, axis=1) if columns else None
+        return np.stack(columns).T if columns else None
 
     def _white(self, results: Sequence[FloatArray | None], base: Sequence[FloatArray]) -> FloatArray | None:
         parts = []
@@ -308,17 +308,14 @@ def gather(
     spell = max(1, round(SPELL / laboratory.decimation))
     together = _apart([white([x[:, active] for x in way]) for way in beyond], blocks)
     differs, different = [], []
-    for i, (block, spectrum, mean) in enumerate(zip(blocks.values(), spectra, means, strict=True)):
+    for i, (name, spectrum, mean) in enumerate(zip(blocks, spectra, means, strict=True)):
         seen = counts[i] * there[i] * (1.0 / ((w.factor**2).sum(axis=1) + sudden[i] ** 2)).mean(axis=0)
         waves = list(_waves(spectrum * size**2 * len(mean), seen, len(mean)))
         different.append(waves)
         columns = [ws[i].apply(wave, counts[i], sudden[i], there[i]) for wave in waves]
-        padded = np.zeros((y.size, len(columns)))
-        for k, column in enumerate(columns):
-            padded[block, k] = column
-        differs.append(csc_array(padded))
+        differs.append((name, np.reshape(columns, (len(columns), mean.size)).T))
     own, expected, allowed = [], np.zeros(y.size), np.zeros(y.size)
-    for i, (block, group) in enumerate(zip(blocks.values(), residuals, strict=True)):
+    for i, ((name, block), group) in enumerate(zip(blocks.items(), residuals, strict=True)):
         simulated = [ws[i].apply(x - means[i], 1.0, sudden[i], there[i]) for x in nominals[i]]
         single = alone[i] if like is None else like.scatter * there[i]
         level = counts[i] * (
@@ -331,21 +328,18 @@ def gather(
             continue
         held = [_padded(r.deviations, means[i]) for r in spare if r.name == conditions[i] and len(group) == 1]
         others = [[ws[i].apply(x, 1.0, sudden[i], there[i]) for x in runs] for runs in held]
-        spells = own_noise([group, simulated, *others], len(names), spell)
-        padded = np.zeros((y.size, spells.shape[1]))
-        padded[block] = spells / np.sqrt(DEPENDENCE * dispersion)
-        own.append(csc_array(padded))
+        own.append((name, own_noise([group, simulated, *others], len(names), spell) / np.sqrt(DEPENDENCE * dispersion)))
     anew = {a: _apart([nuisances.pop(a)], blocks) for a in list(nuisances) if laboratory.differs(conditions, a)}
     doubtful = [
         *nuisances,
         *[(component, f"{parameter}{ANEW}") for (component, parameter), columns in anew.items() for _ in columns],
         *[INTERPLAY] * len(together),
-        *[FORMULATION] * sum(d.shape[1] for d in differs),
-        *((LOGGING, f"noise {i + 1}") for i in range(sum(o.shape[1] for o in own))),
+        *[FORMULATION] * sum(d.shape[1] for _, d in differs),
+        *((LOGGING, f"noise {i + 1}") for i in range(sum(o.shape[1] for _, o in own))),
     ]
     alone_in = [column for columns in anew.values() for column in columns]
-    every = [csc_array(np.stack(list(nuisances.values()), axis=1)), *alone_in, *together, *differs, *own]
-    space = Space(y, blocks, hstack(every, format="csc"), doubtful)
+    everywhere = [(None, np.stack(list(nuisances.values())).T)]
+    space = Space(y, blocks, Columns.joined([*everywhere, *alone_in, *together, *differs, *own], blocks), doubtful)
     late = _late(space, clocks, names, LATENESS * laboratory.system.step) if like is None else like.late
     space = space.less(late)
     space.find_alike(sensitivities, scales)
@@ -390,16 +384,9 @@ def _padded(runs: Sequence[FloatArray], like: FloatArray) -> list[FloatArray]:
     return [np.concatenate([x[: len(like)], np.zeros_like(like[len(x) :])]) for x in runs]
 
 
-def _apart(columns: Sequence[FloatArray], blocks: Mapping[str, slice]) -> list[csc_array]:
-    """Each column [n] as one for every condition, which is zero in the others; without those that are zero."""
-    found = []
-    for column in columns:
-        for block in blocks.values():
-            alone = np.zeros_like(column)
-            alone[block] = column[block]
-            if np.any(alone):
-                found.append(csc_array(alone[:, None]))
-    return found
+def _apart(columns: Sequence[FloatArray], blocks: Mapping[str, slice]) -> list[tuple[str, FloatArray]]:
+    """Each column [n] as one for every condition where it is not zero: the condition, and [its rows, 1]."""
+    return [(name, column[rows, None]) for column in columns for name, rows in blocks.items() if np.any(column[rows])]
 
 
 def _discrepancy(

@@ -63,7 +63,7 @@ class Fitting:
     def alone(self) -> tuple[list[Address], FloatArray, Gram]:
         """Parameters of the candidates, their sensitivities [n, parameters] and products of these, as the search begins with them."""
         addresses = addresses_of(self.candidates)
-        stacked = np.stack([self.evidence.sensitivities[a] for a in addresses], axis=1)
+        stacked = np.stack([self.evidence.sensitivities[a] for a in addresses]).T
         return addresses, stacked, self.evidence.space.gram(stacked)
 
     def turned(self, fit: Fit) -> bool:
@@ -88,7 +88,7 @@ class Fitting:
         trials = [fit.values, *({**fit.values, a: x * self.scales[a]} for a, x in sizes.items())]
         here, *there = self._single(trials, fit.calibrated)
         columns = {a: (s - here) / sizes[a] for a, s in zip(sizes, there, strict=True) if s is not None and here is not None} | own
-        stacked = np.stack([columns.get(a, stacked[:, i]) for i, a in enumerate(addresses)], axis=1)
+        stacked = np.stack([columns.get(a, stacked[:, i]) for i, a in enumerate(addresses)]).T
         self._anew = True
         return addresses, stacked, self.evidence.space.gram(stacked)
 
@@ -185,7 +185,7 @@ class Fitting:
         """What calibrated numbers [unit] do by their slopes, whitened, [n]."""
         space = self.evidence.space
         deviations = {n.address: calibrated[n.address] / n.scale for n in self.nuisances if n.address in calibrated}
-        return np.asarray(space.nuisances @ np.array([deviations.get(name, 0.0) for name in space.names]))
+        return space.nuisances.along(np.array([deviations.get(name, 0.0) for name in space.names]))
 
     def numbers(self, fit: Fit) -> tuple[list[Nuisance], FloatArray, FloatArray]:
         """The calibrated numbers that a model leaves to the nuisances, and where it has them: their means [k] and covariance [k, k].
@@ -313,7 +313,7 @@ class Fitting:
         known = [x for x in signatures if x is not None]
         if len(known) < len(signatures):
             return None
-        return np.stack([(x - known[0]) * (scale / step) for x, scale, (_, step) in zip(known[1:], scales, moved, strict=True)], axis=1)
+        return np.stack([(x - known[0]) * (scale / step) for x, scale, (_, step) in zip(known[1:], scales, moved, strict=True)]).T
 
     def sharpened(self, fits: Sequence[Fit]) -> list[Fit]:
         """These fits, best first; the SHARPENED best `sharpen`ed, and `calibrate`d, where they leave more than ROUGH times noise."""

@@ -181,7 +181,7 @@ def own_noise(groups: Sequence[Sequence[FloatArray]], channels: int, rows_of_a_s
                     column = np.zeros((rows, channels))
                     column[:, c] = np.sqrt(variance[c] - 1.0) * shapes[k]
                     columns.append(column.ravel())
-    return np.stack(columns, axis=1) if columns else np.zeros((rows * channels, 0))
+    return np.stack(columns).T if columns else np.zeros((rows * channels, 0))
 
 
 def _taper(n: int) -> FloatArray:

@@ -42,7 +42,7 @@ class Search(Fitting):
 
         To be asked for when the search is over: its candidates and their sensitivities are what they are then.
         """
-        columns = np.stack([per_scale(self.evidence, self.starts, a) for a in addresses_of(self.candidates)], axis=1)
+        columns = np.stack([per_scale(self.evidence, self.starts, a) for a in addresses_of(self.candidates)]).T
         return columns, self.evidence.space.gram(columns)
 
     @cached_property

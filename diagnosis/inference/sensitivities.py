@@ -169,7 +169,7 @@ class Sensitivities:
             return space.chi2 - self._chi2(a, space.chi2) > WORTH * (space.chi2 - self._least())
         largest = candidate.bounds[1] / candidate.prior.scale
         own = space.without(candidate.addresses)
-        does = np.stack([per_scale(self.evidence, self.starts, b) for b in candidate.addresses], axis=1)
+        does = np.stack([per_scale(self.evidence, self.starts, b) for b in candidate.addresses]).T
         return bool(0.5 * largest**2 * own.chi2_of(does).max() > NOTED)
 
     def _told(
@@ -186,7 +186,7 @@ class Sensitivities:
             places.append(range(len(columns), len(columns) + len(does)))
             columns += does
         own = self.evidence.space.without(c.addresses)
-        products = own.within(own.gram(np.stack(columns, axis=1)), range(len(columns)))
+        products = own.within(own.gram(np.stack(columns).T), range(len(columns)))
         told = places[:1]
         for v, here in zip(shown, places[1:], strict=True):
             if all(_apart(products, here, there, at[v][0][1]) > CONFUSABLE for there in told):
@@ -219,7 +219,7 @@ class Sensitivities:
             tried = self._signatures({a: [smaller[a]] for a in wanted})
             other |= {a: tried[a, smaller[a]] / smaller[a] for a in wanted if (a, smaller[a]) in tried}
         alike = {a: cosine(sensitivity, sensitivities[a]) for a, sensitivity in other.items()}
-        gram = space.gram(np.stack([s for a in other for s in (sensitivities[a], other[a])], axis=1)) if other else None
+        gram = space.gram(np.stack([s for a in other for s in (sensitivities[a], other[a])]).T) if other else None
         for k, (a, same) in enumerate(alike.items()):
             assert gram is not None
             if _apart(space.without([a]).within(gram, [2 * k, 2 * k + 1]), [1], [0], 1.0) > CONFUSABLE:
@@ -247,7 +247,7 @@ class Sensitivities:
     def _start(self, address: Address, found: Sequence[tuple[float, FloatArray]], known: float) -> None:
         """Let a fit start from the best of these sizes [prior scales], in order, with their signatures, if chi2 there is below `known`."""
         own = self.evidence.space.without([address])
-        chi2 = own.chi2_of(own.y[:, None] - np.stack([f for _, f in found], axis=1))
+        chi2 = own.chi2_of(own.y[:, None] - np.stack([f for _, f in found]).T)
         i = int(np.argmin(chi2))
         _, j = min((chi2[k], k) for k in (i - 1, i + 1) if 0 <= k < len(found))
         (x, signature), (near, neighbour) = found[i], found[j]
@@ -269,12 +269,13 @@ class Sensitivities:
 
     def _much_smaller(self) -> dict[Address, list[float]]:
         """Sizes between where an effect fits and where it was simulated, if these are far apart: large, it may hide how it begins."""
-        found, gains = {}, {}
-        for a, c in self.single.items():
-            own, sensitivity = self.evidence.space.without([a]), self.evidence.sensitivities[a]
-            product, square = own.against(sensitivity)
+        found, gains, space = {}, {}, self.evidence.space
+        known = space.gram(np.stack([space.y, *(self.evidence.sensitivities[a] for a in self.single)]).T)
+        for k, (a, c) in enumerate(self.single.items(), 1):
+            own = space.without([a])
+            product, square = own.within(known, [0, k])[1]
             x = product / (square + 1e-300)
-            gains[a] = self.evidence.space.chi2 - own.chi2 + _taken(product, square, c)
+            gains[a] = space.chi2 - own.chi2 + _taken(product, square, c)
             if abs(x) < SMALLER and 0.5 * gains[a] > NOTED:
                 found[a] = [x * 1.6**k for k in range(math.ceil(math.log(SMALLER / abs(x), 1.6)) + 1)]
         best = max(gains.values(), default=0.0)

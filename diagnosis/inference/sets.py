@@ -130,7 +130,7 @@ def _beside(search: Search, best: Fit, fit: Fit) -> Fit:
     columns = {a: best.sensitivities[:, i] for i, (_, a) in enumerate(order)}
     signature = best.signature - best.sensitivities @ np.array([best.values[a] / c.prior.scale for c, a in order])
     own = [(c, a) for c in fit.model for a in c.addresses]
-    slopes = np.stack([columns[a] if a in columns else per_scale(search.evidence, search.starts, a) for _, a in own], axis=1)
+    slopes = np.stack([columns[a] if a in columns else per_scale(search.evidence, search.starts, a) for _, a in own]).T
     signature = signature + slopes @ np.array([fit.values[a] / c.prior.scale for c, a in own])
     left = search.evidence.space.y - signature
     chi2 = float(search.evidence.space.without([a for _, a in own]).dot(left, left))

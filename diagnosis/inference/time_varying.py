@@ -7,6 +7,7 @@ would be if an effect came late, or grew during the run. It takes no simulations
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -51,25 +52,36 @@ def changing(search: Search) -> Changing | None:
     candidates = [c for c in search.candidates if len(c.parameters) == 1 and c.component != LOGGING]
     best: tuple[float, float, Candidate, str] | None = None
     least = space.chi2
-    for c, prior in zip(candidates, log_priors([(c,) for c in candidates], search.candidates), strict=True):
-        start, own = search.starts.get(c.addresses[0]), space.without(c.addresses)
-        sensitivity = search.evidence.sensitivities[c.addresses[0]] if start is None else start.signature
-        ways = {"": sensitivity, **_changed(sensitivity, space.blocks, channels)}
-        together = np.column_stack([*ways.values(), space.y])
-        products = own.dot(together, together)
-        size, along = np.diag(products)[:-1], products[:-1, -1]
-        explained = along**2 / np.where(size > 0.0, size, np.inf)
-        left = products[-1, -1] - explained
-        least = min(least, float(left[0]))
-        i = 1 + int(left[1:].argmin())
-        evidence = 0.5 * (space.chi2 - left[i] + space.log_determinant - own.log_determinant - math.log(max(explained[i], 1.0)))
-        log_odds = float(evidence) + prior - math.log(len(ways) - 1)
-        if best is None or log_odds > best[0]:
-            best = (log_odds, float(left[i]), c, list(ways)[i])
+    priors = dict(zip(candidates, log_priors([(c,) for c in candidates], search.candidates), strict=True))
+    for _, group in itertools.groupby(candidates, lambda c: c.effect):  # so many that their products are worth making together
+        places = list(group)
+        ways = [_ways(search, c, channels) for c in places]
+        known = space.gram(np.stack([space.y, *(v for w in ways for v in w.values())]).T)
+        first = 1
+        for c, made in zip(places, ways, strict=True):
+            own = space.without(c.addresses)
+            products = own.within(known, [0, *range(first, first + len(made))])
+            first += len(made)
+            size, along = np.diag(products)[1:], products[0, 1:]
+            explained = along**2 / np.where(size > 0.0, size, np.inf)
+            left = products[0, 0] - explained
+            least = min(least, float(left[0]))
+            i = 1 + int(left[1:].argmin())
+            evidence = 0.5 * (space.chi2 - left[i] + space.log_determinant - own.log_determinant - math.log(max(explained[i], 1.0)))
+            log_odds = float(evidence) + priors[c] - math.log(len(made) - 1)
+            if best is None or log_odds > best[0]:
+                best = (log_odds, float(left[i]), c, list(made)[i])
     if best is None:
         return None
     log_odds, chi2, candidate, how = best
     return Changing(candidate, how, log_odds, 0.5 * (least - chi2))
+
+
+def _ways(search: Search, c: Candidate, channels: int) -> dict[str, FloatArray]:
+    """The sensitivity of a candidate, [n]: as it is, and with every way to change."""
+    start = search.starts.get(c.addresses[0])
+    sensitivity = search.evidence.sensitivities[c.addresses[0]] if start is None else start.signature
+    return {"": sensitivity, **_changed(sensitivity, search.evidence.space.blocks, channels)}
 
 
 def _changed(sensitivity: FloatArray, blocks: Mapping[str, slice], channels: int) -> dict[str, FloatArray]:

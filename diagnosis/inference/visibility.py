@@ -16,7 +16,6 @@ import numpy as np
 
 from robomill.diagnosis.candidates import LOGGING, Candidate
 from robomill.diagnosis.experiment.simulation import Simulator, setting
-from robomill.diagnosis.inference.estimation import Space
 from robomill.diagnosis.inference.evidence import Evidence
 from robomill.diagnosis.inference.isolability import CONFUSABLE
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -56,10 +55,11 @@ class Seen:
         self.candidates = list(candidates)
         places = [(c, k) for c in self.candidates for k in range(len(c.parameters))]
         self._index = {c: [i for i, (d, _) in enumerate(places) if d == c] for c in self.candidates}
-        matrix = np.stack([evidence.sensitivities[c.addresses[k]] for c, k in places], axis=1)
+        matrix = np.stack([evidence.sensitivities[c.addresses[k]] for c, k in places]).T
         space = evidence.space
-        noise = space.less([n for n in space.names if not (n[0] == LOGGING and n[1].startswith("noise "))])
-        self.products, self._noise = (_products(s, matrix) for s in (space, noise))
+        noise = space.lacking([n for n in space.names if not (n[0] == LOGGING and n[1].startswith("noise "))])
+        known, all_of_them = space.gram(matrix), range(matrix.shape[1])
+        self.products, self._noise = (s.within(known, all_of_them) for s in (space, noise))
 
     def smallest(self, c: Candidate) -> dict[str, float]:
         """Smallest visible value [unit] by parameter: SHOWS standard deviations, of an amplitude at its least favourable phase."""
@@ -130,7 +130,3 @@ def settled(evidence: Evidence, simulator: Simulator, seen: Seen) -> dict[Candid
                 following[c] = half if c in high else top
         tried = following
     return {c: high.get(c, math.inf) for c in low}
-
-
-def _products(space: Space, matrix: FloatArray) -> FloatArray:
-    return space.within(space.gram(matrix), range(matrix.shape[1]))

@@ -69,7 +69,7 @@ def families(fits: Sequence[Fit], weights: Sequence[float] | FloatArray, space: 
 def _correlation(one: tuple[float, Candidate, FloatArray], other: tuple[float, Candidate, FloatArray], space: Space) -> float:
     """|<a, b>| / sqrt(<a, a> <b, b>) of two signatures, what is a tolerance of one of them no nuisance; 0 where one does nothing."""
     own = space.without([*one[1].addresses, *other[1].addresses])
-    together = own.dot(*2 * [np.stack([one[2], other[2]], axis=1)])
+    together = own.dot(*2 * [np.stack([one[2], other[2]]).T])
     size = float(together[0, 0] * together[1, 1])
     return abs(float(together[0, 1])) / size**0.5 if size > 0.0 else 0.0
 

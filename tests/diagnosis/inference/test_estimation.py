@@ -36,7 +36,7 @@ def made(seed: int = 1, nuisances: int = 3) -> Space:
 
 
 def dense(space: Space) -> FloatArray:
-    """The nuisances B [n, m], which the space keeps as sparse columns."""
+    """The nuisances B [n, m], which the space keeps by condition."""
     return np.asarray(space.nuisances.toarray())
 
 
