@@ -6,10 +6,20 @@ import signal
 import traceback
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 
 class OrchestrationError(Exception):
     """Base of all errors of this package; the text says what, value, expected, available, remedy."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """From one process to another with all that it knows: those that are made of more than a text could not be made of it again."""
+        return _again, (type(self), self.args), self.__dict__
+
+
+def _again(kind: type[OrchestrationError], args: tuple[Any, ...]) -> OrchestrationError:
+    """An error of this kind with this text."""
+    return kind.__new__(kind, *args)
 
 
 class SystemFileError(OrchestrationError):

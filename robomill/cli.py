@@ -263,7 +263,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 128 + error.signal
     except KeyboardInterrupt as error:
         number = error.args[0] if error.args else signal.SIGINT
-        print(f"robomill {options.command}: interrupted{f' by {number.name}' if error.args else ''}", file=sys.stderr)
+        said = [f"interrupted{f' by {number.name}' if error.args else ''}", *getattr(error, "__notes__", ())]
+        print(f"robomill {options.command}: {'; '.join(said)}", file=sys.stderr)
         return 128 + int(number)
     except (OrchestrationError, ValueError, LookupError, OSError, RuntimeError) as error:
         text = error.args[0] if isinstance(error, KeyError) and error.args else _refused_access(error) or error

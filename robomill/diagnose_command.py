@@ -150,10 +150,9 @@ def run(options: Namespace) -> int:
                 scheduler=options.scheduler,
                 progress=progress,
             )
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(
-                f"interrupted; {len(store)} simulations are kept in {store.folder}/: the same command goes on"
-            ) from None
+        except KeyboardInterrupt as error:
+            error.add_note(f"{len(store)} simulations are kept in {store.folder}/: the same command goes on")
+            raise
     page = write(found, system, [*campaign.runs, *campaign.held_out], catalogue, options.out)
     store.remove()
     if options.json:

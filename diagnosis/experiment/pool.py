@@ -6,6 +6,7 @@ import multiprocessing
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Protocol
 
 from robomill.orchestration.cluster import connect
@@ -43,14 +44,21 @@ class Processes:
         self._executor: ProcessPoolExecutor | None = None
 
     def map(self, tasks: Sequence[Task]) -> Iterator[Any]:
-        """See `Pool`."""
+        """See `Pool`. RuntimeError where a process ends by itself."""
         if len(tasks) == 1:
-            return iter([self._work(*tasks[0])])
+            yield self._work(*tasks[0])
+            return
         if self._executor is None:
             # forked workers have the compiled models already; other platforms compile anew
             method = "fork" if "fork" in multiprocessing.get_all_start_methods() else "spawn"
             self._executor = ProcessPoolExecutor(self._workers, multiprocessing.get_context(method), _enter, (self._work,))
-        return self._executor.map(_call, tasks, chunksize=max(1, min(4, len(tasks) // (2 * self._workers))))
+        try:
+            yield from self._executor.map(_call, tasks, chunksize=max(1, min(4, len(tasks) // (2 * self._workers))))
+        except BrokenProcessPool as error:
+            raise RuntimeError(
+                f"one of {self._workers} processes that simulate ended by itself: a model or an FMU of the system crashes, or memory is out"
+                "; with --jobs 1 the simulation where it happens is the last one"
+            ) from error
 
     def close(self) -> None:
         """See `Pool`."""

@@ -1,12 +1,25 @@
-"""Messages about names and files of any length stay readable."""
+"""Messages about names and files of any length stay readable; errors go from one process to another."""
 
 from __future__ import annotations
 
+import pickle
+import signal
 from pathlib import Path
 
 import pytest
 
-from robomill.orchestration.errors import SystemFileError, shortened, unknown
+from robomill.orchestration.errors import (
+    Interrupted,
+    IterationError,
+    MissingPackageError,
+    OrchestrationError,
+    PlacedError,
+    RunError,
+    SystemFileError,
+    WiringError,
+    shortened,
+    unknown,
+)
 from robomill.orchestration.slaves import archive
 from robomill.orchestration.ssp.files import Files
 from robomill.orchestration.system.definition import ticks
@@ -36,3 +49,22 @@ def test_times_are_below_thirty_years() -> None:
     assert ticks(0.9e9, "step") == 900_000_000_000_000_000
     with pytest.raises(SystemFileError, match="is not a number of seconds below"):
         ticks(1.5e9, "step")  # MAX_SECONDS
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        RunError("component 'plant' failed", "plant", 0.25, Path("results")),
+        Interrupted(0.5, None, signal.SIGTERM),
+        IterationError("no convergence", "plant"),
+        WiringError(["one", "two"]),
+        PlacedError("too large", "a.toml:3"),
+        MissingPackageError("no package"),
+    ],
+    ids=lambda e: type(e).__name__,
+)
+def test_an_error_goes_to_another_process_with_all_that_it_knows(error: OrchestrationError) -> None:
+    there = pickle.loads(pickle.dumps(error))
+    assert type(there) is type(error)
+    assert str(there) == str(error)
+    assert vars(there) == vars(error)

@@ -7,6 +7,7 @@ import functools
 import json
 import re
 import shutil
+import signal
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robomill import diagnose_command
 from robomill.cli import main
 from robomill.diagnose_command import lines, write
 from robomill.diagnosis.catalogue import Catalogue
@@ -202,12 +204,32 @@ to = "robot.q"
 """
 
 
+def _recorded_robot(folder: Path) -> None:
+    """A system, its recording A and its catalogue."""
+    import_log(DATA / "map.toml", DATA / "recording_A.npz", folder / "A")
+    (folder / "robot.toml").write_text(RECORDED)
+    shutil.copy(ROOT / "scenarios" / "recordings" / "kuka_kr300" / "catalogue.toml", folder)
+
+
+def test_what_an_interrupted_diagnosis_has_simulated_is_kept_and_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _recorded_robot(tmp_path)
+
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt(signal.SIGTERM)
+
+    monkeypatch.setattr(diagnose_command, "answered", interrupted)
+    with contextlib.chdir(tmp_path):
+        assert main(["diagnose", "robot.toml", "A", "--catalogue", "catalogue.toml", "--out", "answer"]) == 128 + signal.SIGTERM
+    said = capsys.readouterr().err
+    assert "robomill diagnose: interrupted by SIGTERM; 0 simulations are kept in answer/simulations/: the same command goes on" in said
+
+
 @pytest.mark.slow
 def test_a_recorded_robot_without_tool_tip_repeats_or_held_out_runs(tmp_path: Path) -> None:
-    import_log(DATA / "map.toml", DATA / "recording_A.npz", tmp_path / "A")
-    (tmp_path / "robot.toml").write_text(RECORDED)
+    _recorded_robot(tmp_path)
     command = ["diagnose", "robot.toml", "A", "--catalogue", "catalogue.toml", "--out", "answer", "--jobs", "1"]
-    shutil.copy(ROOT / "scenarios" / "recordings" / "kuka_kr300" / "catalogue.toml", tmp_path)
     with contextlib.chdir(tmp_path):
         assert main(command) == 0
     result = json.loads((tmp_path / "answer" / "diagnosis.json").read_text(), parse_constant=_no_number)

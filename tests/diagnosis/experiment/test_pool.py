@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.pool import Cluster, Processes, pool
+from robomill.orchestration.errors import RunError
 from tests.diagnosis.demo import SYSTEM, catalogue, measure, resolve
 
 STIFF = {"masses": {"stiffness_error[2]": -0.08}}
@@ -23,6 +25,15 @@ def late(seconds: float, value: int) -> int:
 
 def refused(value: int) -> int:
     raise RuntimeError(f"task {value}")
+
+
+def ended(value: int) -> int:
+    """As a model that crashes."""
+    os._exit(value)
+
+
+def diverged(value: int) -> int:
+    raise RunError(f"task {value}", "plant", 0.5)
 
 
 TASKS = [(0.2, 1), (0.0, 2), (0.1, 3)]
@@ -44,6 +55,19 @@ def test_results_of_processes_come_in_the_order_of_the_tasks() -> None:
     try:
         assert list(found.map(TASKS)) == [2, 4, 6]
         assert list(found.map(TASKS[:1])) == [2]
+    finally:
+        found.close()
+
+
+@pytest.mark.parametrize(
+    ("work", "expected", "text"),
+    [(diverged, RunError, "task 1"), (ended, RuntimeError, "one of 2 processes that simulate ended by itself.*; with --jobs 1")],
+)
+def test_an_error_is_that_of_the_task_and_a_process_that_ends_is_said(work: Any, expected: type[Exception], text: str) -> None:
+    found = Processes(work, 2)
+    try:
+        with pytest.raises(expected, match=text):
+            list(found.map([(1,), (2,), (3,)]))
     finally:
         found.close()
 
