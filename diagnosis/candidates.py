@@ -121,6 +121,8 @@ class Candidate:
     shapes: tuple[Shape, ...] = field(default=(), compare=False)
     family: str = field(default="", compare=False)
     """What it is called together with its twins."""
+    allowed: tuple[float, float] = (-math.inf, math.inf)
+    """Least and largest value that the parameters of the component can have, less what they have in the system [unit]."""
 
     @property
     def name(self) -> str:
@@ -193,7 +195,26 @@ class Candidate:
     def bounds(self) -> tuple[float, float]:
         """Least and largest value of the parameters [unit]; both parts of an amplitude at their largest are the largest amplitude."""
         largest = self.maximum / math.sqrt(2.0) if self.has_phase else self.maximum
-        return (-largest if self.both_signs else 0.0), largest
+        least, most = self.allowed
+        return max(-largest if self.both_signs else 0.0, least), min(largest, most)
+
+    def at_bound(self, values: Mapping[Address, float]) -> bool:
+        """Whether one of its numbers [unit] is as large as it may be."""
+        if self.has_phase:
+            return any(math.isclose(size, self.maximum) for size in self.sizes(values).values())
+        return any(math.isclose(values[a], bound) for a in self.addresses for bound in self.bounds if bound != 0.0)
+
+    def limited(self, least: float, most: float) -> Candidate:
+        """The candidate, with its variants, where its parameters can have no more than this [unit] on top of what they have."""
+        far = max(-least, most) if self.both_signs else most
+        if far <= 0.0:  # as large as it can be already: no simulation of it can run
+            return self
+        return replace(
+            self,
+            maximum=min(self.maximum, far),
+            allowed=(least, most),
+            variants=tuple(v.limited(least, most) for v in self.variants),
+        )
 
 
 @dataclass(frozen=True)

@@ -184,6 +184,18 @@ class Catalogue:
                     " for an effect with a phase: take it out of the catalogue, or out of the system"
                 )
 
+    def limited(self, ranges: Mapping[Address, tuple[float, float]]) -> Catalogue:
+        """The catalogue where no effect is larger than its parameters can be.
+
+        `ranges`: component and element -> least and largest value less what it has in the system [unit].
+        """
+
+        def of(c: Candidate) -> Candidate:
+            here = [ranges[a] for a in c.addresses if a in ranges]  # of an amplitude with a phase its parts are fitted: they have none
+            return c.limited(max(low for low, _ in here), min(high for _, high in here)) if here else c
+
+        return replace(self, candidates=tuple(of(c) for c in self.candidates))
+
     def check_units(self, units: Mapping[Address, str], convert: Convert = same_unit_only) -> None:
         """CatalogueError for an effect or a tolerance whose unit is not that of its parameter; `units` by component and element."""
         stated = [(c.place, f"effect {c.effect!r}", a, c.unit) for c in self.candidates for a in c.addresses]

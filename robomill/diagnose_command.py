@@ -328,7 +328,9 @@ def _gap_lines(answer: Answer) -> list[str]:
     out = []
     if answer.verdict == "none" and (gap := answer.gap) is not None and gap.before > gap.noise:
         rest = "; whether the rest is noise is a guess" if gap.noise_is_a_guess else ""
-        out.append(f"gap: {percent(gap.within_calibration / gap.before)} of it lies within the tolerances of calibrated numbers{rest}")
+        share = f"{percent(gap.within_calibration / gap.before)} of it lies within the tolerances of calibrated numbers"
+        far = f"; the farthest off: {gap.farthest.text}" if gap.farthest is not None else ""
+        out.append(f"gap: {share}{far}{rest}")
     if t := answer.transfer:
         gain = f"gains {t.gain:.4g} nats of {t.expected_gain:.4g} expected"
         out.append(f"new conditions: {gain}, leaves {t.after:.2f} times the chi2 of noise and discrepancy, nominal {t.before:.2f}")

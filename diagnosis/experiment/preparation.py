@@ -46,6 +46,8 @@ class _Settable:
     """Unit of each element."""
     values: dict[Address, float]
     """Value of each real element [unit]."""
+    ranges: dict[Address, tuple[float, float]]
+    """Least and largest value that it can have [unit]."""
     outputs: frozenset[str]
     """`component.port[1]` of each output."""
 
@@ -67,8 +69,9 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
     settable = [_settable(bare.configured(i), resolver, convert) for i in range(len(conditions))]
     first: dict[Address, float] = {}
     units: dict[Address, str] = {}
+    ranges: dict[Address, tuple[float, float]] = {}
     for s in settable:
-        first, units = s.values | first, s.units | units
+        first, units, ranges = s.values | first, s.units | units, s.ranges | ranges
     within: dict[str, list[str]] = {component: [] for c in conditions for component in _components(c.system or system)}
     for component, name in units:
         within[component].append(name)
@@ -77,6 +80,7 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
     nuisances = _nuisances(catalogue, first, units)
     given = {a: first[a] for c in catalogue.candidates for a in c.addresses if first.get(a)}
     catalogue.check_phases(first)
+    catalogue = catalogue.limited({a: (low - first.get(a, 0.0), high - first.get(a, 0.0)) for a, (low, high) in ranges.items()})
     addresses = [*(u.address for u in nuisances), *given, *((c.component, c.start) for c in catalogue.candidates if c.start)]
     conditions = [
         replace(c, settable=s.names, nominal={a: s.values[a] for a in addresses if s.values.get(a)})
@@ -105,16 +109,22 @@ def _components(system: System) -> list[str]:
 def _settable(system: System, resolver: Resolver | None, convert: Convert) -> _Settable:
     units: dict[Address, str] = {}
     values: dict[Address, float] = {}
+    ranges: dict[Address, tuple[float, float]] = {}
     outputs: set[str] = set()
     with assemble(system, resolver, convert) as assembly:
         for name, slave in assembly.slaves.items():
             parameters = [p for p in slave.ports if p.causality == "parameter"]
             units |= {(name, p.name): p.unit or "1" for p in parameters}
+            ranges |= {
+                (name, p.name): (-math.inf if p.minimum is None else p.minimum, math.inf if p.maximum is None else p.maximum)
+                for p in parameters
+                if p.type == "real"
+            }
             starts = {p.name: p.start for p in parameters if p.type == "real"}
             given = {**starts, **assembly.parameters.get(name, {})}
             values |= {(name, k): float(v) for k, v in given.items() if k in starts and isinstance(v, int | float)}
             outputs |= {f"{name}.{p.name}" for p in slave.ports if p.causality == "output"}
-    return _Settable(units, values, frozenset(outputs))
+    return _Settable(units, values, ranges, frozenset(outputs))
 
 
 def _nuisances(catalogue: Catalogue, values: Mapping[Address, float], units: Mapping[Address, str]) -> tuple[Nuisance, ...]:

@@ -116,6 +116,8 @@ class Gap:
     """Share of what is beyond noise and calibration that the best model leaves, 0..1."""
     noise_is_a_guess: bool
     """Whether nothing was repeated, of held-out runs either."""
+    farthest: Pulled | None = None
+    """With `none`: the calibrated number that is farthest off, within its tolerance or not."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Calibrated numbers that an answer needs farther off than their tolerances say."""
+"""Calibrated numbers as an answer has them, and which of them it needs farther off than their tolerances say."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from robomill.diagnosis.inference.search import Search
 
 @dataclass(frozen=True)
 class Pulled:
-    """A number that is farther off than it is said to be."""
+    """A calibrated number, and how far off it is."""
 
     component: str
     """Component of the number."""
@@ -42,11 +42,18 @@ def pulled(search: Search, fit: Fit, false_alarm: float) -> tuple[Pulled, ...]:
 
     A number is N(0, 1) in standard deviations of its tolerance (`beyond`).
     """
+    found = _numbers(search, fit)
+    far = beyond(len(found), false_alarm)
+    return tuple(p for p in found if abs(p.deviations) > far)
+
+
+def farthest(search: Search, fit: Fit) -> Pulled | None:
+    """The number that a model has farthest off, however far that is; None where there are no calibrated numbers."""
+    return next(iter(_numbers(search, fit)), None)
+
+
+def _numbers(search: Search, fit: Fit) -> list[Pulled]:
+    """All calibrated numbers as a model has them, the farthest off first."""
     numbers, means, _ = search.numbers(fit)
-    far = beyond(len(numbers), false_alarm)
-    found = [
-        Pulled(*n.address, n.nominal, n.nominal + z * n.scale, z, n.unit)
-        for n, z in zip(numbers, map(float, means), strict=True)
-        if abs(z) > far
-    ]
-    return tuple(sorted(found, key=lambda p: -abs(p.deviations)))
+    found = [Pulled(*n.address, n.nominal, n.nominal + z * n.scale, z, n.unit) for n, z in zip(numbers, map(float, means), strict=True)]
+    return sorted(found, key=lambda p: -abs(p.deviations))

@@ -31,7 +31,7 @@ from robomill.diagnosis.localisation.replay_attribution import intervals
 from robomill.diagnosis.localisation.where import Located, combined, direction_of, located
 from robomill.diagnosis.outcome import next_run
 from robomill.diagnosis.outcome.answer import Answer, Gap, Menu, Unknown, Visible, Which, curves_of, titles_of
-from robomill.diagnosis.outcome.calibration import pulled
+from robomill.diagnosis.outcome.calibration import farthest, pulled
 from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, Closing, metrics
 from robomill.diagnosis.outcome.reasons import Reason, reasons
@@ -172,6 +172,7 @@ class Conclusion:
             noise,
             min(share_left(search, nominal, self.best), 1.0),
             self.search.evidence.whitening.guessed,
+            farthest(search, nominal) if verdict == "none" else None,
         )
         which = self.which(marginal, pairs, {c: tests.p_fit * instead.belief(c) for c in marginal})
         answer = Answer(

@@ -50,7 +50,7 @@ class Values:
             most = max(*below, *above)
             below, units = [most, min(most / (sizes[c.addresses[0]] + 1e-300), math.pi)], [c.unit, "rad"]
             above = below
-        low, high = (-math.inf, math.inf) if c.has_phase or known is None else c.bounds
+        low, high = (-math.inf, math.inf) if c.has_phase else c.bounds
         listed = {}
         for name, down, up, unit in zip(c.named, below, above, units, strict=True):
             value = values[c.component, name]

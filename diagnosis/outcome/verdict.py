@@ -245,7 +245,7 @@ def right(search: Search, fit: Fit, left: float) -> bool:
 
 def at_bound(model: Model, values: Mapping[Address, float]) -> bool:
     """Whether an effect is as large as the catalogue lets it be, by these values [unit]: the data ask for more, or for something else."""
-    return any(math.isclose(size, c.maximum) for c in model for size in c.sizes(values).values())
+    return any(c.at_bound(values) for c in model)
 
 
 def believed(tests: Tests) -> bool:

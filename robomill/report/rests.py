@@ -70,6 +70,7 @@ def sure(s: Subject) -> str:
         share = percent(gap.within_calibration / gap.before)
         lines.append(
             f"{share} of the gap in the diagnosed runs lies within the tolerances of calibrated numbers: no effect is needed for that part."
+            + (f" Of these numbers the farthest off: {gap.farthest.text}." if gap.farthest is not None else "")
         )
         numbers.append(f"Whitened squares of the gap, noise taken off: {number(gap.before)} before, {number(gap.after)} after.")
     if s.answer.calibrated:

@@ -180,6 +180,27 @@ def test_locations_become_candidates(tmp_path: Path) -> None:
     assert (x.name, y.addresses, x.bounds, x.locations) == ("lag @ x", (("a", "p[2]"),), (0.0, 1.0), 2)
 
 
+@pytest.mark.parametrize(
+    ("sign", "least", "most", "bounds", "maximum"),
+    [
+        ("both", -0.9, 100.0, (-0.9, 1.0), 1.0),
+        ("both", -0.25, 0.5, (-0.25, 0.5), 0.5),
+        ("both", -math.inf, math.inf, (-1.0, 1.0), 1.0),
+        ("positive", -0.9, 0.5, (0.0, 0.5), 0.5),
+        ("positive", -0.9, 0.0, (0.0, 1.0), 1.0),  # it is as large as it can be: that it cannot run is found by simulation
+    ],
+)
+def test_no_effect_is_larger_than_its_parameter_can_be(
+    tmp_path: Path, sign: str, least: float, most: float, bounds: tuple[float, float], maximum: float
+) -> None:
+    (tmp_path / "c.toml").write_text(ENTRY.replace('"positive"', f'"{sign}"'))
+    x, y = Catalogue.load(tmp_path / "c.toml").limited({("a", "p[1]"): (least, most)}).candidates
+    assert (x.bounds, x.maximum) == (bounds, maximum)
+    assert y.maximum == 1.0
+    for value, there in ((bounds[0], bounds[0] < 0.0), (0.5 * bounds[1], False), (bounds[1], True)):
+        assert x.at_bound({("a", "p[1]"): value}) is there
+
+
 @pytest.mark.parametrize("prior", [Prior("normal", 0.3), Prior("log-normal", 0.3, 0.7)])
 def test_priors_are_densities(prior: Prior) -> None:
     total, error = quad(

@@ -21,7 +21,7 @@ from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.outcome import conclusion
 from robomill.diagnosis.outcome.answer import Diagnosis
 from robomill.orchestration.runs.run import Run
-from tests.diagnosis.demo import NOISE, NOISE_PART, RANGE, SYSTEM, WELL, catalogue, changed, measure, resolve
+from tests.diagnosis.demo import NOISE, NOISE_PART, PARTS, RANGE, SYSTEM, WELL, Masses, catalogue, changed, measure, resolve
 from tests.tolerances import ROUNDOFF
 
 REPEAT = itertools.count()
@@ -45,6 +45,23 @@ class TestVerdict:
         assert result["which"] == [] or result["which"][0]["probability"] < 0.5
         seen = {(s["effect"], s["location"]): s["value"] for s in result["smallest_visible"]}
         assert 0.0 < seen["gain", "sensor 1"] < 0.01
+
+    def test_an_effect_that_its_parameter_does_not_allow_is_no_answer(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """The catalogue would have it as small as -0.6; the model has no spring that is softer by more than 5 %."""
+
+        class Short(Masses):
+            def __init__(self, name: str) -> None:
+                super().__init__(name)
+                self.ports = tuple(replace(p, minimum=-0.05) if p.name == "stiffness_error[2]" else p for p in self.ports)
+
+        runs = measure(STIFF)
+        monkeypatch.setitem(PARTS, "masses", Short)
+        result = answer(tmp_path, runs).result
+        spring = [w["parameters"]["stiffness_error[2]"] for w in result["which"] if w["location"] == "spring 2"]
+        assert result["verdict"] == "unknown"
+        assert spring[0]["value"] >= -0.05 - ROUNDOFF
+        assert min(s["interval"][0] for s in spring) >= -0.05 - ROUNDOFF
+        assert "bound" in result["unknown"]["why"]
 
     def test_how_a_run_begins_is_no_gap(self, tmp_path: Path) -> None:
         """A simulation begins with its initial values, and settles."""

@@ -14,7 +14,7 @@ from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.simulation import Simulator
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.search import Search
-from robomill.diagnosis.outcome.calibration import pulled
+from robomill.diagnosis.outcome.calibration import farthest, pulled
 from robomill.diagnosis.outcome.verdict import IDENTIFIED
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import SYSTEM, WELL, catalogue, measure, resolve
@@ -48,6 +48,15 @@ def test_a_number_that_is_far_off_is_said_with_its_value() -> None:
         assert found.value == pytest.approx(4.0 + 2.5 * sign, rel=WELL)
         value = f"{found.value:.4g}"
         assert found.text == f"a.number is 5.0 times its tolerance {way} what is given: about {value} kg, not 4 kg"
+
+
+def test_the_farthest_is_said_however_far_it_is() -> None:
+    search, best = made(0.5)
+    found = farthest(search, best)
+    assert found is not None
+    assert found.deviations == pytest.approx(0.5, rel=WELL)
+    search.nuisances = []
+    assert farthest(search, best) is None
 
 
 @pytest.mark.parametrize(("false_alarm", "said"), [(0.02, False), (0.04, True)])

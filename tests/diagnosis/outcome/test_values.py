@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -63,3 +64,11 @@ def test_what_is_known_of_neither_is_no_contradiction() -> None:
     assert not alone.contradicted(EFFECT, alone.best)
     found = alone.parameters(EFFECT, alone.best)[NAME]
     assert found.interval == pytest.approx([0.5 - of_fit(0.5), 0.5 + of_fit(0.5)], rel=1e2 * ROUNDOFF)
+
+
+def test_an_interval_ends_where_the_catalogue_does() -> None:
+    """By the fit, too: dry friction is not less than none."""
+    alone = made(0.5)
+    wide = replace(alone.best, deviations={ADDRESS: 1e3})
+    found = alone.parameters(EFFECT, wide)[NAME]
+    assert found.interval == [*EFFECT.bounds]

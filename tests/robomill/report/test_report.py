@@ -213,12 +213,18 @@ class TestContent:
         assert answer.gap is not None
 
         def said(**gap: float) -> list[str]:
-            return [line for line in lines(replace(answer, gap=replace(answer.gap, **gap))) if line.startswith("gap")]
+            return [line for line in lines(replace(answer, gap=replace(answer.gap, farthest=far, **gap))) if line.startswith("gap")]
+
+        assert answer.gap.farthest is not None
+        far = None
 
         known = "gap: 94\N{NO-BREAK SPACE}% of it lies within the tolerances of calibrated numbers"
         assert said(before=50.0, within_calibration=47.0, noise=3.0, noise_is_a_guess=False) == [known]
         guessed = f"{known}; whether the rest is noise is a guess"
         assert said(before=50.0, within_calibration=47.0, noise=3.0, noise_is_a_guess=True) == [guessed]
+        far = Pulled("masses", "damping", 2.0, 2.04, 2.0, "N.s/m")
+        text = "masses.damping is 2.0 times its tolerance above what is given: about 2.04 N.s/m, not 2 N.s/m"
+        assert said(before=50.0, within_calibration=47.0, noise=3.0, noise_is_a_guess=False) == [f"{known}; the farthest off: {text}"]
         assert not said(before=2.0, within_calibration=1.0, noise=3.0)  # there is none
         assert not [line for line in lines(subject("identified").answer) if line.startswith("gap")]
 
