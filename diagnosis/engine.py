@@ -20,7 +20,7 @@ from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.gate import log_faults, phases
 from robomill.diagnosis.gate.checks import Finding, stopped
 from robomill.diagnosis.gate.gate import Gate
-from robomill.diagnosis.inference.adequacy import FALSE_ALARM, LEVEL, UNKNOWN, left_by, unexplained
+from robomill.diagnosis.inference.adequacy import FALSE_ALARM, LEVEL, MISFIT, UNKNOWN, left_by, unexplained
 from robomill.diagnosis.inference.dormant import searched_beside
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.priors import probabilities
@@ -226,19 +226,20 @@ def _explained(
     """The best model of the log without `faults` (`groups`), if it explains that, and better than the best of the log as it is (`search`).
 
     It does where it leaves no gap, or LITTLE of one. Faults that keep the size of a signal (`log_faults.KEEPING`) have a gap of their own,
-    that of the log as it is: LITTLE of that may be left, too. A unit that is undone divides whatever is left, so that it has none. A fault
+    that of the log as it is: LITTLE of that may be left, too, or what a law may be off (MISFIT), where the log as it is has no model that is
+    likelier right than a stand-in. A unit that is undone divides whatever is left, so that it has none. A fault
     is believed, too, where the best model of the log without it is likelier right than a stand-in, by what it leaves and by its calibrated
     numbers (`_right`), and that of the log as it is is not, or shows nothing of it. What a model leaves is what simulations leave.
     """
     other, found = searched(catalogue, search.simulator, groups, nuisances)
     best, as_it_is = _simulated(other, _best(other, found)), _simulated(search, _best(search, fits))
-    channels = {f.channel for f in faults}
-    if faults and _right(other, found, best) and not (_right(search, fits, as_it_is) and _shows(search, as_it_is, channels)):
+    believed = bool(faults) and _right(search, fits, as_it_is) and _shows(search, as_it_is, {f.channel for f in faults})
+    if faults and not believed and _right(other, found, best):
         return best
     left, left_with = over_noise(other, best), over_noise(search, as_it_is)
     little = _little(other, found, best)
     if faults and all(f.kind in log_faults.KEEPING for f in faults):
-        little = little or unexplained(over_noise(search, fits[0]), left) < LITTLE
+        little = little or unexplained(over_noise(search, fits[0]), left) < (LITTLE if believed else MISFIT)
     return best if little and (left < left_with or not best.model) else None
 
 

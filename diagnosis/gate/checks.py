@@ -167,8 +167,11 @@ def standstill(
         passed = np.ptp(there) > max(LIMIT * spread, MOVED * noise[i], single) if still else False
         if still > REST * len(x) and (still > LONGER * longest + LONGER_BY or passed):
             places = np.flatnonzero(moving)[stretch]
-            sticks = _sticks(x[:, i], range(int(places[0]), int(places[-1]) + 1))
+            rest = range(int(places[0]), int(places[-1]) + 1)
+            sticks, ends = _sticks(x[:, i], rest), rest.stop == len(x) and not passed and _stands_elsewhere(x[:, i], rest)
             remedy = "it moves on from there, as what sticks does" if sticks else "record it anew"
+            if ends:
+                sticks, remedy = True, "it ends there, near its simulation, as what sticks does"
             text = f"stands still for {still * step:.3g} s; expected up to {longest * step:.3g} s, as its simulation; {remedy}"
             found.append(Finding(name, "constant", still * step, "s", text, fatal=not sticks))
     return found
@@ -194,8 +197,14 @@ def _sticks(x: FloatArray, stretch: range) -> bool:
         return False
     steps = np.abs(np.diff(x))
     others = np.concatenate([steps[: stretch.start], steps[stretch.stop :]])
-    elsewhere = np.concatenate([x[:-1][: stretch.start], x[:-1][stretch.stop :]])[others == 0.0]
-    return bool(np.any(elsewhere != x[stretch.start]) and steps[stretch.stop - 1] <= others.max())
+    return bool(_stands_elsewhere(x, stretch) and steps[stretch.stop - 1] <= others.max())
+
+
+def _stands_elsewhere(x: FloatArray, stretch: range) -> bool:
+    """Whether a channel stands at another place than that of a `stretch` of samples, too: two samples there are equal."""
+    outside = np.ones(len(x) - 1, dtype=bool)
+    outside[stretch.start : stretch.stop] = False
+    return bool(np.any(x[:-1][outside & (np.diff(x) == 0.0)] != x[stretch.start]))
 
 
 def _again(x: FloatArray, extreme: float) -> bool:

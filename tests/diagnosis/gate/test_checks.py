@@ -216,6 +216,18 @@ class TestBesideTheSimulation:
         (finding,) = findings([self.sticking(range(700, 1000))], [self.sticking(range(400, 400), quantised=False)])
         assert finding.fatal
 
+    @pytest.mark.parametrize(("creeps", "quantised", "fatal"), [(0.05, True, False), (0.15, True, True), (0.05, False, True)])
+    def test_what_ends_near_its_simulation_may_stick_there(self, creeps: float, quantised: bool, fatal: bool) -> None:
+        """A step that settles: the simulation creeps on by a part of its range, and the log is at rest."""
+        n = np.arange(1000)
+        simulated = np.interp(n, [0, 450, 600, 1000], [0.0, 1.0, 0.7, 0.7 + creeps])
+        measured = np.where(n < 600, simulated, 0.7)
+        if quantised:
+            measured = np.round(measured * 200.0) / 200.0
+        (finding,) = findings([measured], [simulated])
+        assert finding.fatal is fatal  # LIMIT
+        assert finding.text.endswith("record it anew" if fatal else "it ends there, near its simulation, as what sticks does")
+
     def test_a_channel_may_stand_still_three_times_as_long_as_its_simulation_and_ten_samples(self) -> None:
         assert self.creeping(1e-4, 99, 308) == []  # with the sample before, the simulation rests for 100
         assert self.creeping(1e-4, 99, 315) == ["constant"]  # LONGER, LONGER_BY
