@@ -226,10 +226,10 @@ def _explained(
     """The best model of the log without `faults` (`groups`), if it explains that, and better than the best of the log as it is (`search`).
 
     It does where it leaves no gap, or LITTLE of one. Faults that keep the size of a signal (`log_faults.KEEPING`) have a gap of their own,
-    that of the log as it is: LITTLE of that may be left, too, or what a law may be off (MISFIT), where the log as it is has no model that is
-    likelier right than a stand-in. A unit that is undone divides whatever is left, so that it has none. A fault
-    is believed, too, where the best model of the log without it is likelier right than a stand-in, by what it leaves and by its calibrated
-    numbers (`_right`), and that of the log as it is is not, or shows nothing of it. What a model leaves is what simulations leave.
+    that of the log as it is: LITTLE of that may be left, too. Where the log as it is has no model that is likelier right than a stand-in
+    (`_right`), as much may be left as a law may be off (MISFIT). A unit that is undone divides whatever is left, so that it has none. A
+    fault is believed, too, where the best model of the log without it is likelier right than a stand-in, by what it leaves and by its
+    calibrated numbers, and that of the log as it is is not, or shows nothing of it. What a model leaves is what simulations leave.
     """
     other, found = searched(catalogue, search.simulator, groups, nuisances)
     best, as_it_is = _simulated(other, _best(other, found)), _simulated(search, _best(search, fits))

@@ -27,8 +27,9 @@ from robomill.diagnosis.experiment.simulation import Report
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.forms.layout import Form
 from robomill.diagnosis.inference.adequacy import FALSE_ALARM
+from robomill.diagnosis.inference.intervals import MATERIAL
 from robomill.diagnosis.outcome import adopt
-from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, as_json
+from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, Which, as_json
 from robomill.diagnosis.outcome.reasons import WHY
 from robomill.files import FILES, vacant
 from robomill.fmus.components import NAMES, companion, component, home, is_component
@@ -290,7 +291,7 @@ def lines(answer: Answer) -> list[str]:
     out += [f"note: {text}" for text in answer.skipped]
     out += [f"log: {f.channel} {f.text}" for f in answer.findings]
     for w in answer.where:
-        if w.component != LOGGING:
+        if w.component != LOGGING and w.share >= MATERIAL:
             out.append(f"where: {w.component} ({w.location}), {100 * w.share:.0f} % of the gap, strongest in {w.direction}")
     if answer.not_replayed:
         out.append(f"where: {answer.not_replayed}")
@@ -298,7 +299,7 @@ def lines(answer: Answer) -> list[str]:
     for e in answer.which[:shown]:
         values = ", ".join(f"{k} = {v.text}" for k, v in e.parameters.items())
         idle = "" if e.material else "; closes next to nothing: listed, no cause"
-        out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}, {values}{idle}")
+        out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}{_nearest(answer, e)}, {values}{idle}")
     if rest := answer.which[shown:]:
         out.append(f"which: {len(rest)} more, with probabilities up to {rest[0].probability:.2f}, in the report")
     if answer.suspected:
@@ -321,6 +322,13 @@ def lines(answer: Answer) -> list[str]:
     if answer.next_run:
         out.append(f"next run: {answer.next_run.text}")
     return out
+
+
+def _nearest(answer: Answer, effect: Which) -> str:
+    """Of an answer that is `unknown`: how likely an effect is, if what is wrong is in the catalogue after all."""
+    if answer.verdict != "unknown" or answer.tests is None or answer.tests.p_fit <= 0.0:
+        return ""
+    return f" ({min(effect.probability / answer.tests.p_fit, 1.0):.2f} if the cause is in the catalogue)"
 
 
 def _gap_lines(answer: Answer) -> list[str]:

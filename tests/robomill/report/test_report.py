@@ -27,6 +27,7 @@ from robomill.diagnosis.forms.layout import Curve, Form, PortForm, Range, TermFo
 from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.inference.intervals import MATERIAL
 from robomill.diagnosis.inference.machines import MACHINES
+from robomill.diagnosis.localisation.where import Where
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Estimate, Gap, Menu, Which
 from robomill.diagnosis.outcome.calibration import Pulled
 from robomill.diagnosis.outcome.closure import HowFar
@@ -593,6 +594,23 @@ def test_effects_that_are_not_printed_are_counted() -> None:
     assert printed(2, 5)[6:] == ["which: 1 more, with probabilities up to 0.20, in the report"]
     assert len(printed(8, 0)) == 8
     assert printed(8, 2)[8:] == ["which: 2 more, with probabilities up to 0.20, in the report"]
+
+
+def test_of_an_answer_that_is_unknown_the_console_says_which_is_likeliest_if_the_catalogue_has_it() -> None:
+    """What is wrong is where something of the gap is: a share that closes next to nothing is not printed."""
+    size = {"backlash[3]": Estimate(8e-5, [7e-5, 9e-5], "rad")}
+    near, far = (Which("backlash", "drive", f"joint {i}", p, size, []) for i, p in ((3, 0.009), (4, 0.001)))
+    where = tuple(Where("drive", share, None, "joint 3", "q", "q", []) for share in (0.9, 0.004))
+    tests = VerdictTests(0.02, 0.0, 0.01, 0.0)
+    answer = replace(_cell(near, far, verdict="unknown").answer, tests=tests, where=where)
+    said = lines(answer)
+    assert [line.partition(", backlash")[0] for line in said if line.startswith("which")] == [
+        "which: backlash at joint 3, probability 0.01 (0.90 if the cause is in the catalogue)",
+        "which: backlash at joint 4, probability 0.00 (0.10 if the cause is in the catalogue)",
+    ]
+    assert sum(line.startswith("where") for line in said) == 1
+    sure = lines(replace(answer, verdict="ambiguous"))
+    assert not any("if the cause is in the catalogue" in line for line in sure)
 
 
 def test_many_causes_are_counted() -> None:
