@@ -38,7 +38,18 @@ from robomill.diagnosis.outcome.reasons import Reason, reasons
 from robomill.diagnosis.outcome.shares import shares
 from robomill.diagnosis.outcome.steps import steps
 from robomill.diagnosis.outcome.values import WIDER, Values
-from robomill.diagnosis.outcome.verdict import IDENTIFIED, at_bound, changes, judged, largest, over_noise, share_left, tested
+from robomill.diagnosis.outcome.verdict import (
+    IDENTIFIED,
+    Tests,
+    at_bound,
+    changes,
+    judged,
+    largest,
+    over_noise,
+    refuted,
+    share_left,
+    tested,
+)
 from robomill.orchestration.slaves.protocol import FloatArray
 
 SAID = {
@@ -119,6 +130,7 @@ class Conclusion:
 
     def answer(self) -> tuple[Answer, dict[Address, float]]:
         """Verdict, where, which, how far, next run; and the values that are adopted [unit]."""
+        together = self.reconsidered()
         before, noise = self.search.gap(self.search.nominal(), calibrated=False)
         calibrated, _ = self.search.gap(self.fits[0])
         after, _ = self.search.gap(self.best)
@@ -129,13 +141,13 @@ class Conclusion:
         alone = clocks and all(c.component == LOGGING for c in self.best.model)  # of a log that is refused nothing else is asked
         drawn = all(c.effect in search.catalogue.drawn for c in self.best.model)  # what it did in one run says nothing of the next
         moved = self.transfer(self.best) if not drawn and not alone else None
-        odds = float(np.log(max(1.0 - self.nothing, 1e-300)) - np.log(max(self.nothing, 1e-300)))
-        rank = p_none(search, odds)
-        tests = tested(search, nominal, self.best, self.nothing, rank, moved, self.false_alarm, levels(search, self.best))
+        tests = self.tests(self.best, moved)
         if (more := self.diagnosed) is not self.best:  # what takes an effect out does not make surer of the others
-            whole = tested(search, nominal, more, self.nothing, rank, self.transfer(more), self.false_alarm, levels(search, more))
+            whole = self.tests(more, self.transfer(more))
             if whole.p_fit < tests.p_fit:
                 tests = replace(tests, p_fit=whole.p_fit, odds=whole.odds)
+        if together is not None:
+            tests = replace(tests, p_fit=together)
         believed = {c: p * tests.p_fit for c, p in marginal.items()}
         sure = {c.component == LOGGING for c in self.best.model if believed[c] >= IDENTIFIED}
         faulty = sure == {True} and not self.repair  # beside effects of the machine a fault of the log is corrected, and said
@@ -231,6 +243,37 @@ class Conclusion:
             if (other := self.transfer(self.fits[i])) is not None:
                 scores[i] += other.gain - moved.gain
         return np.asarray(np.exp(scores - logsumexp(scores)))
+
+    def tests(self, fit: Fit, moved: Transfer | None) -> Tests:
+        """What the verdict on a model rests on; `moved`: new conditions."""
+        return tested(self.search, self.fits[0], fit, self.nothing, self.rank, moved, self.false_alarm, levels(self.search, fit))
+
+    @cached_property
+    def rank(self) -> float:
+        """`p_none` of the odds against the nominal model."""
+        return p_none(self.search, float(np.log(max(1.0 - self.nothing, 1e-300)) - np.log(max(self.nothing, 1e-300))))
+
+    def reconsidered(self) -> float | None:
+        """Let the tests say which model is best, where they refute the likeliest: the probability that one of the likely models is right.
+
+        A model m of probability w is right by odds o, those of its `p_fit`. Then one of them is by the odds sum w o, of which m has the
+        share w o. None, and nothing changes, where that is improbable, too. Only where noise is known, by models of LISTED and more.
+        """
+        if self.search.evidence.whitening.guessed or self.diagnosed is not self.best:
+            return None
+        likely = [i for i, w in enumerate(self.weights) if w >= LISTED and any(c.component != LOGGING for c in self.fits[i].model)]
+        if len(likely) <= 1 or not refuted(self.tests(self.best, self.transfer(self.best)).p_fit):
+            return None
+        right = np.array([self.tests(self.fits[i], self.transfer(self.fits[i])).p_fit for i in likely])
+        weights = np.zeros_like(self.weights)
+        weights[likely] = self.weights[likely] / self.weights[likely].sum() * right / np.maximum(1.0 - right, 1e-300)
+        odds = float(weights.sum())
+        if refuted(odds / (1.0 + odds)):
+            return None
+        self.weights = weights / odds
+        self.best = self.diagnosed = self.fits[int(self.weights.argmax())]
+        self.values = Values(self.search, self.best)
+        return odds / (1.0 + odds)
 
     def transfer(self, fit: Fit) -> Transfer | None:
         """What a model is worth in held-out conditions.

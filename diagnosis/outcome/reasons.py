@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from robomill.diagnosis.inference.adequacy import UNKNOWN
-from robomill.diagnosis.outcome.verdict import Tests, believed
+from robomill.diagnosis.outcome.verdict import Tests, believed, refuted
 
 Reason = Literal["left", "worse", "elsewhere", "alike", "calibrated", "lag", "bound", "changes", "instead", "runs", "swing", "nominal"]
 
@@ -38,7 +38,7 @@ def reasons(tests: Tests, effects: bool, level: float, seen: dict[Reason, bool])
     assert tests.odds is not None
     found = [r for r, so in seen.items() if so]
     there = effects and believed(tests)
-    if there and tests.p_fit < 1.0 - tests.p_fit:
+    if there and refuted(tests.p_fit):
         odds: dict[Reason, float] = {r: getattr(tests.odds, r) for r in _ODDS}
         found += sorted((r for r in _ODDS if odds[r] < 0.0), key=odds.__getitem__)
     return tuple(found) or (("left",) if there or level > UNKNOWN else ("nominal",))

@@ -212,11 +212,11 @@ def judged(
     `faulty`: a fault of the log is part of the best model. `differs`: something differs from run to run (`scatter`). `moved`: new
     conditions, where a gap is one, too.
     """
-    refuted = tests.p_fit < 1.0 - tests.p_fit or at_bound(best.model, best.values)
+    wrong = refuted(tests.p_fit) or at_bound(best.model, best.values)
     gap = largest(search, nominal, moved) > UNKNOWN or not sound(search, nominal)
     guess = search.evidence.guess > 1.0  # of noise: nobody knows how slow it is, and an effect within it may be that
     there = bool(best.model) and believed(tests) and (gap or not guess)
-    if not there or refuted or ((other := changing()) is not None and changes(search, best, other)):
+    if not there or wrong or ((other := changing()) is not None and changes(search, best, other)):
         return "unknown" if gap or differs or there else "none"
     if faulty:
         return "bad_log"
@@ -241,6 +241,11 @@ def right(search: Search, fit: Fit, left: float) -> bool:
     """
     odds = math.log(1.0 - UNLISTED) - math.log(UNLISTED)
     return odds + left + within_tolerances(*search.numbers(fit)[1:], search.evidence.guess) > 0.0
+
+
+def refuted(p_fit: float) -> bool:
+    """Whether a model is likelier wrong than right, by `Tests.p_fit`."""
+    return p_fit < 1.0 - p_fit
 
 
 def at_bound(model: Model, values: Mapping[Address, float]) -> bool:
