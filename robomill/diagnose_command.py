@@ -325,7 +325,7 @@ def lines(answer: Answer) -> list[str]:
 
 
 def _nearest(answer: Answer, effect: Which) -> str:
-    """Of an answer that is `unknown`: how likely an effect is, if what is wrong is in the catalogue after all."""
+    """How likely an effect of an answer that is `unknown` is, if what is wrong is in the catalogue after all."""
     if answer.verdict != "unknown" or answer.tests is None or answer.tests.p_fit <= 0.0:
         return ""
     return f" ({min(effect.probability / answer.tests.p_fit, 1.0):.2f} if the cause is in the catalogue)"
