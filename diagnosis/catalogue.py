@@ -256,7 +256,9 @@ class EffectKeys(Keys):
     source = required(keys.text(), "where its size and form come from")
     unit = required(keys.text(), "unit of the sizes, that of the parameters")
     minimum = required(keys.positive(), "magnitude below which the effect is no finding, in its unit")
-    maximum = required(keys.positive(), "largest magnitude that is fitted, in its unit; what the parameter of the component can be is a bound, too")
+    maximum = required(
+        keys.positive(), "largest magnitude that is fitted, in its unit; what the parameter of the component can be is a bound, too"
+    )
     sign = required(keys.choice(("positive", "both")), "whether it may be negative, too")
     prior = required(keys.table(PriorKeys), "how large it is expected to be")
     locations = required(keys.each(LocationKeys), "where it may be")

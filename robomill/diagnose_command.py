@@ -7,6 +7,7 @@ import json
 import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import date
 from functools import cache
 from importlib.metadata import version
@@ -39,6 +40,7 @@ from robomill.models.components.correction import correction_model
 from robomill.models.components.file_names import FORM
 from robomill.models.model.cache import source_files
 from robomill.models.model.declaration import Model
+from robomill.orchestration.runs.lock import FolderLock
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.system.definition import Component, System
 from robomill.report.subject import perhaps
@@ -117,11 +119,23 @@ def answered(
 
 
 def run(options: Namespace) -> int:
-    """Exit status 0: answered; 1: the log is not usable."""
-    from robomill.progress import progress_bar
-
+    """Exit status 0: answered; 1: the log is not usable. One at a time in a folder."""
     if not (options.check or options.overwrite):
         vacant(options.out / ANSWER)
+    new = not options.out.exists()
+    options.out.mkdir(parents=True, exist_ok=True)
+    try:
+        with FolderLock(options.out):
+            return _run(options)
+    finally:
+        if new:
+            with suppress(OSError):  # what is refused before anything was simulated leaves nothing behind
+                options.out.rmdir()
+
+
+def _run(options: Namespace) -> int:
+    from robomill.progress import progress_bar
+
     first: Path | None = options.campaign or options.system
     file = catalogue_file(options.catalogue, first)
     campaign = campaign_of(options)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import os
 import re
 import shutil
 import signal
@@ -26,6 +27,7 @@ from robomill.diagnosis.inference.evidence import BEGINNING
 from robomill.diagnosis.outcome import closure
 from robomill.diagnosis.outcome.answer import as_json, titles_of
 from robomill.logs.importing import import_log
+from robomill.orchestration.runs.lock import FolderLock
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import PortData
 from robomill.orchestration.system.definition import System
@@ -224,6 +226,23 @@ def test_what_an_interrupted_diagnosis_has_simulated_is_kept_and_said(
         assert main(["diagnose", "robot.toml", "A", "--catalogue", "catalogue.toml", "--out", "answer"]) == 128 + signal.SIGTERM
     said = capsys.readouterr().err
     assert "robomill diagnose: interrupted by SIGTERM; 0 simulations are kept in answer/simulations/: the same command goes on" in said
+
+
+def test_two_diagnoses_at_once_in_one_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _recorded_robot(tmp_path)
+    (tmp_path / "answer").mkdir()
+    with contextlib.chdir(tmp_path), FolderLock(tmp_path / "answer"):
+        assert main(["diagnose", "robot.toml", "A", "--catalogue", "catalogue.toml", "--out", "answer"]) == 2
+        assert [f.name for f in Path("answer").iterdir()] == ["run.lock"]
+    assert f"another run is being written there, by process {os.getpid()}" in capsys.readouterr().err
+
+
+def test_what_is_refused_before_anything_is_simulated_leaves_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _recorded_robot(tmp_path)
+    with contextlib.chdir(tmp_path):
+        assert main(["diagnose", "robot.toml", "A", "--catalogue", "other.toml", "--out", "answer"]) == 2
+        assert "other.toml" in capsys.readouterr().err
+        assert not Path("answer").exists()
 
 
 @pytest.mark.slow
