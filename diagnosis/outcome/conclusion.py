@@ -139,8 +139,7 @@ class Conclusion:
         # what a dead time of the machine explains nearly as well is no reason to refuse the log
         clocks = [c for c in self.best.model if c.component == LOGGING and marginal[c] >= IDENTIFIED]
         alone = clocks and all(c.component == LOGGING for c in self.best.model)  # of a log that is refused nothing else is asked
-        drawn = all(c.effect in search.catalogue.drawn for c in self.best.model)  # what it did in one run says nothing of the next
-        moved = self.transfer(self.best) if not drawn and not alone else None
+        moved = self.elsewhere(self.best) if not alone else None
         tests = self.tests(self.best, moved)
         if (more := self.diagnosed) is not self.best:  # what takes an effect out does not make surer of the others
             whole = self.tests(more, self.transfer(more))
@@ -262,9 +261,10 @@ class Conclusion:
         if self.search.evidence.whitening.guessed or self.diagnosed is not self.best:
             return None
         likely = [i for i, w in enumerate(self.weights) if w >= LISTED and any(c.component != LOGGING for c in self.fits[i].model)]
-        if len(likely) <= 1 or not refuted(self.tests(self.best, self.transfer(self.best)).p_fit):
+        here = int(self.weights.argmax())
+        if len(likely) <= 1 or here not in likely or not refuted(self.tests(self.best, self.elsewhere(self.best)).p_fit):
             return None
-        right = np.array([self.tests(self.fits[i], self.transfer(self.fits[i])).p_fit for i in likely])
+        right = np.array([self.tests(self.fits[i], self.elsewhere(self.fits[i])).p_fit for i in likely])
         weights = np.zeros_like(self.weights)
         weights[likely] = self.weights[likely] / self.weights[likely].sum() * right / np.maximum(1.0 - right, 1e-300)
         odds = float(weights.sum())
@@ -274,6 +274,10 @@ class Conclusion:
         self.best = self.diagnosed = self.fits[int(self.weights.argmax())]
         self.values = Values(self.search, self.best)
         return odds / (1.0 + odds)
+
+    def elsewhere(self, fit: Fit) -> Transfer | None:
+        """What a model is worth in held-out conditions; None where a seed draws all that it does: that says nothing of the next run."""
+        return None if all(c.effect in self.search.catalogue.drawn for c in fit.model) else self.transfer(fit)
 
     def transfer(self, fit: Fit) -> Transfer | None:
         """What a model is worth in held-out conditions.
