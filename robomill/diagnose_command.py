@@ -313,7 +313,7 @@ def lines(answer: Answer) -> list[str]:
     for e in answer.which[:shown]:
         values = ", ".join(f"{k} = {v.text}" for k, v in e.parameters.items())
         idle = "" if e.material else "; closes next to nothing: listed, no cause"
-        out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}{_nearest(answer, e)}, {values}{idle}")
+        out.append(f"which: {e.effect} at {e.location}, probability {e.probability:.2f}{_if_listed(answer, e)}, {values}{idle}")
     if rest := answer.which[shown:]:
         out.append(f"which: {len(rest)} more, with probabilities up to {rest[0].probability:.2f}, in the report")
     if answer.suspected:
@@ -338,7 +338,7 @@ def lines(answer: Answer) -> list[str]:
     return out
 
 
-def _nearest(answer: Answer, effect: Which) -> str:
+def _if_listed(answer: Answer, effect: Which) -> str:
     """How likely an effect of an answer that is `unknown` is, if what is wrong is in the catalogue after all."""
     if answer.verdict != "unknown" or answer.tests is None or answer.tests.p_fit <= 0.0:
         return ""

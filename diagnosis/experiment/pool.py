@@ -57,7 +57,7 @@ class Processes:
         except BrokenProcessPool as error:
             raise RuntimeError(
                 f"one of {self._workers} processes that simulate ended by itself: a model or an FMU of the system crashes, or memory is out"
-                "; with --jobs 1 the simulation where it happens is the last one"
+                "; with --jobs 1 the crash itself is seen"
             ) from error
 
     def close(self) -> None:

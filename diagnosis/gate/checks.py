@@ -139,7 +139,7 @@ def standstill(
 
     At rest at zero is what a dead band makes of an output, too. At rest where the simulation goes as far or further, or at an extreme to
     which the channel comes back after it has left it, is what a limit does. While a channel is at one of its `limits`, what its component
-    makes of it may rest, too.
+    makes of it may rest, too. What sticks, or ends at rest while its simulation moves by less than LIMIT of its range, is not fatal.
     """
     found: list[Finding] = []
     held = {name: np.zeros(len(x), dtype=bool) for name in map(_component, channels)}
@@ -168,12 +168,11 @@ def standstill(
         if still > REST * len(x) and (still > LONGER * longest + LONGER_BY or passed):
             places = np.flatnonzero(moving)[stretch]
             rest = range(int(places[0]), int(places[-1]) + 1)
-            sticks, ends = _sticks(x[:, i], rest), rest.stop == len(x) and not passed and _stands_elsewhere(x[:, i], rest)
-            remedy = "it moves on from there, as what sticks does" if sticks else "record it anew"
-            if ends:
-                sticks, remedy = True, "it ends there, near its simulation, as what sticks does"
+            near = rest.stop == len(x) and not passed and _stands_elsewhere(x[:, i], rest)
+            way = "moves on from there" if _sticks(x[:, i], rest) else "ends there, near its simulation" if near else ""
+            remedy = f"it {way}, as what sticks does" if way else "record it anew"
             text = f"stands still for {still * step:.3g} s; expected up to {longest * step:.3g} s, as its simulation; {remedy}"
-            found.append(Finding(name, "constant", still * step, "s", text, fatal=not sticks))
+            found.append(Finding(name, "constant", still * step, "s", text, fatal=not way))
     return found
 
 

@@ -69,7 +69,7 @@ class Conclusion:
     """The verdict on fitted models, and all that belongs to it; `answer` says it.
 
     `weights`: probability of each fit; `best`: the likeliest one; `diagnosed`: that by the diagnosed runs alone; `nothing`: probability of
-    the nominal model beside those of the search.
+    the nominal model beside those of the search. Where tests refute the likeliest one, they weigh the fits, too (`reconsidered`).
     """
 
     def __init__(
@@ -262,9 +262,9 @@ class Conclusion:
             return None
         likely = [i for i, w in enumerate(self.weights) if w >= LISTED and any(c.component != LOGGING for c in self.fits[i].model)]
         here = int(self.weights.argmax())
-        if len(likely) <= 1 or here not in likely or not refuted(self.tests(self.best, self.elsewhere(self.best)).p_fit):
+        if len(likely) <= 1 or here not in likely or not refuted(own := self.tests(self.best, self.elsewhere(self.best)).p_fit):
             return None
-        right = np.array([self.tests(self.fits[i], self.elsewhere(self.fits[i])).p_fit for i in likely])
+        right = np.array([own if i == here else self.tests(self.fits[i], self.elsewhere(self.fits[i])).p_fit for i in likely])
         weights = np.zeros_like(self.weights)
         weights[likely] = self.weights[likely] / self.weights[likely].sum() * right / np.maximum(1.0 - right, 1e-300)
         odds = float(weights.sum())

@@ -13,6 +13,7 @@ import pytest
 from robomill.diagnosis import engine
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
+from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
@@ -112,3 +113,30 @@ def test_a_turned_sign_explains_by_itself_what_several_effects_do_together(turne
     search = cast("Any", SimpleNamespace(evidence=evidence, explainable=lambda x: 0.0))
     model = tuple(candidate(f"part {k}") for k in range(effects))
     assert engine._nominal(search, [], Fit(model, {}, {}, 0.0, 0.0, np.array([5.0]))) is alone
+
+
+@pytest.mark.parametrize(
+    ("believed", "left", "found"),
+    [(False, 3.2, True), (False, 3.4, False), (True, 2.0, True), (True, 2.2, False)],
+)
+def test_how_much_a_turned_sign_may_leave_depends_on_what_explains_the_log_as_it_is(
+    believed: bool, left: float, found: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The nominal system leaves 41 times noise of the log as it is, a right model LEVEL: of the rest a twentieth may be left, or a fiftieth."""
+    as_it_is, turned = cast("Any", SimpleNamespace(leaves=10.0)), cast("Any", SimpleNamespace(leaves=left))
+    nominal, best = (Fit(model, {}, {}, 0.0, 0.0) for model in ((), (candidate("part"),)))
+
+    def over_noise(search: Any, fit: Fit) -> float:
+        return 41.0 if search is as_it_is and not fit.model else float(search.leaves)
+
+    monkeypatch.setattr(engine, "searched", lambda *_: (turned, [nominal, best]))
+    monkeypatch.setattr(engine, "_best", lambda *_: best)
+    monkeypatch.setattr(engine, "_simulated", lambda _, fit: fit)
+    monkeypatch.setattr(engine, "_little", lambda *_: False)
+    monkeypatch.setattr(engine, "_right", lambda search, *_: search is as_it_is and believed)
+    monkeypatch.setattr(engine, "_shows", lambda *_: True)
+    monkeypatch.setattr(engine, "over_noise", over_noise)
+    sign = Finding("rotor.w", "sign", -1.0, "1", "has the wrong sign")
+    catalogue = cast("Any", None)
+    as_it_is.simulator = None
+    assert (engine._explained(catalogue, as_it_is, [nominal, best], [], [], [sign]) is best) is found  # MISFIT, LITTLE
