@@ -122,7 +122,7 @@ def test_a_turned_sign_explains_by_itself_what_several_effects_do_together(turne
 def test_how_much_a_turned_sign_may_leave_depends_on_what_explains_the_log_as_it_is(
     believed: bool, left: float, found: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The nominal system leaves 41 times noise of the log as it is, a right model LEVEL: of the rest a twentieth may be left, or a fiftieth."""
+    """The nominal system leaves 41 times noise, a right model LEVEL: of the rest a twentieth may be left, or a fiftieth."""
     as_it_is, turned = cast("Any", SimpleNamespace(leaves=10.0)), cast("Any", SimpleNamespace(leaves=left))
     nominal, best = (Fit(model, {}, {}, 0.0, 0.0) for model in ((), (candidate("part"),)))
 
