@@ -302,6 +302,17 @@ class ComponentReplay:
             return None
         return {k: after[k] - before[k] for k in after}
 
+    def in_the_loop(self, column: str) -> FloatArray:
+        """A column of the nominal closed loop, [n]."""
+        return self._on_grid(self.closed[0], column)
+
+    def looped(self, changes: Setting) -> FloatArray | None:
+        """Change of all channels in the closed loop by `changes` [unit of the parameter], [n, channels]; None where it cannot run."""
+        try:
+            return self._matrix(self._run(self._changed(changes))) - self.nominal
+        except OrchestrationError:
+            return None
+
     def follow(self, moved: Mapping[str, FloatArray], arrays: Sequence[str], target: str) -> dict[str, FloatArray]:
         """Change of the outputs of `target`, column -> [n], when the outputs `arrays` of another component change as they do in `moved`."""
         if target not in self._alone:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,96 +13,22 @@ import numpy as np
 
 from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate
+from robomill.diagnosis.forms.doubts import Doubts
 from robomill.diagnosis.forms.layout import Curve, Form, PortForm, Range, TermFound, Worse
 from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.loop import Loop, specification
-from robomill.diagnosis.forms.periods import with_periods
-from robomill.diagnosis.forms.ports import Problem, Seen, Signals, alike, behind, direct, into
-from robomill.diagnosis.forms.selection import Labels, Products, Values, choose, pruned, values, worse
+from robomill.diagnosis.forms.places import Place, Places, best_of
+from robomill.diagnosis.forms.ports import Seen, Signals, alike
 from robomill.diagnosis.forms.signals import Variable
+from robomill.diagnosis.forms.solving import Solved
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.localisation.where import WHOLE
 from robomill.diagnosis.outcome.answer import Answer
-from robomill.diagnosis.outcome.ceiling import FOLDS
 from robomill.diagnosis.outcome.closure import BLOCKS
 from robomill.diagnosis.outcome.how_far import CLOSING, Closing, Groups
 from robomill.models.components.correction import TIME
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
-
-
-@dataclass(frozen=True)
-class Solved:
-    """A problem with its terms."""
-
-    problem: Problem
-    terms: list[tuple[str, Term]]
-    found: Values
-    closure: float
-    """1 - squares left / squares of the gap, in parts that choice and fit have not seen."""
-    left: FloatArray
-    """Squares left in each of BLOCKS blocks of time of each condition [conditions * BLOCKS], over the scale of the problem."""
-
-
-def solve(problem: Problem) -> Solved:
-    """Choose and fit the terms of a problem."""
-    chosen = choose(problem.rows(), [i for i, (_, t) in enumerate(problem.terms) if not t.factors])
-    problem = replace(problem, decimation=problem.decimation * 2**chosen.pairs)
-    # of closures below zero, what is white is predicted better, but not what is there
-    terms, closure = ([problem.terms[i] for i in chosen.terms], chosen.closure) if chosen.closure > 0.0 else ([], 0.0)
-    places = [(e, v) for e in dict.fromkeys(e for e, _ in problem.terms) for v in problem.seen.angles(e)] if problem.effect else []
-    longer = with_periods(problem, terms, chosen.rho, places, chosen.divided)
-    if len(longer) > len(terms):
-        rows = problem.rows(longer)
-        folds = chosen.divided(rows, FOLDS)
-        kept = pruned(Products(rows.whitened(chosen.rho), folds), list(range(len(longer))))
-        terms = [longer[i] for i in kept]
-        plain = Products(rows, folds)
-        closure = 1.0 - float(plain.errors(kept).sum()) / max(float(plain.square.sum()), 1e-300)
-    rows = problem.rows(terms)
-    folds = chosen.divided(rows, FOLDS)
-    order = Products(rows, folds).path(len(terms))  # that which predicts most comes first
-    terms = [terms[i] for i in dict.fromkeys([*order, *range(len(terms))])]
-    rows = problem.rows(terms)
-    return Solved(
-        problem, terms, values(rows, list(range(len(terms)))), closure, _left(problem, rows.left_out(folds), rows.blocks(), closure)
-    )
-
-
-def _left(problem: Problem, left: FloatArray, blocks: Labels, closure: float) -> FloatArray:
-    """`Solved.left` of what is left of each row [n] and its block; together 1 - `closure` of the gap's squares."""
-    squares = np.bincount(blocks, left**2, len(problem.gap) * BLOCKS)
-    gap = sum(float((g**2).sum()) for g in problem.gap)
-    return np.asarray(squares * ((1.0 - closure) * gap / max(float(squares.sum()), 1e-300)))
-
-
-def solved(
-    laboratory: Laboratory, replays: Sequence[ComponentReplay], components: Sequence[str], arrays: Collection[str] = ()
-) -> list[Solved]:
-    """Forms of the ports of these components; of those that explain the same measured array, the ports of the one that leaves least.
-
-    The first component is preferred: another one must be better by more than a standard error. `arrays`: measured arrays that are to be
-    explained; empty: all.
-    """
-    best: dict[str, tuple[FloatArray, list[Solved]]] = {}
-    for name in components:
-        for make in (direct, behind, into):
-            if make is into and best:  # takes a simulation for each term: not beside what has been found
-                continue
-            found = [solve(p) for p in make(laboratory, replays, name) if _wanted(p, arrays)]
-            for array in dict.fromkeys(a for s in found if s.terms for a in s.problem.targets):
-                here = [s for s in found if array in s.problem.targets]
-                left = np.sum([s.left for s in here], axis=0)
-                if array not in best or worse(best[array][0], left):
-                    best[array] = (left, [s for s in here if s.terms])
-    unique: list[Solved] = []
-    for _, some in best.values():
-        unique += [s for s in some if not any(s is u for u in unique)]
-    return unique
-
-
-def _wanted(problem: Problem, arrays: Collection[str]) -> bool:
-    return not arrays or not set(problem.targets).isdisjoint(arrays)
 
 
 def port_forms(found: Sequence[Solved]) -> tuple[PortForm, ...]:
@@ -210,38 +137,38 @@ def discovered(
     if not own:
         return None
     try:
-        shown = laboratory.shown_in(own)
-        found = solved(shown, [ComponentReplay.of(shown, i) for i in own], components, arrays)
+        replays = [ComponentReplay.of(shown, i) for shown in [laboratory.shown_in(own)] for i in own]
+        measured = zip(itertools.compress(laboratory.channels, search.evidence.active), search.evidence.whitening.deviation, strict=True)
+        noise = {c: float(d) for c, d in measured if not arrays or base_name(c) in arrays}
+        places = Places(laboratory.shown_in(own), replays, noise, Doubts(replays, search.nuisances), frozenset(arrays))
+        alone, looped = places.alone(components), places.in_loop(components)
     except OrchestrationError as error:
         return Form("", "output", 0.0, (), note=f"no form was looked for: {error}")
-    if not found:
-        return None
-    host = max({s.problem.seen.host.name for s in found}, key=lambda h: sum(s.closure for s in found if s.problem.seen.host.name == h))
-    others = sorted({s.problem.seen.host.name for s in found} - {host})
-    found = [s for s in found if s.problem.seen.host.name == host]
-    side = found[0].problem.seen.side
-    found = [s for s in found if s.problem.seen.side == side]
-    form = Form(host, side, laboratory.system.step if side == "input" else 0.0, port_forms(found), like_delays(found))
-    note = f"beside it, something is left at {', '.join(others)}" if others else ""
-    active = search.evidence.active
-    scale = np.zeros(len(laboratory.channels))
-    scale[active] = 1.0 / np.sqrt(np.diag(search.evidence.whitening.factor @ search.evidence.whitening.factor.T))
     with TemporaryDirectory() as folder:
-        loop = Loop(simulator, Path(folder), scale, groups, n)
-        try:
-            fitted_there = loop.refitted(_specification(found), np.concatenate([_doubts(s) for s in found]))
-            if fitted_there is None:
-                return replace(form, note="with the form in the loop the system does not run: it is said as it was found, and not adopted")
-            after = loop.simulated(fitted_there, range(len(laboratory.conditions)), CLOSING)
-        except OrchestrationError as error:
-            return replace(form, note=f"not put into the loop: {error}")
+        loop = Loop(simulator, Path(folder), _weights(search), groups, n)
+        tried = [_Tried.of(loop, place) for place in (*alone[:1], *looped)]
+        if not tried:
+            return None
+        runs = [t for t in tried if t.left is not None]
+        if runs:
+            gap = float(_in_blocks(loop.left(simulator.repeated(range(n), (), 1)) or []).sum())
+            best = runs[best_of([_in_blocks(t.left or []) for t in runs], [t.place.terms for t in runs], gap)]
+        else:
+            best = max(tried, key=lambda t: places.closes(t.place))
+        place = best.place
+        late = laboratory.system.step if place.side == "input" and place.reads_outputs else 0.0
+        form = Form(place.component, place.side, late, port_forms(place.forms), like_delays(place.forms))
+        if best.note:
+            return replace(form, note=best.note)
+        after = loop.simulated(best.specification, range(len(laboratory.conditions)), CLOSING)
+    others = sorted({p.component for p in alone if p.component != place.component and not p.targets <= place.targets})
+    note = f"beside it, something is left at {', '.join(others)}" if others else ""
     closing = Closing(search, groups, titles)
     closures = closing.with_these(dict(enumerate(after)), list(closing.kinds))
     form = replace(
         form,
-        ports=_refitted(form.ports, fitted_there),
         how_far=closures,
-        ranges=_ranges(laboratory, found, n),
+        ranges=_ranges(laboratory, place.forms, n),
         worse=tuple(Worse(h.metric, h.on, h.before, h.after, h.unit) for h in closures if h.after > h.before),
         note=note,
     )
@@ -250,7 +177,46 @@ def discovered(
             f"in the loop the whole gap on {closing.hardest} is larger with the form than without it: it is of no use, and not adopted"
         )
         return replace(form, note=f"{refuted}; {note}" if note else refuted)
-    return replace(form, specification=fitted_there)
+    return replace(form, specification=best.specification)
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Forms in the loop of the diagnosed runs."""
+
+    place: Place
+    specification: dict[str, Any]
+    left: Sequence[FloatArray] | None
+    """What is left of each condition, weighted, [rows, channels]; None where it cannot run."""
+    note: str
+    """Why it is not in the loop; empty if it is."""
+
+    @staticmethod
+    def of(loop: Loop, place: Place) -> _Tried:
+        """The forms of a place, fitted in the loop where their columns do not say what they do there."""
+        given = _specification(place.forms)
+        try:
+            if place.approximate:
+                fitted_there = loop.refitted(given, np.concatenate([_doubts(s) for s in place.forms]))
+                if fitted_there is not None:
+                    place = replace(place, forms=_refitted(place.forms, fitted_there))
+                    given = fitted_there
+            left = loop.left(loop.simulated(given, range(loop.n), 1))
+        except OrchestrationError as error:
+            return _Tried(place, {}, None, f"not put into the loop: {error}")
+        stands = "with the form in the loop the system does not run: it is said as it was found, and not adopted"
+        return _Tried(place, given, left, stands if left is None else "")
+
+
+def _in_blocks(left: Sequence[FloatArray]) -> FloatArray:
+    return np.array([float((part**2).sum()) for x in left for part in np.array_split(x, BLOCKS)])
+
+
+def _weights(search: Search) -> FloatArray:
+    """Weight of each channel in the loop: 1 over the standard deviation of its innovations; 0 of those that say nothing."""
+    weights = np.zeros(len(search.simulator.laboratory.channels))
+    weights[search.evidence.active] = 1.0 / np.sqrt(np.diag(search.evidence.whitening.factor @ search.evidence.whitening.factor.T))
+    return weights
 
 
 def _doubts(s: Solved) -> FloatArray:
@@ -275,19 +241,16 @@ def _specification(found: Sequence[Solved]) -> dict[str, Any]:
     return specification(host.name, arrays, corrected, terms)
 
 
-def _refitted(ports: Sequence[PortForm], found: Mapping[str, Any]) -> tuple[PortForm, ...]:
-    """The ports with the coefficients that the closed loop gave; intervals keep their width."""
-    values_ = {(t["element"], t["text"]): t["coefficient"] for t in found["terms"]}
+def _refitted(forms: Sequence[Solved], fitted_there: Mapping[str, Any]) -> list[Solved]:
+    """The forms with the coefficients that the closed loop gave; intervals hold what was found before, too."""
+    found = {(t["element"], t["text"]): t["coefficient"] for t in fitted_there["terms"]}
     made = []
-    for p in ports:
-        element = p.port.partition(".")[2]
-        terms = []
-        for t in p.terms:
-            c = values_[element, t.term]
-            shift = c - t.coefficient
-            terms.append(replace(t, coefficient=c, interval=[x + shift for x in t.interval]))
-        made.append(replace(p, terms=tuple(terms), formula=formula(terms)))
-    return tuple(made)
+    for s in forms:
+        after = np.array([found[e, t.text] for e, t in s.terms])
+        shifted = s.found.intervals + (after - s.found.values)[:, None]
+        low, high = np.minimum(s.found.intervals, shifted)[:, 0], np.maximum(s.found.intervals, shifted)[:, 1]
+        made.append(replace(s, found=replace(s.found, values=after, intervals=np.stack([low, high], axis=1))))
+    return made
 
 
 def _ranges(laboratory: Laboratory, found: Sequence[Solved], n: int) -> tuple[Range, ...]:

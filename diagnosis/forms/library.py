@@ -13,7 +13,7 @@ from robomill.diagnosis.forms.signals import Variable
 from robomill.diagnosis.inference.time_varying import COMING_LATE
 from robomill.models.components.correction import KINDS, TIME, factors
 from robomill.models.model.units import unit_of
-from robomill.orchestration.slaves.protocol import FloatArray
+from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 SLIDES = 0.002
 """Part of its largest size up to which a sign grows in proportion: at rest a sign is noise, and friction holds whatever it has to."""
@@ -105,13 +105,18 @@ class Term:
 
 
 def library(
-    found: Sequence[Mapping[Variable, FloatArray]], index: str, longest: float, others: Collection[str] = OF_ONE, unit: str = ""
+    found: Sequence[Mapping[Variable, FloatArray]],
+    index: str,
+    longest: float,
+    others: Collection[str] = OF_ONE,
+    unit: str = "",
+    array: str = "",
 ) -> list[Term]:
     """All terms for a port with this index and unit, from the variables that are there in every condition; `longest` run [s].
 
     What a variable changed since the start is a term where it has the unit of the port: a motion that another one drags along.
     Products are those of variables of the same index (and of scalars): a port of an array of joints is about one joint first. Of
-    variables with another index there are only the kinds in `others`.
+    variables with another index there are only the kinds in `others`, but for those of the `array`: its elements may talk to each other.
     """
     shared = [v for v in found[0] if all(v in other for other in found)]
     sizes = {v: max(float(np.abs(known[v]).max()) for known in found) for v in shared}
@@ -123,7 +128,7 @@ def library(
         if v.since_start:
             terms += [Term((Factor("value", v),))] if v.unit == unit else []
             continue
-        for kind in OF_ONE if v.index in ("", index) else others:
+        for kind in OF_ONE if v.index in ("", index) or base_name(v.name) == array else others:
             if kind in ("size", "signed_square", "sign", "root") and _one_sign(found, v):
                 continue  # the same as a value, a square, or a constant
             shape = {"sign": SLIDES * sizes[v], "root": sizes[v]}.get(kind, 1.0)

@@ -3,23 +3,27 @@
 - A measured output of the component itself: what a term adds is seen as it is.
 - An output that was not measured, behind which another component has measured ones: what a small constant shift of the output does there,
   at each time, tells what a term does there.
+- An input of a component with several measured outputs: what a term does to them is simulated, with the component alone. One law at an
+  input shows in all of them, as the component makes it (filtered, turned), where laws at the outputs would be as many.
 - An input of a component with measured outputs behind it that add up what goes in (they are not replayed alone): what a term does to all
   that is measured is simulated in the closed loop.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from robomill.diagnosis.experiment.component_replay import KNOWN, ComponentReplay
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate
+from robomill.diagnosis.forms.doubts import Doubts, likeliest, passed_on
 from robomill.diagnosis.forms.layout import Side
 from robomill.diagnosis.forms.library import OF_ONE, Term, library, periodic
 from robomill.diagnosis.forms.selection import Rows
 from robomill.diagnosis.forms.signals import Host, Variable, series, value, variables
+from robomill.models.components.correction import TIME
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 OTHERS = ("value", "sign")
@@ -38,13 +42,13 @@ class Seen:
     t: Sequence[FloatArray]
 
     @staticmethod
-    def of(laboratory: Laboratory, replays: Sequence[ComponentReplay], name: str, side: Side) -> Seen:
-        """The signals of a component in these replays."""
+    def of(laboratory: Laboratory, replays: Sequence[ComponentReplay], name: str, side: Side, in_loop: bool = False) -> Seen:
+        """The signals of a component in these replays; `in_loop` as in `series`."""
         host = Host.of(laboratory, replays[0].index, name)
         wanted = variables(host, side)
         found = []
         for r in replays:
-            ports = series(r, host, side, laboratory)
+            ports = series(r, host, side, laboratory, in_loop)
             made = {v: value(v, ports, r.grid) for v in wanted}
             found.append({v: x for v, x in made.items() if x is not None})
         return Seen(host, side, found, [r.grid for r in replays])
@@ -58,7 +62,8 @@ class Seen:
         """Terms for a port; `alone`: it is looked at by itself. Of an input none is about an output that shows it (`Host.shows`)."""
         index, unit = element.partition("[")[2].rstrip("]"), self.host.ports[element].unit or "1"
         known = [{v: x for v, x in k.items() if self.side == "output" or not self.host.shows(v.name, element)} for k in self.known]
-        return library(known, index, self.longest, OF_ONE if alone else OTHERS, unit)
+        array = base_name(element) if self.side == "input" else ""
+        return library(known, index, self.longest, OF_ONE if alone else OTHERS, unit, array)
 
     def angles(self, element: str) -> list[Variable]:
         """Variables that a port may be periodic in: angles and ways of its index, or all if it has none."""
@@ -72,43 +77,90 @@ class Problem:
     """Rows for a choice of terms, each of which is added to one port."""
 
     seen: Seen
-    targets: tuple[str, ...]
-    """Measured arrays that it explains."""
+    channels: tuple[str, ...]
+    """Measured channels that it explains."""
     terms: list[tuple[str, Term]]
     """(element of the port, term) of each column."""
     gap: list[FloatArray]
     """What is to be explained, by condition, [n, channels] over `scale`."""
+    scale: FloatArray
+    """Size of one in each channel [its unit]."""
     effect: Sequence[Mapping[str, FloatArray]]
     """By condition: element -> what one unit of it does to each channel at each time, [n, channels] over `scale`."""
     decimation: int
     step: float
     """Time between samples [s]."""
     extra: Mapping[tuple[str, Term], Sequence[FloatArray]] = field(default_factory=dict)
-    """Columns that were simulated, [n, channels] by condition."""
+    """Columns that were simulated, block means over the decimation of the laboratory, [blocks, channels] by condition."""
+    doubts: Sequence[Sequence[FloatArray]] = ()
+    """What each calibrated number may do, by condition, as `extra`."""
+    noise: FloatArray = field(default_factory=lambda: np.ones(1))
+    """Standard deviation of the noise of each channel, of block means over the decimation of the laboratory, over `scale`."""
+    off: Sequence[float] = ()
+    """How far off each calibrated number is taken to be [standard deviations]; what that does is no part of the rows."""
+    base: int = 1
+    """Decimation of the laboratory."""
+    in_loop: bool = False
+    """Whether the gap and all columns are those of the closed loop, and not of components alone."""
+    approximate: bool = False
+    """Whether the closed loop may do otherwise than the columns say: they are slopes, or of outputs that are not as they were measured."""
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Arrays of these channels."""
+        return tuple(dict.fromkeys(map(base_name, self.channels)))
 
     def column(self, element: str, term: Term) -> list[FloatArray]:
-        """What a term does, by condition, [n, channels]."""
+        """What a term does, by condition, block means over the decimation, [blocks, channels]."""
         if (element, term) in self.extra:
-            return list(self.extra[element, term])
+            return [decimate(x, self.decimation // self.base) for x in self.extra[element, term]]
         known = self.seen.known
-        return [e[element] * term.values(k, len(g))[:, None] for e, k, g in zip(self.effect, known, self.gap, strict=True)]
+        made = [e[element] * term.values(k, len(g))[:, None] for e, k, g in zip(self.effect, known, self.gap, strict=True)]
+        return [decimate(x, self.decimation) for x in made]
 
     def rows(self, terms: Sequence[tuple[str, Term]] | None = None) -> Rows:
-        """The rows of these terms, or of all; block means over the decimation."""
+        """The rows of these terms, or of all; block means."""
         terms = self.terms if terms is None else terms
         gap = [decimate(g, self.decimation) for g in self.gap]
-        columns = [[decimate(x, self.decimation) for x in self.column(*t)] for t in terms]
-        channels = gap[0].shape[1]
-        y = np.concatenate([g.T.ravel() for g in gap])
-        X = np.stack([np.concatenate([x.T.ravel() for x in c]) for c in columns], axis=1) if terms else np.zeros((len(y), 0))
+        channels, part = gap[0].shape[1], self.decimation // self.base
+        for z, parts in zip(self.off, self.doubts, strict=bool(self.off)):
+            gap = [g - z * decimate(x, part) for g, x in zip(gap, parts, strict=True)]
+        both = _stacked([gap, *(self.column(*t) for t in terms)])
+        y, X = both[:, 0], both[:, 1:]
         series_ = np.concatenate([np.repeat(i * channels + np.arange(channels), len(g)) for i, g in enumerate(gap)])
         condition = np.concatenate([np.full(g.size, i) for i, g in enumerate(gap)])
         position = np.concatenate([np.tile((np.arange(len(g)) + 0.5) / len(g), channels) for g in gap])
         return Rows(y, X, series_, condition, position, self.decimation * self.step)
 
+    def beside(self, terms: Sequence[tuple[str, Term]]) -> Problem:
+        """The problem with calibrated numbers as far off as leaves least beside these terms (`likeliest`)."""
+        if not self.doubts:
+            return self
+        part = self.decimation // self.base
+        rows = replace(self, off=()).rows(terms)
+        size = _stacked([[np.broadcast_to(self.noise / np.sqrt(part), decimate(g, self.decimation).shape) for g in self.gap]])
+        doubt = _stacked([[decimate(x, part) for x in parts] for parts in self.doubts])
+        return replace(self, off=tuple(map(float, likeliest(rows.y / size[:, 0], rows.X / size, doubt / size))))
+
     def periodic(self, element: str, v: Variable, k: float) -> list[tuple[str, Term]]:
         """Sine and cosine as columns."""
         return [(element, t) for t in periodic(v, k)]
+
+
+def _stacked(columns: Sequence[Sequence[FloatArray]]) -> FloatArray:
+    """One column of rows for each of these, [n, columns]; channels of a condition [samples, channels] one after the other."""
+    return np.stack([np.concatenate([x.T.ravel() for x in c]) for c in columns], axis=1)
+
+
+def doubted(problem: Problem, replays: Sequence[ComponentReplay], doubts: Doubts, deviation: Mapping[str, float]) -> Problem:
+    """The problem beside what calibrated numbers may do to it; `deviation`: that of the noise of each channel [its unit]."""
+    if not all(deviation.get(c) for c in problem.channels):
+        return problem
+    at = [replays[0].channels.index(c) for c in problem.channels]
+    moved = doubts.looped() if problem.in_loop else doubts.alone()
+    shown = [[x[:, at] / problem.scale for x in parts] for parts in moved if any(np.any(x[:, at]) for x in parts)]
+    noise = np.array([deviation[c] for c in problem.channels]) / problem.scale
+    return replace(problem, doubts=shown, noise=noise, base=replays[0].laboratory.decimation)
 
 
 def alike(laboratory: Laboratory, i: int) -> bool:
@@ -123,7 +175,7 @@ def direct(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
     channels = [c for c in replays[0].channels if c.partition(".")[0] == component and base_name(c) not in adding]
     if not channels:
         return []
-    seen = Seen.of(laboratory, replays, component, "output")
+    seen, d = Seen.of(laboratory, replays, component, "output"), laboratory.decimation
     found = []
     for column in channels:
         element = column.partition(".")[2]
@@ -136,13 +188,14 @@ def direct(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
             continue
         effect = [{element: np.full((len(g), 1), 1.0 / size)} for g in gap]
         terms = [(element, t) for t in seen.library(element, alone=True)]
-        found.append(Problem(seen, (base_name(column),), terms, [g / size for g in gap], effect, laboratory.decimation, replays[0].step))
+        scaled = [g / size for g in gap]
+        found.append(Problem(seen, (column,), terms, scaled, np.array([size]), effect, d, replays[0].step, base=d))
     return found
 
 
 def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: str) -> list[Problem]:
     """One problem for each output of a component that was not measured and that another one with measured outputs takes."""
-    found = []
+    found, d = [], laboratory.decimation
     for array, target in replays[0].hidden():
         adding = {a for r in replays for a in r.adding}
         channels = [c for c in replays[0].channels if c.partition(".")[0] == target and base_name(c) not in adding]
@@ -153,9 +206,7 @@ def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
         elements = [p for p in seen.host.ports if base_name(p) == base]
         at = [replays[0].channels.index(c) for c in channels]
         gap = [np.mean(r.residuals, axis=0)[:, at] for r in replays]
-        of = {a: [k for k, c in enumerate(channels) if base_name(c) == a] for a in map(base_name, channels)}
-        sizes = {a: _rms(replays, [g[:, some] for g in gap], [at[k] for k in some]) for a, some in of.items()}
-        scale = np.array([sizes[base_name(c)] or 1.0 for c in channels])
+        scale = _sizes(replays, gap, channels)
         effect: list[dict[str, FloatArray]] = []
         for r in replays:
             made = {}
@@ -168,38 +219,109 @@ def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
         if not any(np.any(x) for made in effect for x in made.values()):
             continue
         terms = [(e, t) for e in elements for t in seen.library(e, alone=len(elements) == 1)]
-        problem = Problem(seen, tuple(sizes), terms, [g / scale for g in gap], effect, laboratory.decimation, replays[0].step)
-        found.append(problem)
+        scaled = [g / scale for g in gap]
+        found.append(Problem(seen, tuple(channels), terms, scaled, scale, effect, d, replays[0].step, base=d, approximate=True))
     return found
+
+
+def entering(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: str, deviation: Mapping[str, float]) -> list[Problem]:
+    """One problem for the inputs of a component, as far as outputs show them; each term is simulated, the component alone.
+
+    Terms are of inputs, of the time, and of outputs that no input of now reaches: what was measured of the others holds what the law does
+    already. `deviation`: channels that count, with the standard deviation of their noise [unit of the channel].
+    """
+    seen = Seen.of(laboratory, replays, component, "input")
+    read = {n for n, p in seen.host.ports.items() if seen.host.is_input(n) or p.dependencies == ()} | {TIME}
+    seen = replace(seen, known=[{v: x for v, x in k.items() if v.name in read} for k in seen.known])
+    adding = {a for r in replays for a in r.adding}
+    reached = _reached(replays[0], component)
+    channels = tuple(c for c in replays[0].channels if c in deviation and c.partition(".")[0] in reached and base_name(c) not in adding)
+    if not channels:
+        return []
+    at = [replays[0].channels.index(c) for c in channels]
+    gap = [np.mean(r.residuals, axis=0)[:, at] for r in replays]
+
+    def does(r: ComponentReplay, column: str, push: FloatArray) -> FloatArray:
+        moved = r.follow({column: push}, [base_name(column)], component)
+        return passed_on(r, component, moved)[:, at]
+
+    usual = {column: _usual([r.inputs[component][column] for r in replays]) for column, _ in seen.host.sources.values()}
+    noise = np.array([deviation[c] for c in channels])
+    return _simulated(laboratory, replays, seen, channels, gap, noise, usual, does, in_loop=False)
 
 
 def into(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: str) -> list[Problem]:
     """One problem for the inputs of a component with measured outputs behind it that add up; each term is simulated in the closed loop."""
     if not any(a.partition(".")[0] in _reached(replays[0], component) for r in replays for a in r.adding):
         return []
-    seen = Seen.of(laboratory, replays, component, "input")
-    channels = replays[0].channels
+    seen = Seen.of(laboratory, replays, component, "input", in_loop=True)
     gap = [r.mean - r.nominal for r in replays]
-    arrays = list(map(base_name, channels))
-    of = {a: [k for k, x in enumerate(arrays) if x == a] for a in arrays}
-    sizes = {a: _rms(replays, [g[:, some] for g in gap], some) or 1.0 for a, some in of.items()}
-    scale = np.array([sizes[a] for a in arrays])
+
+    def does(r: ComponentReplay, column: str, push: FloatArray) -> FloatArray:
+        return r.pushed(component, column, push) - r.nominal
+
+    usual = {column: _usual([r.closed[0].columns[column] for r in replays]) for column, _ in seen.host.sources.values()}
+    channels = tuple(replays[0].channels)
+    return _simulated(laboratory, replays, seen, channels, gap, _sizes(replays, gap, channels), usual, does, in_loop=True)
+
+
+Does = Callable[[ComponentReplay, str, FloatArray], FloatArray]
+"""What all channels of a problem do, [n, channels], where something [n] is added to a column."""
+
+
+def _simulated(
+    laboratory: Laboratory,
+    replays: Sequence[ComponentReplay],
+    seen: Seen,
+    channels: tuple[str, ...],
+    gap: Sequence[FloatArray],
+    scale: FloatArray,
+    usual: Mapping[str, float],
+    does: Does,
+    *,
+    in_loop: bool,
+) -> list[Problem]:
+    """The problem of the `gap` in some channels, over `scale`, with terms at inputs that are simulated one by one; none without any term.
+
+    `usual`: size of what passes, by column; a push is KNOWN of it. `in_loop`: gap and columns are those of the closed loop.
+    """
     terms, extra = [], {}
-    for element, (column, _) in seen.host.sources.items():
+    for element, (column, late) in seen.host.sources.items():
         if element not in seen.host.ports:
             continue
-        usual = max(float(np.sqrt(np.mean(r.closed[0].columns[column] ** 2))) for r in replays)
-        for term in seen.library(element, alone=True):
+        unit, wanted = replays[0].unit(column), seen.host.ports[element].unit or ""
+        one = laboratory.convert(1.0, wanted, unit) - laboratory.convert(0.0, wanted, unit) if unit != wanted and unit and wanted else 1.0
+        for term in seen.library(element, alone=in_loop):
             made = []
             for r, known in zip(replays, seen.known, strict=True):
                 x = term.values(known, len(r.grid))
-                push = KNOWN * usual / (float(np.sqrt(np.mean(x**2))) or 1.0)
-                made.append((r.pushed(component, column, push * x) - r.nominal) / (push * scale))
+                x = np.append(x[1:], x[-1]) if late else x  # it arrives a step later than it is sent
+                push = KNOWN * usual[column] / (_usual([x]) or 1.0)
+                made.append(decimate(one * does(r, column, push * x) / (push * scale), laboratory.decimation))
             if any(np.any(x) for x in made):
                 terms.append((element, term))
                 extra[element, term] = made
     step, scaled = replays[0].step, [g / scale for g in gap]
-    return [Problem(seen, tuple(dict.fromkeys(arrays)), terms, scaled, [], laboratory.decimation, step, extra)] if terms else []
+    d = laboratory.decimation
+    read = {v.name for known in seen.known for v in known} & set(seen.host.ports)
+    approximate = in_loop or not all(map(seen.host.is_input, read))
+    if not terms:
+        return []
+    return [Problem(seen, channels, terms, scaled, scale, [], d, step, extra, base=d, in_loop=in_loop, approximate=approximate)]
+
+
+def _usual(values: Sequence[FloatArray]) -> float:
+    """The largest root mean square of these series."""
+    return max(float(np.sqrt(np.mean(x**2))) for x in values)
+
+
+def _sizes(replays: Sequence[ComponentReplay], gap: Sequence[FloatArray], channels: Sequence[str]) -> FloatArray:
+    """Size of the gap in the array of each of these channels; 1 where it is roundoff."""
+    arrays = [base_name(c) for c in channels]
+    of = {a: [k for k, x in enumerate(arrays) if x == a] for a in arrays}
+    at = [replays[0].channels.index(c) for c in channels]
+    sizes = {a: _rms(replays, [g[:, some] for g in gap], [at[k] for k in some]) for a, some in of.items()}
+    return np.array([sizes[a] or 1.0 for a in arrays])
 
 
 def _reached(replay: ComponentReplay, component: str) -> set[str]:

@@ -297,10 +297,10 @@ def choose(rows: Rows, offsets: Sequence[int] = ()) -> Chosen:
     there is an offset, no other term alone says much.
     """
     ways = product(dict.fromkeys([(), tuple(offsets)]), (Rows.spans, Rows.parts))
-    return max((_chosen_in(rows, first, divided) for first, divided in ways), key=lambda c: c.closure)
+    return max((chosen_in(rows, first, divided) for first, divided in ways), key=lambda c: c.closure)
 
 
-def _chosen_in(rows: Rows, offsets: Sequence[int], divided: Divided) -> Chosen:
+def chosen_in(rows: Rows, offsets: Sequence[int], divided: Divided) -> Chosen:
     """The terms, where rows are divided into folds in this way."""
     rho, pairs = 0.0, 0
     while True:

@@ -124,24 +124,23 @@ def _per_second(unit: str) -> str:
     return "1/s" if unit == "1" else f"({unit})/s" if "/" in unit else f"{unit}/s"
 
 
-def series(replay: ComponentReplay, host: Host, side: str, laboratory: Laboratory) -> dict[str, FloatArray]:
+def series(replay: ComponentReplay, host: Host, side: str, laboratory: Laboratory, in_loop: bool = False) -> dict[str, FloatArray]:
     """Values of the ports of the component in a condition, element -> [n]; what was never measured nor replayed is not there.
 
     Inputs as they were measured, or else as they were replayed, a step late where they arrive so. Outputs as the component gives them with
     these inputs, where it is they that are corrected; else as they were measured, or else as they are in the nominal closed loop, a step
-    late: what the component has when it steps.
+    late: what the component has when it steps. `in_loop`: what was not measured is as in the nominal closed loop; a replay adds up errors.
     """
     found: dict[str, FloatArray] = {}
-    given = replay.inputs[host.name]
+    given, measured = replay.inputs[host.name], replay.signals()
     for element, (column, late) in host.sources.items():
         if element in host.ports and column in given:
             stated, wanted = replay.unit(column), host.ports[element].unit or ""
-            values = given[column]
+            values = replay.in_the_loop(column) if in_loop and column not in measured else given[column]
             if stated and wanted and stated != wanted:
                 zero, one = (laboratory.convert(x, stated, wanted) for x in (0.0, 1.0))
                 values = zero + (one - zero) * values
             found[element] = _late(values) if late else values
-    measured = replay.signals()
     for element in host.ports:
         column = f"{host.name}.{element}"
         if host.is_input(element):
@@ -150,7 +149,7 @@ def series(replay: ComponentReplay, host: Host, side: str, laboratory: Laborator
             if column in measured:
                 found[element] = _late(measured[column])
             elif column in replay.closed[0].columns:
-                found[element] = _late(np.interp(replay.grid, replay.closed[0].t, replay.closed[0].columns[column]))
+                found[element] = _late(replay.in_the_loop(column))
         elif column in replay.base.columns:
             found[element] = np.interp(replay.grid, replay.base.t, replay.base.columns[column])
     return found

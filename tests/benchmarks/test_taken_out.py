@@ -14,7 +14,8 @@ from robomill.cell.binding import convert, resolve
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.preparation import prepared
-from robomill.diagnosis.forms.discovery import Solved, like_delays, port_forms, solve
+from robomill.diagnosis.forms.discovery import like_delays, port_forms
+from robomill.diagnosis.forms.solving import Solved, solve
 from robomill.diagnosis.forms.layout import Form, PortForm
 from robomill.diagnosis.forms.ports import direct
 from robomill.diagnosis.outcome.closure import HowFar

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robomill.diagnosis.forms import discovery
+from robomill.diagnosis.forms import solving
 from robomill.diagnosis.forms.library import Factor, Term
 from robomill.diagnosis.forms.periods import grid, with_periods
 from robomill.diagnosis.forms.ports import Problem, Seen
@@ -41,7 +41,7 @@ def problem(angles: Sequence[FloatArray], waves: float, size: float = 1.0) -> Pr
     known = [{ANGLE: q} for q in angles]
     t: list[FloatArray] = [STEP * np.arange(len(q), dtype=np.float64) for q in angles]
     effect = [{"torque[1]": np.ones((len(q), 1))} for q in angles]
-    return Problem(Seen(host, "output", known, t), ("drive.torque",), [], gap, effect, 3, STEP)
+    return Problem(Seen(host, "output", known, t), ("drive.torque[1]",), [], gap, np.ones(1), effect, 3, STEP, base=3)
 
 
 def test_a_wave_that_is_seen_where_the_motion_is_slow_is_found_although_it_goes_by_too_fast_elsewhere() -> None:
@@ -57,10 +57,10 @@ def test_a_wave_that_is_seen_where_the_motion_is_slow_is_found_although_it_goes_
 def test_a_port_whose_terms_left_out_parts_refute_has_its_wave_or_no_form(size: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Terms whose closure is below zero in parts that have not seen them are none; a wave is looked for beside nothing then."""
     one = replace(problem([turned(), turned() + 0.3], WAVES, size), terms=[("torque[1]", Term((Factor("value", ANGLE),)))])
-    monkeypatch.setattr(discovery, "choose", lambda rows, offsets: Chosen([0], -0.1, 0.0, rows, 0, Rows.spans))
-    found = discovery.solve(one)
+    monkeypatch.setattr(solving, "choose", lambda rows, offsets: Chosen([0], -0.1, 0.0, rows, 0, Rows.spans))
+    found = solving.solve(one)
     kinds = {term.factors[0].kind for _, term in found.terms}
-    left, gap = float(found.left.sum()), sum(float((g**2).sum()) for g in one.gap)
+    left, gap = sum(float(x.sum()) for x in found.left.values()), sum(float(x.sum()) for x in found.gap.values())
     assert left == pytest.approx((1.0 - found.closure) * gap, rel=1e3 * ROUNDOFF)
     if size:
         assert kinds == {"sine", "cosine"}
