@@ -15,9 +15,9 @@ from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.forms.discovery import like_delays, port_forms
-from robomill.diagnosis.forms.solving import Solved, solve
 from robomill.diagnosis.forms.layout import Form, PortForm
 from robomill.diagnosis.forms.ports import direct
+from robomill.diagnosis.forms.solving import Solved, solve
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.orchestration.runs.run import Run
 from tests.tolerances import ROUNDOFF
