@@ -333,6 +333,8 @@ def lines(answer: Answer) -> list[str]:
         if (nearest := answer.closer) is not None and not answer.form.refuted:
             closed = f"{100 * (nearest.closure or 0.0):.0f} %, {nearest.on}"
             out.append(f"form: the effects that are nearest close more of the whole gap (all signals, each over its noise), {closed}")
+    elif answer.verdict == "unknown":
+        out.append("form: none was found that predicts parts of the runs that were left out")
     if answer.next_run:
         out.append(f"next run: {answer.next_run.text}")
     return out

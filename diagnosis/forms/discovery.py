@@ -87,7 +87,8 @@ def like_delays(found: Sequence[Solved]) -> tuple[str, ...]:
                 continue
             v = term.factors[0].variable
             is_own_rate = v.rate and v.name == element
-            if is_own_rate or _moves_with(s, element, term):
+            alone = sum(e == element and _is_speed(s, element, t) for e, t in s.terms) <= 1  # two of them together are another delay
+            if alone and (is_own_rate or (v.index == _index(element) and _is_speed(s, element, term))):
                 late.setdefault(s.problem.seen.host.name, []).append((element, -float(c), [-float(interval[1]), -float(interval[0])]))
     texts = []
     for host, members in late.items():
@@ -106,11 +107,13 @@ def like_delays(found: Sequence[Solved]) -> tuple[str, ...]:
     return tuple(texts)
 
 
-def _moves_with(s: Solved, element: str, term: Term) -> bool:
-    """Whether a term is a speed of the unit of the port: then what passes is an angle (or a way) of it."""
-    return term.unit(s.problem.seen.host.ports[element].unit or "1") == "s" and term.factors[0].variable.index == element.partition("[")[
-        2
-    ].rstrip("]")
+def _index(element: str) -> str:
+    return element.partition("[")[2].rstrip("]")
+
+
+def _is_speed(s: Solved, element: str, term: Term) -> bool:
+    """Whether a term is the rate of something that has the unit of the port."""
+    return term.unit(s.problem.seen.host.ports[element].unit or "1") == "s"
 
 
 def _agreeing(members: list[tuple[str, float, list[float]]]) -> list[list[tuple[str, float, list[float]]]]:

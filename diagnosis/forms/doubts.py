@@ -34,7 +34,7 @@ class Doubts:
         return self._alone
 
     def looped(self) -> list[list[FloatArray]]:
-        """The same in the closed loop."""
+        """By number and condition, in the closed loop: block means of all channels, [blocks, channels]."""
         if self._looped is None:
             self._looped = self._shown([[r.looped(((n.address, n.scale),)) for r in self.replays] for n in self._numbers()])
         return self._looped

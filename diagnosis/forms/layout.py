@@ -5,7 +5,7 @@
     "form": {
       "component": "robot",                      # where the form is put in
       "side": "output",                          # "output": added to what comes out of it; "input": to what goes into it
-      "step_late": 0.0,                          # [s] delay that putting it in brings: one step, where it closes a loop
+      "step_late": 0.0,                          # [s] delay that putting it in brings: one step at inputs, if it reads outputs
       "ports": [                                 # largest part of the gap first
         {"port": "robot.torque_motor[1]", "unit": "N.m",
          "formula": "11.9 sgn(qd[1]) + 20.4 qd[1]",
@@ -126,7 +126,7 @@ class Form:
     side: Side
     """Added to what comes out of it, or to what goes into it."""
     step_late: float
-    """Delay [s] that putting it in brings: one step, where it closes a loop."""
+    """Delay [s] that putting it in brings: one step at inputs, if it reads outputs of the component."""
     ports: tuple[PortForm, ...]
     """Largest part of the gap first."""
     like: tuple[str, ...] = ()

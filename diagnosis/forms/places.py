@@ -99,7 +99,7 @@ class Places:
         return [_that_say_something(place) for place in self._best_first(list(outputs.values()))]
 
     def in_loop(self, components: Sequence[str]) -> list[Place]:
-        """The same for inputs of components with outputs behind them that are not replayed alone, by what they do in the closed loop."""
+        """Inputs of each component with outputs behind it that are not replayed alone, by the closed loop; the best place first."""
         tried = [self._place(name, "input", into(self.laboratory, self.replays, name)) for name in components]
         return [_that_say_something(place) for place in self._best_first(tried)]
 

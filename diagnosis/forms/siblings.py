@@ -1,6 +1,6 @@
-"""The same law in all elements of a port: a sensor that is not linear is so in each of its axes.
+"""One law in all elements of a port: a sensor that is not linear is so in each of its axes.
 
-Terms are chosen one by one. Of two that say nearly the same of these runs, such as x^2 and -x |x| where x is hardly ever positive, chance
+Terms are chosen one by one. Where two say nearly the same of these runs, such as x^2 and -x |x| where x is hardly ever positive, chance
 takes one; another run may tell them apart. What the other elements of the array do says more than chance.
 """
 

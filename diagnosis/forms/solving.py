@@ -29,7 +29,7 @@ class Solved:
     left: Mapping[str, FloatArray]
     """Channel -> squares left in each of BLOCKS blocks of time of each condition, [conditions * BLOCKS], in samples of the laboratory."""
     gap: Mapping[str, FloatArray]
-    """The same of the gap."""
+    """Channel -> squares of the gap, as `left`."""
 
 
 def solve(problem: Problem) -> Solved:

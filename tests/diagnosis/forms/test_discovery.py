@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -204,12 +204,21 @@ class TestOnset:
         assert onset_of(search) is None
 
 
+def late_by(*seconds: float) -> Any:
+    """A form of one port: rates of what it shows, with these coefficients."""
+    host = SimpleNamespace(name="probe", ports={"shown": SimpleNamespace(unit="rad")})
+    variable = SimpleNamespace(rate=True, name="shown", index="")
+    term = SimpleNamespace(factors=[SimpleNamespace(kind="value", variable=variable)], unit=lambda port: "s")
+    intervals = [[x * (3.12 / 3.05), x * (2.98 / 3.05)] for x in seconds]
+    found = SimpleNamespace(values=list(seconds), intervals=intervals)
+    terms = [("shown", term) for _ in seconds]
+    return SimpleNamespace(terms=terms, found=found, problem=SimpleNamespace(seen=SimpleNamespace(host=host)))
+
+
 @pytest.mark.parametrize(("seconds", "said"), [(-3.05e-3, "3.05 ms (2.98 to 3.12)"), (-32.4, "32.4 s (31.7 to 33.1)")])
 def test_a_delay_is_in_a_unit_that_one_reads(seconds: float, said: str) -> None:
-    host = SimpleNamespace(name="probe")
-    variable = SimpleNamespace(rate=True, name="shown")
-    term = SimpleNamespace(factors=[SimpleNamespace(kind="value", variable=variable)])
-    interval = [seconds * (3.12 / 3.05), seconds * (2.98 / 3.05)]
-    found = SimpleNamespace(values=[seconds], intervals=[interval])
-    solved = SimpleNamespace(terms=[("shown", term)], found=found, problem=SimpleNamespace(seen=SimpleNamespace(host=host)))
-    assert like_delays(cast("Any", [solved])) == (f"like a delay of {said} in probe.shown",)
+    assert like_delays([late_by(seconds)]) == (f"like a delay of {said} in probe.shown",)
+
+
+def test_two_rates_of_one_port_are_not_said_to_be_a_delay() -> None:
+    assert like_delays([late_by(-12.2e-3, 7.9e-3)]) == ()

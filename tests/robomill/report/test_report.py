@@ -609,8 +609,11 @@ def test_of_an_answer_that_is_unknown_the_console_says_which_is_likeliest_if_the
         "which: backlash at joint 4, probability 0.00 (0.10 if the cause is in the catalogue)",
     ]
     assert sum(line.startswith("where") for line in said) == 1
+    none = "form: none was found that predicts parts of the runs that were left out"
+    assert none in said
     sure = lines(replace(answer, verdict="ambiguous"))
     assert not any("if the cause is in the catalogue" in line for line in sure)
+    assert none not in sure
 
 
 def test_many_causes_are_counted() -> None:
