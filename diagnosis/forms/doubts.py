@@ -82,14 +82,16 @@ def likeliest(y: FloatArray, X: FloatArray, doubt: FloatArray) -> FloatArray:
     """Numbers z [m] that leave least of y - X c - D z, with any coefficients c, each in the 90 % interval of its calibration.
 
     y [n], terms X [n, k] and what numbers do, D [n, m], are in deviations of noise. Least is |y - X c - D z|^2 / s + |z|^2, with s the mean
-    square that the terms alone leave, if that is more than noise: laws that are not quite right leave something, too.
+    square that is left, if that is more than noise: laws that are not quite right leave something, too.
     """
     k, m = X.shape[1], doubt.shape[1]
     size = np.sqrt((X**2).sum(axis=0))
-    X = X / np.where(size > 0.0, size, 1.0)
-    alone = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
-    weight = 1.0 / max(float(np.sqrt(np.mean(alone**2))), 1.0)
+    both = np.column_stack([X / np.where(size > 0.0, size, 1.0), doubt])
     prior = np.column_stack([np.zeros((m, k)), np.eye(m)])
-    q, r = np.linalg.qr(np.concatenate([weight * np.column_stack([X, doubt]), prior]))
     ends = np.concatenate([np.full(k, np.inf), np.full(m, 1.645)])
-    return np.asarray(lsq_linear(r, q.T @ np.concatenate([weight * y, np.zeros(m)]), (-ends, ends)).x[k:])
+    weight = 1.0
+    for _ in range(2):  # the second time it is known what is left
+        q, r = np.linalg.qr(np.concatenate([weight * both, prior]))
+        found = lsq_linear(r, q.T @ np.concatenate([weight * y, np.zeros(m)]), (-ends, ends)).x
+        weight = 1.0 / max(float(np.sqrt(np.mean((y - both @ found) ** 2))), 1.0)
+    return np.asarray(found[k:])

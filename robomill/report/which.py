@@ -14,6 +14,10 @@ from robomill.report.units import number, percent, quantity, relative, with_inte
 
 PAIRS = 12
 """Pairs of candidates that are listed, at most."""
+_ALONE = (
+    "Every candidate of the catalogue was fitted in the closed loop, alone and together. This one remains, or something without a name:"
+)
+"""In place of the introduction where an ambiguous answer has one effect."""
 _INTRO = {
     "none": "None is needed. These came closest:",
     "identified": "Every candidate of the catalogue was fitted in the closed loop, alone and together. These remain:",
@@ -46,7 +50,8 @@ def section(s: Subject) -> str:
         return paragraph(_INTRO[s.verdict]) + table(("Effect", "Value (90 % interval)", "Component"), closest) + paragraph(_tried(s))
     shown = table(("Effect", "Probability", "Value (90 % interval)", "Component", "Could be confused with"), rows)
     onset = paragraph(f"{spoken(s.answer.onset.text)}.") if s.answer.onset else ""
-    return paragraph(_INTRO[s.verdict]) + shown + onset + _sets(s) + _isolability(s) + paragraph(_tried(s)) + _adopt(s)
+    alone = s.verdict == "ambiguous" and len(s.answer.which) == 1
+    return paragraph(_ALONE if alone else _INTRO[s.verdict]) + shown + onset + _sets(s) + _isolability(s) + paragraph(_tried(s)) + _adopt(s)
 
 
 def _small(w: Which) -> str:

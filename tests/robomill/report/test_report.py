@@ -582,6 +582,14 @@ def test_a_set_is_shown_where_it_is_likelier_than_its_likeliest_member(probabili
     assert ("Sets that hold the cause" in section(_saying(s, families=(family,)))) is said
 
 
+@pytest.mark.parametrize(
+    ("count", "said"), [(1, "This one remains, or something without a name"), (2, "These remain, and the runs cannot choose")]
+)
+def test_what_an_ambiguous_answer_leaves_is_said_by_number(count: int, said: str) -> None:
+    entries = [Which("coulomb", "drive", f"joint {i}", 0.55, {f"coulomb[{i}]": Estimate(0.3, [0.2, 0.4], "N.m")}, []) for i in (1, 2)]
+    assert said in section(_cell(*entries[:count], verdict="ambiguous"))
+
+
 def test_effects_that_are_not_printed_are_counted() -> None:
     size = {"backlash[3]": Estimate(8e-5, [7e-5, 9e-5], "rad")}
 
