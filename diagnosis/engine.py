@@ -16,7 +16,7 @@ from robomill.diagnosis.experiment.simulation import Report, Simulator, setting
 from robomill.diagnosis.experiment.store import Store
 from robomill.diagnosis.forms.discovery import discovered, left_in, suspects
 from robomill.diagnosis.forms.instead import LITTLE
-from robomill.diagnosis.forms.onset import onset_of
+from robomill.diagnosis.forms.onset import onset_of, stands
 from robomill.diagnosis.gate import log_faults, phases
 from robomill.diagnosis.gate.checks import Finding, stopped
 from robomill.diagnosis.gate.gate import Gate
@@ -148,6 +148,8 @@ def diagnose_campaign(
             answer = replace(answer, onset=replace(onset, named=named) if onset is not None else None)
         if answer.verdict == "unknown" or form:
             answer = replace(answer, form=discovered(search, groups, suspects(answer, laboratory), conclusion.titles, left_in(answer)))
+            if answer.onset is not None and not stands(answer.onset, answer.form):
+                answer = replace(answer, onset=None)
         answer = replace(answer, effort=effort_of(began, simulator), skipped=tuple(skipped))
         return Diagnosis(
             answer, _on_top(adopted, laboratory.nominal), tuple(fits), tuple(channels), conclusion.curves(adopted), ports, conclusion.titles

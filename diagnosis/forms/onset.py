@@ -11,17 +11,21 @@ of what is left at the end: no more is sure than the model is.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from robomill.diagnosis.candidates import LOGGING, Candidate
+from robomill.diagnosis.forms.layout import Form
 from robomill.diagnosis.inference.adequacy import LEVEL, MISFIT
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.search import SINGLES, Search
+from robomill.diagnosis.localisation.where import WHOLE
 from robomill.diagnosis.outcome.closure import BLOCKS
+from robomill.diagnosis.outcome.how_far import DIAGNOSED
 from robomill.diagnosis.outcome.verdict import UNLISTED
+from robomill.models.components.correction import TIME
 from robomill.orchestration.slaves.protocol import FloatArray
 
 How = Literal["switches on", "grows"]
@@ -55,6 +59,8 @@ class Onset:
     """Growth per second [unit/s], where it grows."""
     gain: float
     """Log Bayes factor [nats] against the same effect, or a better one, all the time; of an onset between runs, against the same."""
+    closes: float = 0.0
+    """Part of the squares of the gap, each over its noise, that goes with it, 0..1."""
     named: bool = False
     """Whether the answer has the effect; else it is what the gap looks like."""
 
@@ -85,7 +91,23 @@ def onset_of(search: Search, right: Fit | None = None) -> Onset | None:
         for found in (_within(search, c, usual, other[c]), _between(search, c, other[c])):
             if found is not None and _may_be(c, found[1].value) and (best is None or found[0] < best[0]):
                 best = found
-    return None if best is None else best[1]
+    if best is None:
+        return None
+    space = search.evidence.space
+    return replace(best[1], closes=1.0 - best[0] / float(space.dot(space.y, space.y)))
+
+
+def stands(onset: Onset, form: Form | None) -> bool:
+    """Whether an onset is still what the gap looks like, beside a form that was found for it.
+
+    A law that is there all the time, and closes as much of the diagnosed runs in the loop, is in its place. An effect that the answer has
+    begins all the same.
+    """
+    if onset.named or form is None or not form.specification:
+        return True
+    of_time = any(f["variable"] == TIME for term in form.specification["terms"] for f in term["factors"])
+    closed = [h.closure for h in form.how_far if h.channel == WHOLE and h.on == DIAGNOSED and h.closure is not None]
+    return of_time or max(closed, default=0.0) < onset.closes
 
 
 def _may_be(c: Candidate, value: float) -> bool:

@@ -15,13 +15,15 @@ from robomill.cell.binding import resolve as with_forms
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.experiment.simulation import Simulator
+from robomill.diagnosis.forms import onset
 from robomill.diagnosis.forms.discovery import discovered, like_delays, suspects
 from robomill.diagnosis.forms.layout import Form
 from robomill.diagnosis.forms.onset import onset_of
 from robomill.diagnosis.inference.search import Search
-from robomill.diagnosis.localisation.where import Where
+from robomill.diagnosis.localisation.where import WHOLE, Where
 from robomill.diagnosis.outcome import adopt
 from robomill.diagnosis.outcome.answer import Answer
+from robomill.diagnosis.outcome.how_far import DIAGNOSED
 from robomill.models.components.file_names import FORM
 from robomill.models.model.units import convert
 from robomill.orchestration.assembly import run
@@ -198,6 +200,23 @@ class TestOnset:
         assert right is not None
         found = onset_of(search, right)
         assert (None if found is None else found.location) == (None if since < 0.0 else "sensor 2")
+
+    @pytest.mark.parametrize(
+        ("closed", "variable", "named", "stands"),
+        [(0.99, "y", False, False), (0.5, "y", False, True), (0.99, "t", False, True), (0.99, "y", True, True)],
+    )
+    def test_a_law_that_is_there_all_the_time_and_closes_as_much_is_in_its_place(
+        self, tmp_path: Path, closed: float, variable: str, named: bool, stands: bool
+    ) -> None:
+        search, _, _ = looked_at(tmp_path, self.gained(4.5))
+        found = onset_of(search)
+        assert found is not None
+        assert 0.9 < found.closes < 0.99
+        how_far: Any = (SimpleNamespace(channel=WHOLE, on=DIAGNOSED, closure=closed),)
+        form = Form("sensors", "output", 0.0, (), how_far=how_far, specification={"terms": [{"factors": [{"variable": variable}]}]})
+        assert onset.stands(replace(found, named=named), form) is stands
+        assert onset.stands(found, replace(form, specification={}))  # refuted
+        assert onset.stands(found, None)
 
     def test_an_effect_that_is_always_there_has_none(self, tmp_path: Path) -> None:
         search, _, _ = looked_at(tmp_path, self.gained(-1.0))
