@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robomill.diagnosis.experiment.component_replay import ComponentReplay
+from robomill.diagnosis.experiment.component_replay import KNOWN, ComponentReplay
 from robomill.diagnosis.experiment.simulation import Laboratory
 from robomill.models.components.correction import TIME
 from robomill.models.model.units import compatible
@@ -128,11 +128,13 @@ def series(replay: ComponentReplay, host: Host, side: str, laboratory: Laborator
     """Values of the ports of the component in a condition, element -> [n]; what was never measured nor replayed is not there.
 
     Inputs as they were measured, or else as they were replayed, a step late where they arrive so. Outputs as the component gives them with
-    these inputs, where it is they that are corrected; else as they were measured, or else as they are in the nominal closed loop, a step
-    late: what the component has when it steps. `in_loop`: what was not measured is as in the nominal closed loop; a replay adds up errors.
+    these inputs, where it is they that are corrected. Else they are as measured, or as what was measured behind them has it (`restored`),
+    or as they are in the nominal closed loop; a step late, which is what the component has when it steps. `in_loop`: inputs that were not
+    measured are as in the nominal closed loop, because a replay adds up errors.
     """
     found: dict[str, FloatArray] = {}
     given, measured = replay.inputs[host.name], replay.signals()
+    hidden = restored(replay, host.name, in_loop) if side == "input" else {}
     for element, (column, late) in host.sources.items():
         if element in host.ports and column in given:
             stated, wanted = replay.unit(column), host.ports[element].unit or ""
@@ -148,10 +150,39 @@ def series(replay: ComponentReplay, host: Host, side: str, laboratory: Laborator
         if side == "input":
             if column in measured:
                 found[element] = _late(measured[column])
+            elif element in hidden:
+                found[element] = _late(hidden[element])
             elif column in replay.closed[0].columns:
                 found[element] = _late(replay.in_the_loop(column))
         elif column in replay.base.columns:
             found[element] = np.interp(replay.grid, replay.base.t, replay.base.columns[column])
+    return found
+
+
+def restored(replay: ComponentReplay, name: str, in_loop: bool) -> dict[str, FloatArray]:
+    """Outputs of a component that were not measured, as what was measured behind them has it: element -> [n].
+
+    A small constant shift of each output tells what it does there, J [n, channels, elements]. With the gap there, g [n, channels], the
+    output was off by J^+ g: an output that a sensor shows is what it has shown. Without those that measured channels do not tell apart.
+    """
+    found: dict[str, FloatArray] = {}
+    gap = replay.mean - replay.nominal if in_loop else np.mean(replay.residuals, axis=0)
+    for array, target in replay.hidden():
+        own = [i for i, c in enumerate(replay.channels) if c.partition(".")[0] == target]
+        at = [i for i in own if in_loop or base_name(replay.channels[i]) not in replay.adding]
+        columns = [k for k in replay.base.columns if base_name(k) == array]
+        if array.partition(".")[0] != name or len(at) < len(columns):
+            continue
+        usual = [replay.in_the_loop(k) if in_loop else np.interp(replay.grid, replay.base.t, replay.base.columns[k]) for k in columns]
+        does = []
+        for k, x in zip(columns, usual, strict=True):
+            push = KNOWN * (float(np.ptp(x)) or max(float(np.abs(x).max()), KNOWN))
+            moved = replay.follow({k: np.full(len(replay.grid), push)}, [array], target)
+            does.append(np.stack([moved[replay.channels[i]] for i in at], axis=1) / push)
+        J = np.stack(does, axis=2)
+        if np.linalg.matrix_rank(J).min() == len(columns):
+            off = (np.linalg.pinv(J) @ gap[:, at, None])[..., 0]
+            found |= {k.partition(".")[2]: x + off[:, j] for j, (k, x) in enumerate(zip(columns, usual, strict=True))}
     return found
 
 
