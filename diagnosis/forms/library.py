@@ -117,6 +117,7 @@ def library(
     What a variable changed since the start is a term where it has the unit of the port: a motion that another one drags along.
     Products are those of variables of the same index (and of scalars): a port of an array of joints is about one joint first. Of
     variables with another index there are only the kinds in `others`, but for those of the `array`: its elements may talk to each other.
+    A port without an index is about any of them.
     """
     shared = [v for v in found[0] if all(v in other for other in found)]
     sizes = {v: max(float(np.abs(known[v]).max()) for known in found) for v in shared}
@@ -128,7 +129,7 @@ def library(
         if v.since_start:
             terms += [Term((Factor("value", v),))] if v.unit == unit else []
             continue
-        for kind in OF_ONE if v.index in ("", index) or base_name(v.name) == array else others:
+        for kind in OF_ONE if not index or v.index in ("", index) or base_name(v.name) == array else others:
             if kind in ("size", "signed_square", "sign", "root") and _one_sign(found, v):
                 continue  # the same as a value, a square, or a constant
             shape = {"sign": SLIDES * sizes[v], "root": sizes[v]}.get(kind, 1.0)

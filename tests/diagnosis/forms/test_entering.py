@@ -12,6 +12,7 @@ import pytest
 
 from robomill.cell.binding import resolve as with_forms
 from robomill.diagnosis.experiment.campaign import Campaign
+from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.experiment.simulation import Simulator
 from robomill.diagnosis.forms.discovery import discovered
@@ -19,6 +20,7 @@ from robomill.diagnosis.forms.doubts import likeliest
 from robomill.diagnosis.forms.layout import Form
 from robomill.diagnosis.forms.loop import specification
 from robomill.diagnosis.forms.places import best_of
+from robomill.diagnosis.forms.signals import restored
 from robomill.diagnosis.inference.search import Search
 from robomill.models.components.file_names import FORM
 from robomill.models.model.units import convert
@@ -26,8 +28,8 @@ from robomill.orchestration.runs.run import Run
 from tests.diagnosis import demo
 from tests.tolerances import ROUNDOFF
 
-LOST = -0.1
-"""1/N2: part of the force that is lost, over its square."""
+LOST, HARDER = -0.1, -2e3
+"""1/N2: part of the force that is lost, over its square; and N/m3: force of a spring at the second mass, over the cube of its way."""
 
 
 def resolve(source: str, name: str) -> Any:
@@ -41,37 +43,53 @@ def looked_for(folder: Path, runs: Sequence[Run], held_out: Sequence[Run], compo
     return discovered(search, groups, components, {})
 
 
-@pytest.fixture
-def weaker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[list[Run], list[Run]]:
-    """Runs of masses on which a part of the force is lost, with the cube of the force, and held-out runs of a larger one."""
-    factor = {"kind": "cube", "variable": "f", "rate": False, "since_start": False, "shape": 1.0}
-    term = {"element": "f", "coefficient": LOST, "unit": "1/N2", "text": "f^3", "factors": [factor]}
-    file = tmp_path / f"lost{FORM}"
-    file.write_text(json.dumps(specification("masses", [("f", "N", 0)], ["f"], [term])))
-    monkeypatch.setattr(demo, "SYSTEM", demo.SYSTEM.with_correction("masses", str(file)))
-    monkeypatch.setattr(demo, "resolve", resolve_as(demo.resolve))
-    made = demo.measure(repeats=3), demo.measure(amplitude=1.3, repeats=3)
-    monkeypatch.undo()
-    return made
+def runs_of(folder: Path, monkeypatch: pytest.MonkeyPatch, variable: str, coefficient: float, unit: str) -> tuple[list[Run], list[Run]]:
+    """Runs of masses with a force more, which goes with the cube of a variable, and held-out runs of a larger force."""
+    factor = {"kind": "cube", "variable": variable, "rate": False, "since_start": False, "shape": 1.0}
+    term = {"element": "f", "coefficient": coefficient, "unit": unit, "text": f"{variable}^3", "factors": [factor]}
+    read = [("f", "N", 0)] if variable == "f" else [("x", "m", 2), ("f", "N", 0)]
+    file = folder / f"more{FORM}"
+    file.write_text(json.dumps(specification("masses", read, ["f"], [term])))
+    with monkeypatch.context() as patch:
+        patch.setattr(demo, "SYSTEM", demo.SYSTEM.with_correction("masses", str(file)))
+        patch.setattr(demo, "resolve", opening_forms(demo.resolve))
+        return demo.measure(repeats=3), demo.measure(amplitude=1.3, repeats=3)
 
 
-def resolve_as(plain: Any) -> Any:
+def opening_forms(plain: Any) -> Any:
     return lambda source, name: with_forms(source, name) if source.endswith(FORM) else plain(source, name)
 
 
-def test_a_law_at_an_input_is_found_by_what_the_component_makes_of_it(tmp_path: Path, weaker: tuple[list[Run], list[Run]]) -> None:
-    form = looked_for(tmp_path, *weaker, ["masses", "sensors"])
+@pytest.mark.parametrize(("variable", "coefficient", "unit"), [("f", LOST, "1/N2"), ("x[2]", HARDER, "N/m3")])
+def test_a_law_at_an_input_is_found_by_what_the_component_makes_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str, coefficient: float, unit: str
+) -> None:
+    """The way of the mass is not measured: it is what the sensor behind it has shown."""
+    form = looked_for(tmp_path, *runs_of(tmp_path, monkeypatch, variable, coefficient, unit), ["masses", "sensors"])
     assert form is not None
     (port,) = form.ports
     assert (form.component, form.side, port.port) == ("masses", "input", "masses.f")
     (term,) = port.terms
-    assert term.term == "f^3"
-    assert term.unit == "1/N2"
-    assert abs(term.coefficient - LOST) < demo.WELL * abs(LOST)
-    assert form.step_late == 0.0  # it reads what goes in, and nothing that comes out
+    assert term.term == f"{variable}^3"
+    assert term.unit == unit
+    assert abs(term.coefficient - coefficient) < demo.WELL * abs(coefficient)
+    assert form.step_late == (0.0 if variable == "f" else demo.STEP)  # what comes out is read a step late
     closures = {(h.on, h.channel): h.closure for h in form.how_far}
     assert (closures["held-out condition", "sensors.y"] or 0.0) > 0.9
     assert form.specification
+
+
+def test_an_output_that_was_not_measured_is_what_a_sensor_behind_it_has_shown(tmp_path: Path) -> None:
+    runs = demo.measure({"masses": {"cubic": 2e4}}, repeats=3)
+    start = prepared(Campaign.of(demo.SYSTEM, runs, []), demo.catalogue(tmp_path), resolve, convert)
+    replay = ComponentReplay.of(start.laboratory, 0)
+    found = restored(replay, "masses", in_loop=False)
+    assert set(found) == {"x[1]", "x[2]"}
+    for i in (1, 2):
+        shown = np.mean([r.columns[f"sensors.y[{i}]"] for r in runs], axis=0)
+        np.testing.assert_allclose(found[f"x[{i}]"][1:], shown[1:], atol=1e3 * ROUNDOFF)  # at the start nothing shows yet
+        assert np.abs(replay.in_the_loop(f"masses.x[{i}]") - shown).max() > 20.0 * demo.NOISE
+    assert restored(replay, "sensors", in_loop=False) == {}
 
 
 @pytest.mark.parametrize(("deviations", "said"), [(1.5, False), (6.0, True)])
