@@ -142,7 +142,7 @@ def discovered(
     try:
         replays = [ComponentReplay.of(shown, i) for shown in [laboratory.shown_in(own)] for i in own]
         measured = zip(itertools.compress(laboratory.channels, search.evidence.active), search.evidence.whitening.deviation, strict=True)
-        noise = {c: float(d) for c, d in measured if not arrays or base_name(c) in arrays}
+        noise = {c: float(d) for c, d in measured}
         places = Places(laboratory.shown_in(own), replays, noise, Doubts(replays, search.nuisances), frozenset(arrays))
         alone, looped = places.alone(components), places.in_loop(components)
     except OrchestrationError as error:

@@ -79,10 +79,10 @@ class Places:
     laboratory: Laboratory
     replays: Sequence[ComponentReplay]
     deviation: Mapping[str, float]
-    """Standard deviation of the noise of each channel that is to be explained, of block means [its unit]."""
+    """Standard deviation of the noise of each channel, of block means [its unit]; where nothing is left, that speaks, too."""
     doubts: Doubts
     arrays: Set[str]
-    """Measured arrays that are to be explained; empty: all."""
+    """Measured arrays that something is to be explained of; empty: all."""
 
     def alone(self, components: Sequence[str]) -> list[Place]:
         """One place for each component that explains something alone; that which leaves least comes first.

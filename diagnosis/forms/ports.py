@@ -283,7 +283,7 @@ def _simulated(
 ) -> list[Problem]:
     """The problem of the `gap` in some channels, over `scale`, with terms at inputs that are simulated one by one; none without any term.
 
-    `usual`: size of what passes, by column; a push is KNOWN of it. `in_loop`: gap and columns are those of the closed loop.
+    `usual`: size of what passes, by column (`_push`). `in_loop`: gap and columns are those of the closed loop.
     """
     terms, extra = [], {}
     for element, (column, late) in seen.host.sources.items():
@@ -296,7 +296,7 @@ def _simulated(
             for r, known in zip(replays, seen.known, strict=True):
                 x = term.values(known, len(r.grid))
                 x = np.append(x[1:], x[-1]) if late else x  # it arrives a step later than it is sent
-                push = KNOWN * usual[column] / (_usual([x]) or 1.0)
+                push = _push(usual[column], x)
                 made.append(decimate(one * does(r, column, push * x) / (push * scale), laboratory.decimation))
             if any(np.any(x) for x in made):
                 terms.append((element, term))
@@ -308,6 +308,11 @@ def _simulated(
     if not terms:
         return []
     return [Problem(seen, channels, terms, scaled, scale, [], d, step, extra, base=d, in_loop=in_loop, approximate=approximate)]
+
+
+def _push(usual: float, x: FloatArray) -> float:
+    """How much of a term [n] is tried: KNOWN of the size of what passes, or of one where nothing passes."""
+    return KNOWN * (usual or 1.0) / (_usual([x]) or 1.0)
 
 
 def _usual(values: Sequence[FloatArray]) -> float:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robomill.diagnosis.forms.ports import Seen, _rms
+from robomill.diagnosis.experiment.component_replay import KNOWN
+from robomill.diagnosis.forms.ports import Seen, _push, _rms
 from robomill.diagnosis.forms.signals import Host, Variable
 from robomill.orchestration.slaves.protocol import PortData
 from tests.tolerances import ROUNDOFF
@@ -42,3 +43,8 @@ def test_what_goes_into_an_input_is_not_explained_by_an_output_that_shows_it(
     assert read("output", "shown") == {"q", "shown"}
     assert not host.shows("q", "q")
     assert not host.shows("t", "q")
+
+
+@pytest.mark.parametrize(("usual", "term", "push"), [(4.0, 2.0, 2.0 * KNOWN), (0.0, 2.0, 0.5 * KNOWN), (4.0, 0.0, 4.0 * KNOWN)])
+def test_a_term_is_tried_at_a_part_of_what_passes_also_where_nothing_does(usual: float, term: float, push: float) -> None:
+    assert _push(usual, np.full(10, term)) == pytest.approx(push, rel=ROUNDOFF)
