@@ -87,7 +87,7 @@ def test_an_output_that_was_not_measured_is_what_a_sensor_behind_it_has_shown(tm
     assert set(found) == {"x[1]", "x[2]"}
     for i in (1, 2):
         shown = np.mean([r.columns[f"sensors.y[{i}]"] for r in runs], axis=0)
-        np.testing.assert_allclose(found[f"x[{i}]"][1:], shown[1:], atol=1e3 * ROUNDOFF)  # at the start nothing shows yet
+        np.testing.assert_allclose(found[f"x[{i}]"][1:], shown[1:], rtol=0.0, atol=1e3 * ROUNDOFF)  # at the start nothing shows yet
         assert np.abs(replay.in_the_loop(f"masses.x[{i}]") - shown).max() > 20.0 * demo.NOISE
     assert restored(replay, "sensors", in_loop=False) == {}
 
