@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from robomill.diagnosis.experiment.component_replay import KNOWN
-from robomill.diagnosis.forms.ports import Seen, _push, _rms
+from robomill.diagnosis.forms.library import Factor, Term
+from robomill.diagnosis.forms.ports import Seen, _push, _rms, _screened
 from robomill.diagnosis.forms.signals import Host, Variable
 from robomill.orchestration.slaves.protocol import PortData
 from tests.tolerances import ROUNDOFF
@@ -48,3 +49,18 @@ def test_what_goes_into_an_input_is_not_explained_by_an_output_that_shows_it(
 @pytest.mark.parametrize(("usual", "term", "push"), [(4.0, 2.0, 2.0 * KNOWN), (0.0, 2.0, 0.5 * KNOWN), (4.0, 0.0, 4.0 * KNOWN)])
 def test_a_term_is_tried_at_a_part_of_what_passes_also_where_nothing_does(usual: float, term: float, push: float) -> None:
     assert _push(usual, np.full(10, term)) == pytest.approx(push, rel=ROUNDOFF)
+
+
+def test_of_more_terms_than_rows_can_tell_apart_those_stay_that_do_most_of_the_gap() -> None:
+    rng = np.random.default_rng(1)
+    gap = rng.normal(size=(40, 1))
+    terms = [(f"f[{k}]", Term((Factor("value", Variable(f"f[{k}]", False, "N", 99)),))) for k in range(60)]
+    columns = [(t, [rng.normal(size=(40, 1))]) for t in terms]
+    columns[50] = terms[50], [3.0 * gap]
+    columns[7] = terms[7], [np.zeros((40, 1))]
+    kept = _screened(columns, [gap])
+    assert len(kept) == int(40 / np.log(40))
+    assert terms[50] in kept
+    assert terms[7] not in kept
+    assert kept == sorted(kept, key=terms.index)
+    assert _screened(columns[:5], [gap]) == terms[:5]
