@@ -314,16 +314,16 @@ def _simulated(
 
 
 def _screened(columns: Sequence[tuple[tuple[str, Term], Sequence[FloatArray]]], gaps: Sequence[FloatArray]) -> list[tuple[str, Term]]:
-    """Terms that do most of the gap by themselves, n / ln n of n rows, in their order (sure independence screening, Fan & Lv 2008).
+    """Terms that do most of the gap by themselves, as many as there are samples, in their order (after Fan & Lv 2008).
 
-    An axis has thousands of terms at its inputs, and nothing can be chosen of more terms than rows.
+    An axis has thousands of terms at its inputs, and what is more than samples cannot be told apart.
     """
-    n = sum(g.size for g in gaps)
+    n = sum(len(g) for g in gaps)
     alone = np.zeros(len(columns))
     for k, (_, parts) in enumerate(columns):
         size = sum(float((x**2).sum()) for x in parts)
         alone[k] = abs(sum(float((x * g).sum()) for x, g in zip(parts, gaps, strict=True))) / np.sqrt(size) if size > 0.0 else 0.0
-    most = set(np.argsort(-alone, kind="stable")[: max(int(n / np.log(n)), 1)].tolist())
+    most = set(np.argsort(-alone, kind="stable")[:n].tolist())
     return [term for k, (term, _) in enumerate(columns) if k in most]
 
 
