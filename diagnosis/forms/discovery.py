@@ -163,7 +163,10 @@ def discovered(
         form = Form(place.component, place.side, late, port_forms(place.forms), like_delays(place.forms))
         if best.note:
             return replace(form, note=best.note)
-        after = loop.simulated(best.specification, range(len(laboratory.conditions)), CLOSING)
+        try:
+            after = loop.simulated(best.specification, range(len(laboratory.conditions)), CLOSING)
+        except OrchestrationError as error:
+            return replace(form, note=f"not put into the loop: {error}")
     others = sorted({p.component for p in alone if p.component != place.component and not p.targets <= place.targets})
     note = f"beside it, something is left at {', '.join(others)}" if others else ""
     closing = Closing(search, groups, titles)

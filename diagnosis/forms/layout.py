@@ -64,7 +64,7 @@ class Curve:
     x: list[float]
     """Middles of the bins."""
     left: list[float]
-    """What the nominal model leaves."""
+    """What the nominal model leaves, without what calibrated numbers may do."""
     form: list[float]
     """What the form adds."""
 

@@ -56,20 +56,17 @@ def _that_say_something(place: Place) -> Place:
 
 
 def best_of(left: Sequence[FloatArray], terms: Sequence[int], gap: float) -> int:
-    """Which of several forms is the best: of two the simpler, or else the earlier, if it does not leave more.
+    """Which of several forms is the best: the simplest that does not leave more than the one that leaves least (Breiman et al. 1984).
 
-    Simpler are fewer `terms` (Breiman et al. 1984: the simplest that is not worse than the best). More is what is `left` in blocks [blocks]
-    by more than a standard error, and by MATERIAL of the `gap` or more.
+    The simplest has the fewest `terms`; of equals it is the earliest. More is what is `left` in blocks [blocks] by more than a standard
+    error, and by MATERIAL of the `gap` or more.
     """
+    least = min(range(len(left)), key=lambda k: float(left[k].sum()))
 
-    def more(a: int, b: int) -> bool:
-        return worse(left[a], left[b]) and float((left[a] - left[b]).sum()) >= MATERIAL * gap
+    def more(k: int) -> bool:
+        return worse(left[k], left[least]) and float((left[k] - left[least]).sum()) >= MATERIAL * gap
 
-    best = 0
-    for k in range(1, len(left)):
-        if not more(k, best) if terms[k] < terms[best] else more(best, k):
-            best = k
-    return best
+    return min((k for k in range(len(left)) if not more(k)), key=lambda k: terms[k])
 
 
 @dataclass

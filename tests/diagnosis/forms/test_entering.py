@@ -146,5 +146,9 @@ class TestBest:
     def test_the_simpler_one_unless_it_leaves_more(self, second: float, terms: tuple[int, int], best: int) -> None:
         assert best_of([self.blocks, second * self.blocks], terms, 1000.0) == best
 
+    def test_each_is_compared_with_the_one_that_leaves_least_and_not_with_the_one_before(self) -> None:
+        lefts = [self.blocks, self.blocks + np.array([9.0, 0.0, 0.0, 0.0]), self.blocks + np.array([9.0, 0.0, 9.0, 9.0])]
+        assert best_of(lefts, (3, 2, 1), 1000.0) == 1  # the third is not more than the second, but more than the first
+
     def test_what_is_little_of_the_gap_is_not_more(self) -> None:
         assert best_of([self.blocks, 2.0 * self.blocks], (2, 1), 1e5) == 1
