@@ -306,7 +306,11 @@ class ComponentReplay:
         """A column of the nominal closed loop, [n]."""
         return self._on_grid(self.closed[0], column)
 
-    def looped(self, changes: Setting) -> FloatArray | None:
+    def as_replayed(self, column: str) -> FloatArray:
+        """A column of the replay of the mean measured run, [n]."""
+        return self._on_grid(self.base, column)
+
+    def change_in_loop(self, changes: Setting) -> FloatArray | None:
         """Change of all channels in the closed loop by `changes` [unit of the parameter], [n, channels]; None where it cannot run."""
         try:
             return self._matrix(self._run(self._changed(changes))) - self.nominal
@@ -320,6 +324,19 @@ class ComponentReplay:
         shifts = {k: v for k, v in moved.items() if base_name(k) in arrays}
         after = self.alone(target, (), shifts)
         return {k: after[k] - self._alone[target][k] for k in after}
+
+    def slopes(self, array: str, target: str) -> dict[str, dict[str, FloatArray]]:
+        """What one unit more of each element of an output, all the time, does to the outputs of `target`: element column -> column -> [n].
+
+        It is tried by KNOWN of the way of the element, or of its size where it stands still. Whole numbers and booleans have none.
+        """
+        found = {}
+        for column in [k for k in self.base.columns if base_name(k) == array and self._ports[k].type == "real"]:
+            x = self.as_replayed(column)
+            push = KNOWN * (float(np.ptp(x)) or max(float(np.abs(x).max()), KNOWN))
+            moved = self.follow({column: np.full(len(self.grid), push)}, [array], target)
+            found[column] = {k: v / push for k, v in moved.items()}
+        return found
 
     def observed(self, moved: Mapping[str, FloatArray]) -> FloatArray:
         """The measured channels among these changes (0 for the others), block means over the decimation, [n // decimation, channels]."""

@@ -19,7 +19,7 @@ from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.loop import Loop, specification
 from robomill.diagnosis.forms.places import Place, Places, best_of
 from robomill.diagnosis.forms.ports import Seen, Signals, alike
-from robomill.diagnosis.forms.signals import Variable
+from robomill.diagnosis.forms.signals import Variable, index_of
 from robomill.diagnosis.forms.solving import Solved
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.localisation.where import WHOLE
@@ -88,7 +88,7 @@ def like_delays(found: Sequence[Solved]) -> tuple[str, ...]:
             v = term.factors[0].variable
             is_own_rate = v.rate and v.name == element
             alone = sum(e == element and _is_speed(s, element, t) for e, t in s.terms) <= 1  # two of them together are another delay
-            if alone and (is_own_rate or (v.index == _index(element) and _is_speed(s, element, term))):
+            if alone and (is_own_rate or (v.index == index_of(element) and _is_speed(s, element, term))):
                 late.setdefault(s.problem.seen.host.name, []).append((element, -float(c), [-float(interval[1]), -float(interval[0])]))
     texts = []
     for host, members in late.items():
@@ -105,10 +105,6 @@ def like_delays(found: Sequence[Solved]) -> tuple[str, ...]:
             ends = sorted(abs(per * x) for x in (low, high))
             texts.append(f"like {what} of {per * abs(mean):.3g} {unit} ({ends[0]:.3g} to {ends[1]:.3g}) in {ports}")
     return tuple(texts)
-
-
-def _index(element: str) -> str:
-    return element.partition("[")[2].rstrip("]")
 
 
 def _is_speed(s: Solved, element: str, term: Term) -> bool:

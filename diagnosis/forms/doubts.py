@@ -36,7 +36,7 @@ class Doubts:
     def looped(self) -> list[list[FloatArray]]:
         """By number and condition, in the closed loop: block means of all channels, [blocks, channels]."""
         if self._looped is None:
-            self._looped = self._shown([[r.looped(((n.address, n.scale),)) for r in self.replays] for n in self._numbers()])
+            self._looped = self._shown([[r.change_in_loop(((n.address, n.scale),)) for r in self.replays] for n in self._numbers()])
         return self._looped
 
     def _numbers(self) -> list[Nuisance]:

@@ -25,6 +25,7 @@ from robomill.diagnosis.experiment.simulation import Laboratory, decimate, setti
 from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.ports import Problem, alike, direct
 from robomill.diagnosis.forms.selection import Labels, Products, Rows
+from robomill.diagnosis.forms.signals import index_of
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.intervals import MATERIAL, Noise
 from robomill.diagnosis.inference.machines import MACHINES
@@ -228,7 +229,7 @@ class Exchanged:
 
     def patterns(self) -> dict[str, int]:
         """Laws by what is the same in all joints (`Term.pattern`) -> place in `laws`."""
-        index = self.port.name.partition("[")[2].rstrip("]")
+        index = index_of(self.port.name)
         return {self.law(i).pattern(index): i for i in range(len(self.laws))}
 
 

@@ -22,7 +22,7 @@ from robomill.diagnosis.forms.doubts import Doubts, likeliest, passed_on
 from robomill.diagnosis.forms.layout import Side
 from robomill.diagnosis.forms.library import OF_ONE, Term, library, periodic
 from robomill.diagnosis.forms.selection import Rows
-from robomill.diagnosis.forms.signals import Host, Variable, series, value, variables
+from robomill.diagnosis.forms.signals import Host, Variable, index_of, series, value, variables
 from robomill.models.components.correction import TIME
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
@@ -60,14 +60,14 @@ class Seen:
 
     def library(self, element: str, alone: bool) -> list[Term]:
         """Terms for a port; `alone`: it is looked at by itself. Of an input none is about an output that shows it (`Host.shows`)."""
-        index, unit = element.partition("[")[2].rstrip("]"), self.host.ports[element].unit or "1"
+        index, unit = index_of(element), self.host.ports[element].unit or "1"
         known = [{v: x for v, x in k.items() if self.side == "output" or not self.host.shows(v.name, element)} for k in self.known]
         array = base_name(element) if self.side == "input" else ""
         return library(known, index, self.longest, OF_ONE if alone else OTHERS, unit, array)
 
     def angles(self, element: str) -> list[Variable]:
         """Variables that a port may be periodic in: angles and ways of its index, or all if it has none."""
-        index = element.partition("[")[2].rstrip("]")
+        index = index_of(element)
         fit = [v for v in self.known[0] if v.unit in ("rad", "m") and not (v.rate or v.since_start) and all(v in k for k in self.known)]
         return [v for v in fit if v.index == index] or fit
 
@@ -209,12 +209,8 @@ def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
         scale = _sizes(replays, gap, channels)
         effect: list[dict[str, FloatArray]] = []
         for r in replays:
-            made = {}
-            for e in elements:
-                column = f"{component}.{e}"
-                way = float(np.ptp(r.base.columns[column])) or max(float(np.abs(r.base.columns[column]).max()), KNOWN)
-                moved = r.follow({column: np.full(len(r.grid), KNOWN * way)}, [array], target)
-                made[e] = np.stack([moved[c] for c in channels], axis=1) / (KNOWN * way * scale)
+            slopes = r.slopes(array, target)
+            made = {k.partition(".")[2]: np.stack([moved[c] for c in channels], axis=1) / scale for k, moved in slopes.items()}
             effect.append(made)
         if not any(np.any(x) for made in effect for x in made.values()):
             continue
@@ -289,15 +285,13 @@ def _simulated(
     for element, (column, late) in seen.host.sources.items():
         if element not in seen.host.ports:
             continue
-        unit, wanted = replays[0].unit(column), seen.host.ports[element].unit or ""
-        one = laboratory.convert(1.0, wanted, unit) - laboratory.convert(0.0, wanted, unit) if unit != wanted and unit and wanted else 1.0
         for term in seen.library(element, alone=in_loop):
             made = []
             for r, known in zip(replays, seen.known, strict=True):
                 x = term.values(known, len(r.grid))
                 x = np.append(x[1:], x[-1]) if late else x  # it arrives a step later than it is sent
                 push = _push(usual[column], x)
-                made.append(decimate(one * does(r, column, push * x) / (push * scale), laboratory.decimation))
+                made.append(decimate(does(r, column, push * x) / (push * scale), laboratory.decimation))
             if any(np.any(x) for x in made):
                 terms.append((element, term))
                 extra[element, term] = made

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.selection import Products, pruned, worse
+from robomill.diagnosis.forms.signals import index_of
 from robomill.orchestration.slaves.protocol import base_name
 
 Law = tuple[str, str]
@@ -19,7 +20,7 @@ Law = tuple[str, str]
 
 def law(element: str, term: Term) -> Law:
     """What is the same in all elements."""
-    return base_name(element), term.pattern(element.partition("[")[2].rstrip("]"))
+    return base_name(element), term.pattern(index_of(element))
 
 
 def with_siblings(products: Products, terms: Sequence[tuple[str, Term]], chosen: list[int]) -> list[int]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robomill.diagnosis.experiment.component_replay import KNOWN, ComponentReplay
+from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.simulation import Laboratory
 from robomill.models.components.correction import TIME
 from robomill.models.model.units import compatible
@@ -17,6 +17,11 @@ from robomill.orchestration.system.definition import Connection
 
 HAVE_A_SPEED = ("rad", "m")
 """Units of what has a velocity."""
+
+
+def index_of(element: str) -> str:
+    """Index of an element of an array, `1,2` of `m[1,2]`; "" of a scalar."""
+    return element.partition("[")[2].rstrip("]")
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,7 @@ class Variable:
     @property
     def index(self) -> str:
         """Index of the element; "" of a scalar."""
-        return self.name.partition("[")[2].rstrip("]")
+        return index_of(self.name)
 
 
 @dataclass(frozen=True)
@@ -155,7 +160,7 @@ def series(replay: ComponentReplay, host: Host, side: str, laboratory: Laborator
             elif column in replay.closed[0].columns:
                 found[element] = _late(replay.in_the_loop(column))
         elif column in replay.base.columns:
-            found[element] = np.interp(replay.grid, replay.base.t, replay.base.columns[column])
+            found[element] = replay.as_replayed(column)
     return found
 
 
@@ -167,22 +172,20 @@ def restored(replay: ComponentReplay, name: str, in_loop: bool) -> dict[str, Flo
     """
     found: dict[str, FloatArray] = {}
     gap = replay.mean - replay.nominal if in_loop else np.mean(replay.residuals, axis=0)
+    usual = replay.in_the_loop if in_loop else replay.as_replayed
     for array, target in replay.hidden():
-        own = [i for i, c in enumerate(replay.channels) if c.partition(".")[0] == target]
-        at = [i for i in own if in_loop or base_name(replay.channels[i]) not in replay.adding]
-        columns = [k for k in replay.base.columns if base_name(k) == array]
-        if array.partition(".")[0] != name or len(at) < len(columns):
+        own = [c for c in replay.channels if c.partition(".")[0] == target]
+        channels = [c for c in own if in_loop or base_name(c) not in replay.adding]
+        if array.partition(".")[0] != name or not channels:
             continue
-        usual = [replay.in_the_loop(k) if in_loop else np.interp(replay.grid, replay.base.t, replay.base.columns[k]) for k in columns]
-        does = []
-        for k, x in zip(columns, usual, strict=True):
-            push = KNOWN * (float(np.ptp(x)) or max(float(np.abs(x).max()), KNOWN))
-            moved = replay.follow({k: np.full(len(replay.grid), push)}, [array], target)
-            does.append(np.stack([moved[replay.channels[i]] for i in at], axis=1) / push)
-        J = np.stack(does, axis=2)
-        if np.median(np.linalg.matrix_rank(J)) == len(columns):  # at the start nothing may show yet
+        slopes = replay.slopes(array, target)
+        if not slopes:
+            continue
+        J = np.stack([np.stack([moved[c] for c in channels], axis=1) for moved in slopes.values()], axis=2)
+        if np.median(np.linalg.matrix_rank(J)) == len(slopes):  # at the start nothing may show yet
+            at = [replay.channels.index(c) for c in channels]
             off = (np.linalg.pinv(J) @ gap[:, at, None])[..., 0]
-            found |= {k.partition(".")[2]: x + off[:, j] for j, (k, x) in enumerate(zip(columns, usual, strict=True))}
+            found |= {k.partition(".")[2]: usual(k) + off[:, j] for j, k in enumerate(slopes)}
     return found
 
 
