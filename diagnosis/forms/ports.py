@@ -11,8 +11,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from heapq import heappush, heappushpop
 
 import numpy as np
 
@@ -125,7 +127,7 @@ class Problem:
         channels, part = gap[0].shape[1], self.decimation // self.base
         for z, parts in zip(self.off, self.doubts, strict=bool(self.off)):
             gap = [g - z * decimate(x, part) for g, x in zip(gap, parts, strict=True)]
-        both = _stacked([gap, *(self.column(*t) for t in terms)])
+        both = _stacked(itertools.chain([gap], (self.column(*t) for t in terms)), 1 + len(terms))
         y, X = both[:, 0], both[:, 1:]
         series_ = np.concatenate([np.repeat(i * channels + np.arange(channels), len(g)) for i, g in enumerate(gap)])
         condition = np.concatenate([np.full(g.size, i) for i, g in enumerate(gap)])
@@ -138,8 +140,8 @@ class Problem:
             return self
         part = self.decimation // self.base
         rows = replace(self, off=()).rows(terms)
-        size = _stacked([[np.broadcast_to(self.noise / np.sqrt(part), decimate(g, self.decimation).shape) for g in self.gap]])
-        doubt = _stacked([[decimate(x, part) for x in parts] for parts in self.doubts])
+        size = _stacked([[np.broadcast_to(self.noise / np.sqrt(part), decimate(g, self.decimation).shape) for g in self.gap]], 1)
+        doubt = _stacked(([decimate(x, part) for x in parts] for parts in self.doubts), len(self.doubts))
         return replace(self, off=tuple(map(float, likeliest(rows.y / size[:, 0], rows.X / size, doubt / size))))
 
     def periodic(self, element: str, v: Variable, k: float) -> list[tuple[str, Term]]:
@@ -147,9 +149,14 @@ class Problem:
         return [(element, t) for t in periodic(v, k)]
 
 
-def _stacked(columns: Sequence[Sequence[FloatArray]]) -> FloatArray:
-    """One column of rows for each of these, [n, columns]; channels of a condition [samples, channels] one after the other."""
-    return np.stack([np.concatenate([x.T.ravel() for x in c]) for c in columns], axis=1)
+def _stacked(columns: Iterable[Sequence[FloatArray]], count: int) -> FloatArray:
+    """One column of rows for each of so many, [n, count]; channels of a condition [samples, channels] one after the other."""
+    found = np.zeros((0, count))
+    for k, column in enumerate(columns):  # thousands of columns are not held twice
+        rows = np.concatenate([x.T.ravel() for x in column])
+        found = found if len(found) else np.empty((len(rows), count))
+        found[:, k] = rows
+    return found
 
 
 def doubted(problem: Problem, replays: Sequence[ComponentReplay], doubts: Doubts, deviation: Mapping[str, float]) -> Problem:
@@ -281,7 +288,9 @@ def _simulated(
 
     `usual`: size of what passes, by column (`_push`). `in_loop`: gap and columns are those of the closed loop.
     """
-    terms, extra = [], {}
+    d, step, scaled = laboratory.decimation, replays[0].step, [g / scale for g in gap]
+    gaps = [decimate(g, d) for g in scaled]
+    best = _Screened(sum(map(len, gaps)))
     for element, (column, late) in seen.host.sources.items():
         if element not in seen.host.ports:
             continue
@@ -291,34 +300,38 @@ def _simulated(
                 x = term.values(known, len(r.grid))
                 x = np.append(x[1:], x[-1]) if late else x  # it arrives a step later than it is sent
                 push = _push(usual[column], x)
-                made.append(decimate(does(r, column, push * x) / (push * scale), laboratory.decimation))
-            if any(np.any(x) for x in made):
-                terms.append((element, term))
-                extra[element, term] = made
-    step, scaled = replays[0].step, [g / scale for g in gap]
-    d = laboratory.decimation
+                made.append(decimate(does(r, column, push * x) / (push * scale), d))
+            best.add((element, term), made, gaps)
+    extra = best.columns()
     read = {v.name for known in seen.known for v in known} & set(seen.host.ports)
     approximate = in_loop or not all(map(seen.host.is_input, read))
-    if not terms:
+    if not extra:
         return []
-    gaps = [decimate(x, d) for x in scaled]
-    kept = _screened([(t, extra[t]) for t in terms], gaps)
-    extra = {t: extra[t] for t in kept}
-    return [Problem(seen, channels, kept, scaled, scale, [], d, step, extra, base=d, in_loop=in_loop, approximate=approximate)]
+    return [Problem(seen, channels, list(extra), scaled, scale, [], d, step, extra, base=d, in_loop=in_loop, approximate=approximate)]
 
 
-def _screened(columns: Sequence[tuple[tuple[str, Term], Sequence[FloatArray]]], gaps: Sequence[FloatArray]) -> list[tuple[str, Term]]:
-    """Terms that do most of the gap by themselves, as many as there are samples, in their order (after Fan & Lv 2008).
+class _Screened:
+    """Terms that do most of the gap by themselves, as many as there are samples (after Fan & Lv 2008).
 
-    An axis has thousands of terms at its inputs, and what is more than samples cannot be told apart.
+    An axis has thousands of terms at its inputs. What is more than samples cannot be told apart, and is not kept in memory.
     """
-    n = sum(len(g) for g in gaps)
-    alone = np.zeros(len(columns))
-    for k, (_, parts) in enumerate(columns):
-        size = sum(float((x**2).sum()) for x in parts)
-        alone[k] = abs(sum(float((x * g).sum()) for x, g in zip(parts, gaps, strict=True))) / np.sqrt(size) if size > 0.0 else 0.0
-    most = set(np.argsort(-alone, kind="stable")[:n].tolist())
-    return [term for k, (term, _) in enumerate(columns) if k in most]
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._heap: list[tuple[float, int, tuple[str, Term], Sequence[FloatArray]]] = []
+        self._count = 0
+
+    def add(self, term: tuple[str, Term], does: Sequence[FloatArray], gap: Sequence[FloatArray]) -> None:
+        """A term and what it does, by condition; one that does nothing is none."""
+        self._count += 1
+        size = sum(float((x**2).sum()) for x in does)
+        if size > 0.0:
+            alone = abs(sum(float((x * g).sum()) for x, g in zip(does, gap, strict=True))) / np.sqrt(size)
+            (heappush if len(self._heap) < self._most else heappushpop)(self._heap, (alone, -self._count, term, does))
+
+    def columns(self) -> dict[tuple[str, Term], Sequence[FloatArray]]:
+        """Those that are kept, in the order in which they came."""
+        return {term: does for _, _, term, does in sorted(self._heap, key=lambda entry: -entry[1])}
 
 
 def _push(usual: float, x: FloatArray) -> float:

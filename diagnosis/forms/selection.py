@@ -113,9 +113,8 @@ class Products:
     """Inner products of rows, of all and of each fold, [folds, p, p]."""
 
     def __init__(self, rows: Rows, parts: Labels) -> None:
-        both = np.column_stack([rows.X, rows.y])[np.argsort(parts, kind="stable")]
-        ends = np.cumsum(np.unique(parts, return_counts=True)[1])
-        products = np.stack([x.T @ x for x in np.split(both, ends[:-1])])  # of a matrix with itself: half the work
+        folds = (np.column_stack([rows.X[here], rows.y[here]]) for here in (parts == part for part in np.unique(parts)))
+        products = np.stack([x.T @ x for x in folds])  # of a matrix with itself: half the work
         self.gram, self.right, self.square = products[:, :-1, :-1], products[:, :-1, -1], products[:, -1, -1]
         self._all, self._right = self.gram.sum(axis=0), self.right.sum(axis=0)
 

@@ -10,7 +10,7 @@ import pytest
 
 from robomill.diagnosis.experiment.component_replay import KNOWN
 from robomill.diagnosis.forms.library import Factor, Term
-from robomill.diagnosis.forms.ports import Seen, _push, _rms, _screened
+from robomill.diagnosis.forms.ports import Seen, _push, _rms, _Screened
 from robomill.diagnosis.forms.signals import Host, Variable
 from robomill.orchestration.slaves.protocol import PortData
 from tests.tolerances import ROUNDOFF
@@ -58,9 +58,11 @@ def test_of_more_terms_than_rows_can_tell_apart_those_stay_that_do_most_of_the_g
     columns = [(t, [rng.normal(size=(40, 1))]) for t in terms]
     columns[50] = terms[50], [3.0 * gap]
     columns[7] = terms[7], [np.zeros((40, 1))]
-    kept = _screened(columns, [gap])
+    screened = _Screened(len(gap))
+    for term, does in columns:
+        screened.add(term, does, [gap])
+    kept = list(screened.columns())
     assert len(kept) == len(gap)
     assert terms[50] in kept
     assert terms[7] not in kept
     assert kept == sorted(kept, key=terms.index)
-    assert _screened(columns[:5], [gap]) == terms[:5]
