@@ -1,7 +1,8 @@
 """One law in all elements of a port: a sensor that is not linear is so in each of its axes.
 
 Terms are chosen one by one. Where two say nearly the same of these runs, such as x^2 and -x |x| where x is hardly ever positive, chance
-takes one; another run may tell them apart. What the other elements of the array do says more than chance.
+takes one; another run may tell them apart. What the other elements of the array do says more than chance. So a law with one coefficient in
+all elements is a term, too, as long as terms are chosen; then each element has its own.
 """
 
 from __future__ import annotations
@@ -21,6 +22,14 @@ Law = tuple[str, str]
 def law(element: str, term: Term) -> Law:
     """What is the same in all elements."""
     return base_name(element), term.pattern(index_of(element))
+
+
+def together(terms: Sequence[tuple[str, Term]]) -> list[list[int]]:
+    """The `terms` (element, term) of each law that several elements have, by their places."""
+    found: dict[Law, list[int]] = {}
+    for i, t in enumerate(terms):
+        found.setdefault(law(*t), []).append(i)
+    return [members for members in found.values() if len(members) > 1]
 
 
 def with_siblings(products: Products, terms: Sequence[tuple[str, Term]], chosen: list[int]) -> list[int]:

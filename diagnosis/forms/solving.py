@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.periods import with_periods
 from robomill.diagnosis.forms.ports import Problem
 from robomill.diagnosis.forms.selection import Chosen, Products, Rows, Values, choose, chosen_in, pruned, values
-from robomill.diagnosis.forms.siblings import with_siblings
+from robomill.diagnosis.forms.siblings import together, with_siblings
 from robomill.diagnosis.outcome.ceiling import FOLDS
 from robomill.diagnosis.outcome.closure import BLOCKS
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -38,8 +38,9 @@ def solve(problem: Problem) -> Solved:
     Calibrated numbers take what they may beside a first choice, which is made in one way only, and in the end once more beside the terms.
     """
     if problem.doubts:
-        first = problem.beside([])
-        problem = problem.beside([problem.terms[i] for i in chosen_in(first.rows(), (), Rows.spans).terms])
+        rows, groups = _with_groups(problem.beside([]))
+        first = _apart(chosen_in(rows, (), Rows.spans).terms, groups, len(problem.terms))
+        problem = problem.beside([problem.terms[i] for i in first])
     problem, terms, closure, chosen = _chosen(problem)
     problem = problem.beside(terms)
     rows = problem.rows(terms)
@@ -56,13 +57,15 @@ def solve(problem: Problem) -> Solved:
 
 def _chosen(problem: Problem) -> tuple[Problem, list[tuple[str, Term]], float, Chosen]:
     """The problem averaged to its band, its terms and their closure, and how they were chosen."""
-    chosen = choose(problem.rows(), [i for i, (_, t) in enumerate(problem.terms) if not t.factors])
+    rows, groups = _with_groups(problem)
+    chosen = choose(rows, [i for i, (_, t) in enumerate(problem.terms) if not t.factors])
     problem = replace(problem, decimation=problem.decimation * 2**chosen.pairs)
     # of closures below zero, what is white is predicted better, but not what is there
     at, closure = (chosen.terms, chosen.closure) if chosen.closure > 0.0 else ([], 0.0)
-    if at and len({e for e, _ in problem.terms}) > 1:
+    if at and groups:
         folds = chosen.divided(chosen.rows, FOLDS)
-        others = with_siblings(Products(chosen.rows.whitened(chosen.rho), folds), problem.terms, at)
+        alone = _apart(at, groups, len(problem.terms))
+        others = with_siblings(Products(chosen.rows.whitened(chosen.rho), folds), problem.terms, alone)
         if others != at:
             at, closure = others, _closure(Products(chosen.rows, folds), others)
     terms = [problem.terms[i] for i in at]
@@ -74,6 +77,17 @@ def _chosen(problem: Problem) -> tuple[Problem, list[tuple[str, Term]], float, C
         kept = pruned(Products(rows.whitened(chosen.rho), folds), list(range(len(longer))))
         terms, closure = [longer[i] for i in kept], _closure(Products(rows, folds), kept)
     return problem, terms, closure, chosen
+
+
+def _with_groups(problem: Problem) -> tuple[Rows, list[list[int]]]:
+    """Rows of the terms, and behind them those of each law that several elements have together; and the members of these laws."""
+    rows, groups = problem.rows(), together(problem.terms)
+    return replace(rows, X=np.column_stack([rows.X, *(rows.X[:, members].sum(axis=1) for members in groups)])), groups
+
+
+def _apart(chosen: Sequence[int], groups: Sequence[Sequence[int]], count: int) -> list[int]:
+    """Terms of a choice among `count` terms and the groups behind them, each group by its members."""
+    return list(dict.fromkeys(i for c in chosen for i in ([c] if c < count else groups[c - count])))
 
 
 def _closure(plain: Products, terms: list[int]) -> float:
