@@ -14,6 +14,9 @@ from robomill.diagnosis.forms.solving import solve
 from robomill.orchestration.slaves.protocol import FloatArray
 
 N, PARTS = 1200, 6
+NOISE = 0.3
+KNOWN = 4.0 * NOISE / np.sqrt(N)
+"""Four standard deviations of a coefficient whose term has a mean square of one or more."""
 KINDS = {"square": lambda x: x * x, "signed_square": lambda x: x * np.abs(x), "value": lambda x: x}
 TERMS = [(f"f[{i}]", Term((Factor(kind, Variable(f"f[{i}]", False, "N", 3)),))) for i in (1, 2, 3) for kind in KINDS]
 AT = {(element, term.factors[0].kind): k for k, (element, term) in enumerate(TERMS)}
@@ -48,19 +51,19 @@ def test_it_is_the_law_of_the_other_element_where_that_is_there(chosen: list[tup
 
 
 def test_a_law_with_one_coefficient_in_all_elements_is_a_term() -> None:
-    """Of an element that is hardly ever above zero, x^2 and -x |x| are one; that of all three is found, with a coefficient for each."""
+    """In an element that is hardly ever above zero, x^2 and -x |x| are one; that of all three is found, with a coefficient for each."""
     rng = np.random.default_rng(4)
     f = [rng.normal(size=N), -np.abs(rng.normal(size=N)), rng.normal(size=N)]
     f[1][::400] *= -0.1
     known = {term.factors[0].variable: f[int(element[2]) - 1] for element, term in TERMS}
-    gap = np.stack([c * x * x for c, x in zip((1.0, 0.9, 1.1), f, strict=True)], axis=1) + 0.3 * rng.normal(size=(N, 3))
+    gap = np.stack([c * x * x for c, x in zip((1.0, 0.9, 1.1), f, strict=True)], axis=1) + NOISE * rng.normal(size=(N, 3))
     effect = {f"f[{i}]": np.broadcast_to(np.eye(3)[i - 1], (N, 3)) for i in (1, 2, 3)}
     seen = Seen(Host("sensor", {}, {}, {}), "input", [known], [0.01 * np.arange(N, dtype=np.float64)])
     channels = ("sensor.f[1]", "sensor.f[2]", "sensor.f[3]")
     found = solve(Problem(seen, channels, list(TERMS), [gap], np.ones(3), [effect], 1, 0.01))
     assert sorted((e, t.factors[0].kind) for e, t in found.terms) == [(f"f[{i}]", "square") for i in (1, 2, 3)]
     values = {e: float(c) for (e, _), c in zip(found.terms, found.found.values, strict=True)}
-    np.testing.assert_allclose([values[f"f[{i}]"] for i in (1, 2, 3)], [1.0, 0.9, 1.1], rtol=0.0, atol=4.0 * 0.3 / np.sqrt(N))
+    np.testing.assert_allclose([values[f"f[{i}]"] for i in (1, 2, 3)], [1.0, 0.9, 1.1], rtol=0.0, atol=KNOWN)
 
 
 def test_a_law_that_one_element_has_is_in_no_group() -> None:
