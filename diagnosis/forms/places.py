@@ -85,12 +85,15 @@ class Places:
         """One place for each component that explains something alone; that which leaves least comes first.
 
         Inputs are looked at where that is likely to be worth their simulations: of the first component, and of the one whose outputs are
-        the best place, where these have several arrays or leave more than noise.
+        the best place, where these have several arrays or leave more than noise. And of those with several arrays that this place explains
+        as something that goes into them.
         """
         outputs = {name: self._outputs(name) for name in components}
-        first = self._best_first(list(outputs.values()))
-        for name in dict.fromkeys([*components[:1], *(place.component for place in first[:1])]):
-            if len(outputs[name].targets) > 1 or self._leaves_more_than_noise(outputs[name]):
+        first = self._best_first(list(outputs.values()))[:1]
+        likely = [*components[:1], *(place.component for place in first)]
+        behind_it = [array.partition(".")[0] for place in first for array in sorted(place.targets)]
+        for name in dict.fromkeys([*likely, *(owner for owner in behind_it if owner in outputs)]):
+            if len(outputs[name].targets) > 1 or (name in likely and self._leaves_more_than_noise(outputs[name])):
                 inputs = self._place(name, "input", entering(self.laboratory, self.replays, name, self.deviation))
                 outputs[name] = (self._best_first([outputs[name], inputs]) or [outputs[name]])[0]
         return [_that_say_something(place) for place in self._best_first(list(outputs.values()))]
