@@ -101,7 +101,7 @@ class ComponentReplay:
         self.inputs = {c: self._sources(c) for c in (k.name for k in self.system.components)}
         """Columns that go into each component, column -> [n]: measured where they are, else as replayed."""
         self._alone: dict[str, dict[str, FloatArray]] = {}
-        self._rigs: dict[str, Rig] = {}
+        self._rigs: dict[str, tuple[Rig, list[Playback]]] = {}
 
     @staticmethod
     def of(laboratory: Laboratory, index: int) -> ComponentReplay:
@@ -213,26 +213,32 @@ class ComponentReplay:
 
         `changes`: parameters that are changed [unit of the parameter]; `shifts`: column of an input -> what is added to it, [n].
         """
-        if shifts:
-            rig = self._driven(component, shifts)
-        elif component in self._rigs:
-            rig = self._rigs[component]
-        else:
-            rig = self._rigs[component] = self._driven(component, {})
+        if component not in self._rigs:
+            self._rigs[component] = self._driven(component)
+        rig, playbacks = self._rigs[component]
+        for playback in playbacks:
+            playback.play(self._into(component, playback.name, shifts or {}))
         result = rig.run({c: v for c, v in self._values(changes).items() if c == component}, float(self.grid[-1]))
         prefix = component + "."
         return {k: self._on_grid(result, k) for k in result.columns if k.startswith(prefix)}
 
-    def _driven(self, component: str, shifts: Mapping[str, FloatArray]) -> Rig:
-        """A component alone, opened, behind the inputs that it has in the replay of the mean run, with `shifts` added."""
-        by_source: dict[str, dict[str, FloatArray]] = {}
-        for name, values in self.inputs[component].items():
-            shift = shifts.get(name)
-            by_source.setdefault(name.partition(".")[0], {})[name] = values if shift is None else values + shift
-        playbacks = [self._playback(source, series) for source, series in by_source.items() if source != component]
+    def _driven(self, component: str) -> tuple[Rig, list[Playback]]:
+        """A component alone, opened, behind playbacks of the inputs that it has in the replay of the mean run."""
+        sources = dict.fromkeys(name.partition(".")[0] for name in self.inputs[component])
+        playbacks = [
+            self._playback(source, {k: v for k, v in self.inputs[component].items() if k.partition(".")[0] == source})
+            for source in sources
+            if source != component
+        ]
         connections = [c for c in self.system.connections if c.target.partition(".")[0] == component]
         parts = (*(Component(t.name, PLAYBACK) for t in playbacks), self.system.component(component))
-        return self._rig(replace(self.system, components=parts, connections=tuple(connections), stop_when=None), playbacks)
+        system = replace(self.system, components=parts, connections=tuple(connections), stop_when=None)
+        return self._rig(system, playbacks), playbacks
+
+    def _into(self, component: str, source: str, shifts: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """What a component gets from a source, with `shifts` added: port -> [n]."""
+        given = {k: v + shifts[k] if k in shifts else v for k, v in self.inputs[component].items()}
+        return {k.partition(".")[2]: v for k, v in given.items() if k.partition(".")[0] == source}
 
     def swapped(self, components: frozenset[str]) -> FloatArray:
         """The closed loop with the mean residual of the replay added to the outputs of these components; all channels, [n, channels].

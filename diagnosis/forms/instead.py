@@ -24,7 +24,7 @@ from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate, setting
 from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.ports import Problem, alike, direct
-from robomill.diagnosis.forms.selection import Labels, Products, Rows
+from robomill.diagnosis.forms.selection import Labels, Rows
 from robomill.diagnosis.forms.signals import index_of
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.intervals import MATERIAL, Noise
@@ -201,7 +201,7 @@ class Exchanged:
         self._model, self._apart = does.sum(axis=1), apart
         self._rows = replace(rows, y=rows.y + self._model, X=np.concatenate([does, rows.X], axis=1))
         self._parts = rows.spans(FOLDS)
-        self._products = Products(self._rows, self._parts)
+        self._products = self._rows.products(self._parts)
         squares = np.diagonal(self._products.gram, axis1=1, axis2=2)[:, k:]  # of each law in each block
         self.laws = np.flatnonzero(squares.max(axis=0) <= 0.5 * squares.sum(axis=0))
         """Terms of the problem that are rivals, [laws]."""

@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 
 from robomill.diagnosis.forms.library import SLIDES, Term
 from robomill.diagnosis.forms.ports import Problem
-from robomill.diagnosis.forms.selection import MOST, Divided, Labels, Products, Rows, fitted, worse
+from robomill.diagnosis.forms.selection import MOST, Divided, Labels, Rows, fitted, worse
 from robomill.diagnosis.forms.signals import Variable
 from robomill.diagnosis.outcome.ceiling import FOLDS
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -84,11 +84,11 @@ def with_periods(
         if best is None:
             break
         _, (element, v), ks, gains = best
-        before = Products(rows.whitened(rho), parts).errors(list(range(len(terms))))
+        before = rows.products(parts, rho).errors(list(range(len(terms))))
         after = np.zeros_like(before)
         for f, k in enumerate(ks[gains[:-1].argmax(axis=1)]):
             trial = problem.rows([*terms, *problem.periodic(element, v, float(k))])
-            products = Products(trial.whitened(rho), parts)
+            products = trial.products(parts, rho)
             every = list(range(trial.X.shape[1]))
             after[f] = products.error(f, every, products.fit(every, f))
         if not worse(before, after):

@@ -120,14 +120,16 @@ class Problem:
         made = [e[element] * term.values(k, len(g))[:, None] for e, k, g in zip(self.effect, known, self.gap, strict=True)]
         return [decimate(x, self.decimation) for x in made]
 
-    def rows(self, terms: Sequence[tuple[str, Term]] | None = None) -> Rows:
-        """The rows of these terms, or of all; block means."""
+    def rows(self, terms: Sequence[tuple[str, Term]] | None = None, groups: Sequence[Sequence[int]] = ()) -> Rows:
+        """The rows of these terms, or of all, and behind them those of sums of `groups` of them; block means."""
         terms = self.terms if terms is None else terms
         gap = [decimate(g, self.decimation) for g in self.gap]
         channels, part = gap[0].shape[1], self.decimation // self.base
         for z, parts in zip(self.off, self.doubts, strict=bool(self.off)):
             gap = [g - z * decimate(x, part) for g, x in zip(gap, parts, strict=True)]
-        both = _stacked(itertools.chain([gap], (self.column(*t) for t in terms)), 1 + len(terms))
+        members = ([self.column(*terms[i]) for i in group] for group in groups)
+        sums = ([np.sum(parts, axis=0) for parts in zip(*columns, strict=True)] for columns in members)
+        both = _stacked(itertools.chain([gap], (self.column(*t) for t in terms), sums), 1 + len(terms) + len(groups))
         y, X = both[:, 0], both[:, 1:]
         series_ = np.concatenate([np.repeat(i * channels + np.arange(channels), len(g)) for i, g in enumerate(gap)])
         condition = np.concatenate([np.full(g.size, i) for i, g in enumerate(gap)])
@@ -223,7 +225,12 @@ def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
             continue
         terms = [(e, t) for e in elements for t in seen.library(e, alone=len(elements) == 1)]
         scaled = [g / scale for g in gap]
-        found.append(Problem(seen, tuple(channels), terms, scaled, scale, effect, d, replays[0].step, base=d, approximate=True))
+        whole = Problem(seen, tuple(channels), terms, scaled, scale, effect, d, replays[0].step, base=d, approximate=True)
+        gaps = [decimate(g, d) for g in scaled]
+        best = _Screened(sum(map(len, gaps)))
+        for t in terms:
+            best.add(t, whole.column(*t), gaps)
+        found.append(replace(whole, terms=list(best.columns())))
     return found
 
 

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from itertools import product
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -60,15 +59,31 @@ class Rows:
 
     def whitened(self, rho: float) -> Rows:
         """Without what goes on from one sample to the next: x_k - rho x_{k-1}; the first of each series is scaled alike."""
-        first = np.diff(self.series, prepend=-1) != 0
+        y, X = self._white(np.arange(len(self.y)), rho)
+        return replace(self, y=y, X=X)
+
+    def products(self, parts: Labels, rho: float = 0.0) -> Products:
+        """Products of the rows `whitened` by rho, by part; no more than one part is held a second time."""
+        folds = np.unique(parts)
+        made = np.empty((len(folds), self.X.shape[1] + 1, self.X.shape[1] + 1))
+        for part, out in zip(folds, made, strict=True):
+            y, X = self._white(np.flatnonzero(parts == part), rho)
+            both = np.column_stack([X, y])
+            np.matmul(both.T, both, out=out)  # of a matrix with itself: half the work
+        return Products(made)
+
+    def _white(self, at: Labels, rho: float) -> tuple[FloatArray, FloatArray]:
+        """The rows `at` of y and X, whitened."""
+        first = np.diff(self.series, prepend=-1)[at] != 0
 
         def white(x: FloatArray) -> FloatArray:
-            e = x.copy()
-            e[1:] -= rho * x[:-1]
-            e[first] = np.sqrt(1.0 - rho * rho) * x[first]
+            e = x[at]
+            if rho:
+                e -= rho * x[at - 1]
+                e[first] = np.sqrt(1.0 - rho * rho) * x[at[first]]
             return e
 
-        return replace(self, y=white(self.y), X=white(self.X))
+        return white(self.y), white(self.X)
 
     def memory(self, left: FloatArray) -> float:
         """Correlation of what is left [n] from sample to sample, from 0 to that of MEMORY."""
@@ -98,7 +113,7 @@ class Rows:
 
     def left_out(self, parts: Labels) -> FloatArray:
         """What fits of all terms to the other parts leave of y, [n]."""
-        products, left = Products(self, parts), self.y.copy()
+        products, left = self.products(parts), self.y.copy()
         for fold, part in enumerate(np.unique(parts)):
             here = parts == part
             left[here] -= self.X[here] @ products.fit(list(range(self.X.shape[1])), fold)
@@ -112,9 +127,8 @@ Divided = Callable[[Rows, int], Labels]
 class Products:
     """Inner products of rows, of all and of each fold, [folds, p, p]."""
 
-    def __init__(self, rows: Rows, parts: Labels) -> None:
-        folds = (np.column_stack([rows.X[here], rows.y[here]]) for here in (parts == part for part in np.unique(parts)))
-        products = np.stack([x.T @ x for x in folds])  # of a matrix with itself: half the work
+    def __init__(self, products: FloatArray) -> None:
+        """`products` of terms and, behind them, y [folds, p + 1, p + 1]."""
         self.gram, self.right, self.square = products[:, :-1, :-1], products[:, :-1, -1], products[:, -1, -1]
         self._all, self._right = self.gram.sum(axis=0), self.right.sum(axis=0)
 
@@ -166,7 +180,8 @@ class Products:
         right = self.right[..., None] if right is None else right
         square = self.square[:, None] if square is None else square
         folds = np.array([f for f in range(len(self.square)) if f != without], dtype=np.intp)
-        return Beside(self.gram, folds, right[folds], square[folds])
+        whole = self._all if without is None else self._all - self.gram[without]
+        return Beside(self.gram, folds, whole, right[folds], square[folds])
 
     def errors(self, chosen: list[int]) -> FloatArray:
         """Squares left in each fold by a fit to the others, [folds]."""
@@ -188,9 +203,12 @@ class Beside:
     Of every other term, e is what it has of no direction. One more direction changes the products of e; nothing is solved again.
     """
 
-    def __init__(self, gram: FloatArray, folds: Labels, right: FloatArray, square: FloatArray) -> None:
-        """Products of the terms, `gram` [all folds, p, p]; in the `folds`, with m residuals, `right` [folds, p, m], and of these."""
-        self._gram, self._folds, self._whole = gram, folds, gram[folds].sum(axis=0)
+    def __init__(self, gram: FloatArray, folds: Labels, whole: FloatArray, right: FloatArray, square: FloatArray) -> None:
+        """Products of the terms, `gram` [all folds, p, p] and `whole`, their sum in the `folds`.
+
+        `right` [folds, p, m]: products with m residuals, `square` [folds, m]: of these, in the `folds`.
+        """
+        self._gram, self._folds, self._whole = gram, folds, whole
         here = np.diagonal(gram, axis1=1, axis2=2)[folds]
         self._own = here.sum(axis=0) - here
         self._rest, self._size = self._own.copy(), here.copy()  # e e where it is fitted, and in the fold left out
@@ -295,15 +313,19 @@ def choose(rows: Rows, offsets: Sequence[int] = ()) -> Chosen:
     or parts that share the gap: a span that has all of it cannot tell. Any term comes first, or those that are constant (`offsets`): where
     there is an offset, no other term alone says much.
     """
-    ways = product(dict.fromkeys([(), tuple(offsets)]), (Rows.spans, Rows.parts))
-    return max((chosen_in(rows, first, divided) for first, divided in ways), key=lambda c: c.closure)
+    firsts = dict.fromkeys([(), tuple(offsets)])
+    found = []
+    for divided in (Rows.spans, Rows.parts):
+        whitened = _by_memory(rows, divided)
+        found += [chosen_in(rows, first, divided, whitened) for first in firsts]
+    return max(found, key=lambda c: c.closure)
 
 
-def chosen_in(rows: Rows, offsets: Sequence[int], divided: Divided) -> Chosen:
-    """The terms, where rows are divided into folds in this way."""
+def chosen_in(rows: Rows, offsets: Sequence[int], divided: Divided, whitened: Callable[[float], Products] | None = None) -> Chosen:
+    """The terms, where rows are divided into folds in this way; `whitened`: products of these rows by memory of the noise, if there are."""
     rho, pairs = 0.0, 0
     while True:
-        whitened = _by_memory(rows, divided)
+        whitened = whitened or _by_memory(rows, divided)
         for _ in range(2):  # the noise is known when the terms are, and the other way round
             used = rho
             terms, sets = _chosen(whitened(used), offsets)
@@ -311,19 +333,19 @@ def chosen_in(rows: Rows, offsets: Sequence[int], divided: Divided) -> Chosen:
             rho = rows.memory(left)
             if rho == used:
                 break
-        white = rows.whitened(rho)
-        again = white.memory(white.y - white.X[:, terms] @ fitted(white, terms))
+        white = replace(rows, X=rows.X[:, terms]).whitened(rho)
+        again = white.memory(white.y - white.X @ fitted(white))
         if again < BAND or len(rows.y) < 4 * FOLDS * MOST or 4.0 * rows.step > MEMORY:
             plain = whitened(0.0)
             lost = sum(plain.error(f, some, plain.fit(some, f)) for f, some in enumerate(sets))
             return Chosen(terms, 1.0 - lost / max(float(plain.square.sum()), 1e-300), rho, rows, pairs, divided)
-        rows, pairs = rows.paired(), pairs + 1
+        rows, pairs, whitened = rows.paired(), pairs + 1, None
 
 
 def _by_memory(rows: Rows, divided: Divided) -> Callable[[float], Products]:
-    """Products of the rows whitened by a memory of the noise; each is made once."""
+    """Products of the rows whitened by a memory of the noise; the last two are kept."""
     folds = divided(rows, FOLDS)
-    return cache(lambda rho: Products(rows.whitened(rho), folds))
+    return lru_cache(2)(lambda rho: rows.products(folds, rho))
 
 
 def _chosen(products: Products, offsets: Sequence[int]) -> tuple[list[int], list[list[int]]]:
@@ -369,7 +391,7 @@ class Values:
 
 def values(rows: Rows, terms: list[int]) -> Values:
     """Fit the terms; rows that are not whitened (DIAGNOSIS2, lesson 3: whitening lets reversals decide, where laws are wrong)."""
-    products = Products(replace(rows, X=rows.X[:, terms]), rows.spans(BLOCKS))
+    products = replace(rows, X=rows.X[:, terms]).products(rows.spans(BLOCKS))
     every = list(range(len(terms)))
     best = products.fit(every)
     rng = np.random.default_rng(0)

@@ -45,7 +45,7 @@ def solve(problem: Problem) -> Solved:
     problem = problem.beside(terms)
     rows = problem.rows(terms)
     folds = chosen.divided(rows, FOLDS)
-    order = Products(rows, folds).path(len(terms))  # that which predicts most comes first
+    order = rows.products(folds).path(len(terms))  # that which predicts most comes first
     terms = [terms[i] for i in dict.fromkeys([*order, *range(len(terms))])]
     rows = problem.rows(terms)
     left = _squares(problem, rows, rows.left_out(folds))
@@ -65,24 +65,24 @@ def _chosen(problem: Problem) -> tuple[Problem, list[tuple[str, Term]], float, C
     if at and groups:
         folds = chosen.divided(chosen.rows, FOLDS)
         alone = _apart(at, groups, len(problem.terms))
-        others = with_siblings(Products(chosen.rows.whitened(chosen.rho), folds), problem.terms, alone)
+        others = with_siblings(chosen.rows.products(folds, chosen.rho), problem.terms, alone)
         if others != at:
-            at, closure = others, _closure(Products(chosen.rows, folds), others)
+            at, closure = others, _closure(chosen.rows.products(folds), others)
     terms = [problem.terms[i] for i in at]
     places = [(e, v) for e in dict.fromkeys(e for e, _ in problem.terms) for v in problem.seen.angles(e)] if problem.effect else []
     longer = with_periods(problem, terms, chosen.rho, places, chosen.divided)
     if len(longer) > len(terms):
         rows = problem.rows(longer)
         folds = chosen.divided(rows, FOLDS)
-        kept = pruned(Products(rows.whitened(chosen.rho), folds), list(range(len(longer))))
-        terms, closure = [longer[i] for i in kept], _closure(Products(rows, folds), kept)
+        kept = pruned(rows.products(folds, chosen.rho), list(range(len(longer))))
+        terms, closure = [longer[i] for i in kept], _closure(rows.products(folds), kept)
     return problem, terms, closure, chosen
 
 
 def _with_groups(problem: Problem) -> tuple[Rows, list[list[int]]]:
     """Rows of the terms, and behind them those of each law that several elements have together; and the members of these laws."""
-    rows, groups = problem.rows(), together(problem.terms)
-    return replace(rows, X=np.column_stack([rows.X, *(rows.X[:, members].sum(axis=1) for members in groups)])), groups
+    groups = together(problem.terms)
+    return problem.rows(None, groups), groups
 
 
 def _apart(chosen: Sequence[int], groups: Sequence[Sequence[int]], count: int) -> list[int]:

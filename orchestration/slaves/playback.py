@@ -78,11 +78,18 @@ class Playback:
         return Playback(name, independent, t, np.stack([series[p.name] for p in ports], axis=1), adds=adds, clamps=True)
 
     def with_inputs(self, ignored: Sequence[Port]) -> Playback:
-        """One that plays back what this one does, and has other inputs that change nothing; itself, if it adds its inputs."""
-        if self._data[2]:
+        """One that plays back what this one does, and has other inputs that change nothing; itself, if there are none or it adds them."""
+        if self._data[2] or not ignored:
             return self
         ports, t, rows = self._given
         return Playback(self.name, ports, t, rows, ignored=ignored, clamps=bool(self._data[3]), source=self._source)
+
+    def play(self, series: Mapping[str, FloatArray]) -> None:
+        """From now on play other series [n] at the same times, by name of the port."""
+        ports, t, rows = self._given
+        rows = np.stack([series[p.name] for p in ports], axis=1)
+        self._given = ports, t, rows
+        self._data[len(self._data) - rows.size :] = rows.ravel()
 
     def configure(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Parameters change nothing: what they did is in the recording."""

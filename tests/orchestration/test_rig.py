@@ -149,3 +149,18 @@ def test_a_recording_is_played_back_from_its_beginning() -> None:
     first = bits(rig.run({}, 0.8))
     assert bits(rig.run({}, 0.3)).keys() == first.keys()
     assert bits(rig.run({}, 0.8)) == first
+
+
+def test_other_series_are_played_as_if_they_had_been_there_from_the_start() -> None:
+    t = np.linspace(0.0, 1.0, 11)
+    ports = [PortData("y", "output"), PortData("n", "output", "integer")]
+
+    def played(power: int) -> dict[str, np.ndarray]:
+        return {"y": t**power, "n": np.arange(11.0) * power}
+
+    changed, other = (Playback.of_series("p", ports, played(power), t) for power in (2, 3))
+    rig = Rig(system([changed]), resolver([changed]))
+    before = bits(rig.run({}, 0.8))
+    changed.play(played(3))
+    found, expected = rig.run({}, 0.8), Rig(system([other]), resolver([other])).run({}, 0.8)
+    assert bits(found) == bits(expected) != before

@@ -98,7 +98,7 @@ def test_a_term_that_is_there_in_one_block_only_is_no_error() -> None:
     rng = np.random.default_rng(5)
     X = terms(rng)
     X[: N - 40, -1] = 0.0  # in the last of six blocks
-    products = Products(rows(X[:, 1] + 0.1 * noise(rng, 0.0), X), rows(X[:, 1], X).parts(6))
+    products = rows(X[:, 1] + 0.1 * noise(rng, 0.0), X).products(rows(X[:, 1], X).parts(6))
     last = len(NAMES) - 1
     assert products.fit([1, last], without=5)[1] == 0.0
     assert np.isfinite(products.left_beside([last], None)[1:last]).all()
@@ -120,7 +120,7 @@ def test_a_path_is_that_of_matching_pursuit_by_left_out_folds() -> None:
     rng = np.random.default_rng(4)
     X = terms(rng)
     whole = rows(X @ rng.normal(size=X.shape[1]) + 0.1 * rng.normal(size=N), X)
-    products = Products(whole, whole.parts(6))
+    products = whole.products(whole.parts(6))
     taken: list[int] = []
     for _ in range(4):
         left = [float(products.errors([*taken, j]).sum()) if j not in taken else np.inf for j in range(len(NAMES))]
@@ -136,7 +136,7 @@ def test_a_term_that_is_large_for_a_moment_only_does_not_come_before_the_law() -
     y = X[:, 2] + 40.0 * X[:, -1] + 0.1 * rng.normal(size=N)
     whole = rows(y, X)
     assert np.abs(X[:, -1] @ y) / np.linalg.norm(X[:, -1]) > np.abs(X.T @ y / np.linalg.norm(X, axis=0))[:-1].max()
-    assert NAMES[Products(whole, whole.parts(6)).path(1)[0]] == "sgn v"
+    assert NAMES[whole.products(whole.parts(6)).path(1)[0]] == "sgn v"
 
 
 def test_pairs_are_means_and_keep_series_apart() -> None:
@@ -163,11 +163,11 @@ def test_what_is_left_beside_terms_is_what_a_fit_to_the_other_folds_leaves() -> 
     rng = np.random.default_rng(8)
     X = terms(rng)
     whole = rows(X @ rng.normal(size=X.shape[1]) + rng.normal(size=N), X)
-    products = Products(whole, whole.parts(6))
+    products = whole.products(whole.parts(6))
     taken, further = [2, 0, 7], [1, 3, 5, 8]
     for without in (None, 4):
         here = whole.parts(6) != (-1 if without is None else without)
-        part = Products(rows(whole.y[here], X[here]), whole.parts(6)[here])
+        part = rows(whole.y[here], X[here]).products(whole.parts(6)[here])
         expected = [part.errors([*taken, j]).sum() for j in further]
         left = products.left_beside(taken, without)
         assert left[further, 0] == pytest.approx(expected, rel=np.sqrt(ROUNDOFF))
@@ -183,19 +183,21 @@ def test_of_terms_that_differ_by_roundoff_the_first_is_taken() -> None:
         X = terms(rng)
         X = np.column_stack([X, -X[:, 2] / 3.0, 7.0 * X[:, 2]])
         whole = rows(X[:, 2] + X[:, 1] + 0.1 * rng.normal(size=N), X)
-        assert set(Products(whole, whole.parts(6)).path(2)) == {1, 2}
+        assert set(whole.products(whole.parts(6)).path(2)) == {1, 2}
 
 
 def test_products_are_made_once_for_each_memory_of_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = []
+    made, products = [], Rows.products
 
-    class Counted(Products):
-        def __init__(self, whole: Rows, parts: selection.Labels) -> None:
-            made.append(whole.X.shape)
-            super().__init__(whole, parts)
+    def counted(whole: Rows, parts: selection.Labels, rho: float = 0.0) -> Products:
+        if whole.X.shape[1] == len(NAMES):
+            made.append(rho)
+        return products(whole, parts, rho)
 
-    monkeypatch.setattr(selection, "Products", Counted)
+    monkeypatch.setattr(Rows, "products", counted)
     rng = np.random.default_rng(3)
     X = terms(rng)
-    assert choose(rows(X[:, 2] + 0.3 * noise(rng, 0.0), X)).pairs == 0
-    assert len(made) == 2 * 2  # with either folds: without a memory, as it is for the closure too, and with that of what is left
+    assert choose(rows(X[:, 2] + 0.3 * noise(rng, 0.0), X), [0]).pairs == 0
+    # with either folds: without a memory, as it is for the closure too, and with that of what is left; for either first terms once
+    assert made.count(0.0) == 2
+    assert len(made) == 2 * 2

@@ -35,7 +35,7 @@ def products(noise: float) -> Products:
     y += X[:, AT["f[1]", "square"]] + X[:, AT["f[2]", "square"]]
     series = np.repeat(np.arange(3), N)
     rows = Rows(y, X, series, np.zeros(3 * N, dtype=np.intp), np.tile((np.arange(N) + 0.5) / N, 3), 0.01)
-    return Products(rows, rows.spans(PARTS))
+    return rows.products(rows.spans(PARTS))
 
 
 def test_laws_are_alike_that_differ_in_the_index_alone() -> None:
