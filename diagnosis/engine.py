@@ -140,13 +140,15 @@ def diagnose_campaign(
             answer = Answer("bad_log", tuple(findings), effort=effort_of(began, simulator), skipped=tuple(skipped))
             return Diagnosis(answer, {}, (), tuple(channels), curves, ports, titles_of(catalogue.titles, ports))
         fits = with_chance(search, fits)
-        conclusion = Conclusion(laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, false_alarm)
+        conclusion = Conclusion(
+            laboratory, simulator, search, fits, groups, n, findings, menu or Menu(), repair, false_alarm, start.numbers
+        )
         answer, adopted = conclusion.answer()
-        if answer.verdict in ("identified", "ambiguous", "unknown"):
+        if answer.verdict in ("identified", "ambiguous", "unknown") and answer.number is None:
             named = answer.verdict != "unknown"
             onset = onset_of(search, conclusion.best if named else None)
             answer = replace(answer, onset=replace(onset, named=named) if onset is not None else None)
-        if answer.verdict == "unknown" or form:
+        if (answer.verdict == "unknown" and answer.number is None) or form:
             answer = replace(answer, form=discovered(search, groups, suspects(answer, laboratory), conclusion.titles, left_in(answer)))
             if answer.onset is not None and not stands(answer.onset, answer.form):
                 answer = replace(answer, onset=None)

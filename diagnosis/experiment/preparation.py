@@ -6,13 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from robomill.diagnosis.candidates import LOGGING, Address, Nuisance
+from robomill.diagnosis.candidates import LOGGING, Address, Candidate, Nuisance
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.measured import Condition, DataError, in_units
 from robomill.diagnosis.experiment.simulation import Laboratory
 from robomill.diagnosis.gate import run_set
 from robomill.diagnosis.gate.checks import Finding
+from robomill.diagnosis.numbers import lacking
 from robomill.orchestration.assembly import MEASURED, Resolver, assemble, run
 from robomill.orchestration.slaves.protocol import PortData, base_name
 from robomill.orchestration.system.definition import System
@@ -32,6 +33,8 @@ class Prepared:
     catalogue: Catalogue
     """What of the catalogue any of the systems has."""
     nuisances: tuple[Nuisance, ...]
+    numbers: tuple[Candidate, ...]
+    """Numbers of the model that the catalogue lacks (`numbers.lacking`)."""
     skipped: tuple[str, ...]
     """What of the catalogue none of the systems has, in words."""
     findings: tuple[Finding, ...]
@@ -80,7 +83,10 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
     nuisances = _nuisances(catalogue, first, units)
     given = {a: first[a] for c in catalogue.candidates for a in c.addresses if first.get(a)}
     catalogue.check_phases(first)
-    catalogue = catalogue.limited({a: (low - first.get(a, 0.0), high - first.get(a, 0.0)) for a, (low, high) in ranges.items()})
+    beyond = {a: (low - first.get(a, 0.0), high - first.get(a, 0.0)) for a, (low, high) in ranges.items()}
+    catalogue = catalogue.limited(beyond)
+    numbers = replace(catalogue, candidates=lacking(catalogue, nuisances, first, units)).limited(beyond).candidates
+    given |= {a: first[a] for c in numbers for a in c.addresses}
     addresses = [*(u.address for u in nuisances), *given, *((c.component, c.start) for c in catalogue.candidates if c.start)]
     conditions = [
         replace(c, settable=s.names, nominal={a: s.values[a] for a in addresses if s.values.get(a)})
@@ -99,7 +105,7 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
     )
     laboratory.conditions, laboratory.ports = _with_channels(laboratory, n)
     laboratory.channels, laboratory.decimation = list(laboratory.ports), _decimation(system, conditions, n)
-    return Prepared(laboratory, n, catalogue, nuisances, skipped, tuple(short))
+    return Prepared(laboratory, n, catalogue, nuisances, numbers, skipped, tuple(short))
 
 
 def _components(system: System) -> list[str]:

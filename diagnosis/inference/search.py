@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -72,6 +74,18 @@ class Search(Fitting):
         directions, others = self.variety
         signs = sum(len(c.addresses) for c in fit.model if not c.both_signs)
         return others * 0.5**signs * by_chance(directions - len(fit.values), kinds)
+
+    def of(self, sensitivities: Mapping[Candidate, FloatArray]) -> Search:
+        """A search for other candidates, of one number each, with the evidence of this one; what each does per prior scale, [n]."""
+        other = copy(self)
+        for known in ("alone", "together", "variety"):
+            other.__dict__.pop(known, None)
+        columns = {a: column for c, column in sensitivities.items() for a in c.addresses}
+        other.candidates, other.starts, other.bent = list(sensitivities), {}, set()
+        other.scales = self.scales | {a: c.prior.scale for c in sensitivities for a in c.addresses}
+        other.sizes = self.sizes | dict.fromkeys(columns, 1.0)
+        other.evidence = replace(self.evidence, sensitivities=self.evidence.sensitivities | columns)
+        return other
 
     @property
     def growth(self) -> float:

@@ -264,7 +264,7 @@ class Sensitivities:
         left = [self.evidence.space.chi2]
         for a, c in self.single.items():
             own = self.evidence.space.without([a])
-            left.append(self._chi2(a, own.chi2 - _gain(own, self.evidence.sensitivities[a], c)))
+            left.append(self._chi2(a, own.chi2 - gain(own, self.evidence.sensitivities[a], c)))
         return min(left)
 
     def _much_smaller(self) -> dict[Address, list[float]]:
@@ -284,7 +284,7 @@ class Sensitivities:
     def _take_if_better(self, address: Address, sensitivity: FloatArray, size: float) -> None:
         """Put another sensitivity, from another size [prior scales], in place of the known one, if it takes away more of chi2."""
         own, known = self.evidence.space.without([address]), self.evidence.sensitivities[address]
-        if _gain(own, sensitivity, self.single[address]) > _gain(own, known, self.single[address]):
+        if gain(own, sensitivity, self.single[address]) > gain(own, known, self.single[address]):
             self.evidence.sensitivities[address], self.sizes[address] = sensitivity, size
 
     def _signatures(self, sizes: Mapping[Address, Sequence[float]]) -> dict[tuple[Address, float], FloatArray]:
@@ -408,11 +408,11 @@ def cosine(a: FloatArray, b: FloatArray) -> float:
     return float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-300))
 
 
-def _gain(space: Space, sensitivity: FloatArray, candidate: Candidate) -> float:
+def gain(space: Space, sensitivity: FloatArray, candidate: Candidate) -> float:
     """chi2 that the sensitivity v takes away at its best size: <v, y>^2 / <v, v>; 0 where that size has a sign it cannot have."""
     return _taken(*space.against(sensitivity), candidate)
 
 
 def _taken(product: float, square: float, candidate: Candidate) -> float:
-    """chi2 that a sensitivity v takes away, from its products <v, y> and <v, v>; see `_gain`."""
+    """chi2 that a sensitivity v takes away, from its products <v, y> and <v, v>; see `gain`."""
     return product * product / (square + 1e-300) if product > 0.0 or candidate.both_signs else 0.0

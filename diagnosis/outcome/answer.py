@@ -101,6 +101,34 @@ class Which:
 
 
 @dataclass(frozen=True)
+class Number:
+    """A number of the model that the catalogue lacks, and that explains the gap by itself."""
+
+    component: str
+    """Component that has it."""
+    parameter: str
+    """Parameter of the component, with its index."""
+    estimate: Estimate
+    """What comes on top of what it is in the system."""
+    probability: float
+    """Probability that it is right rather than something else that nobody listed, as `tests.p_fit` of an effect, 0..1."""
+    how_far: tuple[HowFar, ...]
+    """As the key `how_far`: the closed loop with this number alone."""
+    instead_of: tuple[str, ...]
+    """Names of the effects that do no more together; empty where no effects were believed."""
+
+    @property
+    def name(self) -> str:
+        """`spring.k[1]`."""
+        return f"{self.component}.{self.parameter}"
+
+    @property
+    def becomes(self) -> float:
+        """Value of the parameter [its unit]."""
+        return (self.estimate.given or 0.0) + self.estimate.value
+
+
+@dataclass(frozen=True)
 class Gap:
     """Whitened squares summed over the diagnosed runs, noise taken off (`Search.gap`)."""
 
@@ -215,6 +243,8 @@ class Answer:
     """Model -> condition -> gain in log score there [nats] when it is fitted to the others."""
     unknown: Unknown | None = None
     """What is known of an effect that is not in the catalogue."""
+    number: Number | None = None
+    """The number of the model, in no catalogue, that explains the gap by itself, if one does."""
     form: Form | None = None
     """What the law is like that is in no catalogue (`forms.layout`)."""
     onset: Onset | None = None

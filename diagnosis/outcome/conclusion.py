@@ -24,14 +24,16 @@ from robomill.diagnosis.inference.priors import log_posteriors, probabilities
 from robomill.diagnosis.inference.scatter import Spell, levels, spell, swing
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.sets import weighed
+from robomill.diagnosis.inference.single_number import single
 from robomill.diagnosis.inference.time_varying import Changing, changing
 from robomill.diagnosis.inference.transfer import Transfer, transfer
 from robomill.diagnosis.inference.visibility import Seen
 from robomill.diagnosis.localisation.replay_attribution import intervals
 from robomill.diagnosis.localisation.where import Located, combined, direction_of, located
 from robomill.diagnosis.outcome import next_run
-from robomill.diagnosis.outcome.answer import Answer, Gap, Menu, Unknown, Visible, Which, curves_of, titles_of
+from robomill.diagnosis.outcome.answer import Answer, Gap, Menu, Number, Unknown, Visible, Which, curves_of, titles_of
 from robomill.diagnosis.outcome.calibration import farthest, pulled
+from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, Closing, metrics
 from robomill.diagnosis.outcome.reasons import Reason, reasons
@@ -41,6 +43,7 @@ from robomill.diagnosis.outcome.values import WIDER, Values
 from robomill.diagnosis.outcome.verdict import (
     IDENTIFIED,
     Tests,
+    Verdict,
     at_bound,
     changes,
     judged,
@@ -84,7 +87,10 @@ class Conclusion:
         menu: Menu,
         repair: bool,
         false_alarm: float,
+        numbers: Sequence[Candidate] = (),
     ) -> None:
+        """`numbers`: numbers of the model that the catalogue lacks."""
+        self.numbers = numbers
         self.laboratory, self.simulator, self.search, self.groups, self.n = laboratory, simulator, search, groups, n
         self.findings, self.menu, self.repair, self.false_alarm = findings, menu, repair, false_alarm
         self.titles = titles_of(search.catalogue.titles, laboratory.ports)
@@ -162,6 +168,10 @@ class Conclusion:
             bound = bound or at_bound(self.best.model, self.best.values | free)
         if instead.found or (bound and verdict != "none"):
             verdict = "unknown"
+        number = self.number(verdict)
+        several = number is not None and verdict != "unknown"
+        if several:
+            verdict = "unknown"
         said = [c for c in clocks if self.repair or (believed[c] >= IDENTIFIED and verdict != "unknown")]
         for c in said if verdict != "none" else []:
             (address,), (kind, _, pattern) = c.addresses, c.parameters[0].partition(" ")
@@ -199,7 +209,8 @@ class Conclusion:
             calibrated=pulled(search, self.best, self.false_alarm),
         )
         acts = verdict in ("identified", "ambiguous", "unknown")
-        adopted = physical(self.best.values) if acts else {}
+        shown = self.best if number is None else number[0]
+        adopted = physical(shown.values) if acts else {}
         if verdict == "none":
             answer = replace(answer, probability_none=tests.nothing)
         else:
@@ -209,7 +220,7 @@ class Conclusion:
                 answer,
                 where=combined(verdict, shares(search, self.best), found.where),
                 how_far=closing.of(adopted, list(closing.kinds)) if closing else (),
-                steps=steps(closing, self.best) if closing else None,
+                steps=steps(closing, shown) if closing else None,
                 next_run=self.next_run(verdict) if acts else None,
                 replay=found.replay,
                 swap=found.swap,
@@ -219,12 +230,40 @@ class Conclusion:
             )
         if verdict == "unknown":
             other = self.other if self.other is not None and changes(search, self.best, self.other) else None
-            seen: dict[Reason, bool] = {"bound": bound, "changes": other is not None, "instead": bool(instead.found)}
+            seen: dict[Reason, bool] = {"bound": bound, "changes": other is not None, "instead": bool(instead.found), "number": several}
             seen |= {"runs": self.differs is not None and not self.best.model, "swing": swings is not None}
             answer = self.described(
                 answer, found, instead, other, reasons(tests, bool(self.best.model), largest(search, nominal, moved), seen)
             )
+        if number is not None:
+            answer = replace(answer, number=self.described_number(*number, answer.how_far, several))
         return answer, adopted
+
+    def number(self, verdict: Verdict) -> tuple[Fit, float] | None:
+        """The number of the model, in no catalogue, that explains the gap by itself, and its probability; None if there is none.
+
+        It is asked for where the answer is `unknown` otherwise, or has several numbers. These have to be likelier than one that does as
+        much, each by evidence and prior. It has to pass the tests that an effect has to pass.
+        """
+        named = verdict in ("identified", "ambiguous")
+        if not (verdict == "unknown" or (named and len(self.best.values) > 1)) or self.differs is not None:
+            return None
+        if any(c.component == LOGGING for c in self.best.model) and named:
+            return None
+        fit = single(self.search, self.numbers)
+        if fit is None or at_bound(fit.model, fit.values):
+            return None
+        if named and log_posteriors([fit], self.numbers)[0] <= log_posteriors([self.best], self.search.candidates)[0]:
+            return None
+        p_fit = self.tests(fit, self.transfer(fit)).p_fit
+        return None if refuted(p_fit) else (fit, p_fit)
+
+    def described_number(self, fit: Fit, probability: float, how_far: tuple[HowFar, ...], several: bool) -> Number:
+        """What is said of a number of the model."""
+        (c,) = fit.model
+        (estimate,) = Values(self.search, fit).parameters(c, fit).values()
+        others = tuple(x.name for x in self.best.model) if several else ()
+        return Number(c.component, c.parameters[0], estimate, probability, how_far, others)
 
     def held_out(self) -> FloatArray:
         """Probability of each fit, float64[fits], where models of fewer of the best one's effects are asked in new conditions, too.
