@@ -264,7 +264,7 @@ def write(found: Diagnosis, system: System, runs: Sequence[Run], catalogue: Cata
 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / ANSWER).write_text(as_json(found.result) + "\n", encoding="utf-8")
-    if found.answer.verdict in ("identified", "ambiguous"):
+    if found.answer.verdict in ("identified", "ambiguous") or found.answer.number is not None:
         adopt.write(found.adopted, folder / "adopt.ssv")
     else:
         (folder / "adopt.ssv").unlink(missing_ok=True)  # of an earlier answer
@@ -326,6 +326,8 @@ def lines(answer: Answer) -> list[str]:
             there = ", ".join(x.ports)
             part = "more than all" if x.gain > 1.0 else f"{100 * x.gain:.1f} %"  # an effect may make the gap larger
             out.append(f"stand-in: {x.effect}; {x.law} in its place does better in {there}, by {part} of the gap there")
+    if (one := answer.number) is not None:
+        out.append(f"number: {one.text}; no effect of the catalogue is about it, and its probability is {one.probability:.2f}")
     if answer.onset:
         out.append(f"onset: {answer.onset.text}")
     if answer.form:
@@ -333,7 +335,7 @@ def lines(answer: Answer) -> list[str]:
         if (nearest := answer.closer) is not None and not answer.form.refuted:
             closed = f"{100 * (nearest.closure or 0.0):.0f} %, {nearest.on}"
             out.append(f"form: the effects that are nearest close more of the whole gap (all signals, each over its noise), {closed}")
-    elif answer.verdict == "unknown":
+    elif answer.verdict == "unknown" and answer.number is None:
         out.append("form: none was found that predicts parts of the runs that were left out")
     if answer.next_run:
         out.append(f"next run: {answer.next_run.text}")
@@ -342,7 +344,7 @@ def lines(answer: Answer) -> list[str]:
 
 def _if_listed(answer: Answer, effect: Which) -> str:
     """How likely an effect of an answer that is `unknown` is, if what is wrong is in the catalogue after all."""
-    if answer.verdict != "unknown" or answer.tests is None or answer.tests.p_fit <= 0.0:
+    if answer.verdict != "unknown" or answer.number is not None or answer.tests is None or answer.tests.p_fit <= 0.0:
         return ""
     return f" ({min(effect.probability / answer.tests.p_fit, 1.0):.2f} if the cause is in the catalogue)"
 

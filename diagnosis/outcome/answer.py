@@ -112,8 +112,6 @@ class Number:
     """What comes on top of what it is in the system."""
     probability: float
     """Probability that it is right rather than something else that nobody listed, as `tests.p_fit` of an effect, 0..1."""
-    how_far: tuple[HowFar, ...]
-    """As the key `how_far`: the closed loop with this number alone."""
     instead_of: tuple[str, ...]
     """Names of the effects that do no more together; empty where no effects were believed."""
 
@@ -123,9 +121,18 @@ class Number:
         return f"{self.component}.{self.parameter}"
 
     @property
-    def becomes(self) -> float:
-        """Value of the parameter [its unit]."""
-        return (self.estimate.given or 0.0) + self.estimate.value
+    def becomes(self) -> list[float]:
+        """Value of the parameter and its 90 % interval [its unit]."""
+        given = self.estimate.given or 0.0
+        return [given + x for x in (self.estimate.value, *self.estimate.interval)]
+
+    @property
+    def text(self) -> str:
+        """In words: the value, its interval, what the system has, and which effects do no more together."""
+        value, low, high = self.becomes
+        unit = "" if self.estimate.unit == "1" else f" {self.estimate.unit}"
+        others = f", which does as much as {' + '.join(self.instead_of)}" if self.instead_of else ""
+        return f"{self.name} is {value:.4g} [{low:.4g} .. {high:.4g}]{unit} instead of {self.estimate.given:.4g}{others}"
 
 
 @dataclass(frozen=True)
@@ -214,7 +221,7 @@ class Answer:
     families: tuple[Family, ...] = ()
     """Effects that count as one, or that cannot be told apart; likeliest first."""
     how_far: tuple[HowFar, ...] = ()
-    """How far the gap closes with the adopted effects."""
+    """How far the gap closes with the adopted effects, or with the `number`, if there is one."""
     steps: Steps | None = None
     """The accepted effects one after the other."""
     next_run: NextRun | None = None

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import expit, logsumexp
 
 from robomill.diagnosis.candidates import LOGGING, Address, Candidate, physical
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator, setting
@@ -33,7 +33,6 @@ from robomill.diagnosis.localisation.where import Located, combined, direction_o
 from robomill.diagnosis.outcome import next_run
 from robomill.diagnosis.outcome.answer import Answer, Gap, Menu, Number, Unknown, Visible, Which, curves_of, titles_of
 from robomill.diagnosis.outcome.calibration import farthest, pulled
-from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.families import Family, families
 from robomill.diagnosis.outcome.how_far import CLOSING, Closing, metrics
 from robomill.diagnosis.outcome.reasons import Reason, reasons
@@ -66,6 +65,17 @@ FAULTS = {"smooth": "filter", "gain": "unit"}
 """Kinds of findings, where they are called otherwise than what is wrong with the log."""
 LISTED = 0.01
 """Probability from which a candidate is listed."""
+
+
+@dataclass(frozen=True)
+class _Single:
+    """The model of one number that no effect of the catalogue is about."""
+
+    fit: Fit
+    p_fit: float
+    """As `Tests.p_fit`."""
+    likelier: float
+    """Probability of it rather than the effects that are named otherwise; 1 where none are."""
 
 
 class Conclusion:
@@ -170,7 +180,7 @@ class Conclusion:
             verdict = "unknown"
         number = self.number(verdict)
         several = number is not None and verdict != "unknown"
-        if several:
+        if several:  # one number is likelier than they are
             verdict = "unknown"
         said = [c for c in clocks if self.repair or (believed[c] >= IDENTIFIED and verdict != "unknown")]
         for c in said if verdict != "none" else []:
@@ -195,7 +205,8 @@ class Conclusion:
             self.search.evidence.whitening.guessed,
             farthest(search, nominal) if verdict == "none" else None,
         )
-        which = self.which(marginal, pairs, {c: tests.p_fit * instead.belief(c) for c in marginal})
+        belief = tests.p_fit * (1.0 - number.likelier if several and number else 1.0)
+        which = self.which(marginal, pairs, {c: belief * instead.belief(c) for c in marginal})
         answer = Answer(
             verdict,
             tuple(self.findings),
@@ -204,12 +215,12 @@ class Conclusion:
             gap=gap,
             transfer=moved,
             tests=tests,
-            families=self.families(tests.p_fit, instead),
+            families=self.families(belief, instead),
             smallest_visible=self.smallest(),
             calibrated=pulled(search, self.best, self.false_alarm),
         )
         acts = verdict in ("identified", "ambiguous", "unknown")
-        shown = self.best if number is None else number[0]
+        shown = self.best if number is None else number.fit
         adopted = physical(shown.values) if acts else {}
         if verdict == "none":
             answer = replace(answer, probability_none=tests.nothing)
@@ -236,34 +247,32 @@ class Conclusion:
                 answer, found, instead, other, reasons(tests, bool(self.best.model), largest(search, nominal, moved), seen)
             )
         if number is not None:
-            answer = replace(answer, number=self.described_number(*number, answer.how_far, several))
+            answer = replace(answer, number=self.described_number(number, several))
         return answer, adopted
 
-    def number(self, verdict: Verdict) -> tuple[Fit, float] | None:
-        """The number of the model, in no catalogue, that explains the gap by itself, and its probability; None if there is none.
+    def number(self, verdict: Verdict) -> _Single | None:
+        """The number of the model, in no catalogue, that explains the gap by itself; None if there is none.
 
-        It is asked for where the answer is `unknown` otherwise, or has several numbers. These have to be likelier than one that does as
-        much, each by evidence and prior. It has to pass the tests that an effect has to pass.
+        It is asked for where the answer is `unknown` otherwise, or has several numbers. Then it has to be likelier than these, each by
+        evidence and prior. It has to pass the tests that an effect has to pass.
         """
-        named = verdict in ("identified", "ambiguous")
+        named = verdict in ("identified", "ambiguous") and not any(c.component == LOGGING for c in self.best.model)
         if not (verdict == "unknown" or (named and len(self.best.values) > 1)) or self.differs is not None:
-            return None
-        if any(c.component == LOGGING for c in self.best.model) and named:
             return None
         fit = single(self.search, self.numbers)
         if fit is None or at_bound(fit.model, fit.values):
             return None
-        if named and log_posteriors([fit], self.numbers)[0] <= log_posteriors([self.best], self.search.candidates)[0]:
-            return None
+        its, others = log_posteriors([fit], self.numbers)[0], log_posteriors([self.best], self.search.candidates)[0]
+        likelier = float(expit(its - others)) if named else 1.0
         p_fit = self.tests(fit, self.transfer(fit)).p_fit
-        return None if refuted(p_fit) else (fit, p_fit)
+        return None if refuted(likelier) or refuted(p_fit) else _Single(fit, p_fit, likelier)
 
-    def described_number(self, fit: Fit, probability: float, how_far: tuple[HowFar, ...], several: bool) -> Number:
-        """What is said of a number of the model."""
-        (c,) = fit.model
-        (estimate,) = Values(self.search, fit).parameters(c, fit).values()
+    def described_number(self, number: _Single, several: bool) -> Number:
+        """What is said of a number of the model; `several`: that it is in place of the effects of the best model."""
+        (c,) = number.fit.model
+        (estimate,) = Values(self.search, number.fit).parameters(c, number.fit).values()
         others = tuple(x.name for x in self.best.model) if several else ()
-        return Number(c.component, c.parameters[0], estimate, probability, how_far, others)
+        return Number(c.component, c.parameters[0], estimate, number.p_fit * number.likelier, others)
 
     def held_out(self) -> FloatArray:
         """Probability of each fit, float64[fits], where models of fewer of the best one's effects are asked in new conditions, too.

@@ -17,6 +17,8 @@ def section(s: Subject, figures: Mapping[str, str]) -> str:
     if not s.answer.how_far or s.verdict == "bad_log":
         return ""
     claim = "" if s.verdict != "unknown" else " The model is not adequate: this is what it closes nevertheless."
+    if s.answer.number is not None:
+        claim = f" It is the number {s.answer.number.name} alone that closes this."
     noise = (
         "The noise is a guess, so it is not taken off: it is part of what was there before and of what remains."
         if s.answer.guessed

@@ -74,12 +74,14 @@ def _tiles(s: Subject) -> str:
     whole = s.far(s.hardest, WHOLE)
     if s.hardest is not None and whole is not None:
         value, interval = closed(whole)
-        nevertheless = "Closed nevertheless" if s.verdict == "unknown" else "Gap closed"
+        nevertheless = "Closed nevertheless" if s.verdict == "unknown" and s.answer.number is None else "Gap closed"
         tiles.append((f"{nevertheless}, in {KINDS[s.hardest]}", value, ", ".join(filter(None, [interval, far.ceiling(whole, "at best ")]))))
     if s.verdict == "identified":
         least = min((w.probability for w in s.sure), default=0.0)
         about = f"{'with a probability of' if len(s.sure) == 1 else 'the least certain one:'} {percent(least)}"
         tiles.append(("Effects named", str(len(s.sure)), about))
+    if (x := s.answer.number) is not None:
+        tiles.append(("Number of the model", x.name, f"with a probability of {percent(x.probability)}"))
     if s.verdict == "ambiguous":
         tiles.append(("Possible causes", str(len(s.answer.which)), f"{len(s.sure)} of them certain"))
     if (tests := s.answer.tests) is not None:

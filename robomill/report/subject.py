@@ -250,6 +250,8 @@ def _answer(s: Subject) -> str:
     if s.verdict == "none":
         also = f". It may be {perhaps(s.answer, causes(maybe))}" if (maybe := s.answer.suspected) else ""
         return f"No effect is needed to explain these runs: machine and simulation differ by no more than noise and the tolerances of calibrated numbers{also}."
+    if (x := s.answer.number) is not None:
+        return f"The gap is what one number of the model does that no effect of the catalogue is about: {x.text}{_shrinks(s)}."
     if known := s.answer.unknown:
         place = listed([listed([w.component, *(w.alternatives or ())], "or") for w in s.blamed]) or known.component
         where = f"; it shows most in {s.label(next(iter(known.channels)))}" if known.channels else ""
@@ -311,4 +313,4 @@ def _shrinks(s: Subject) -> str:
     changes = [f"{s.said(h.channel)} from {there_was(h)} to {left(h)}" for h in s.clearest(2)]
     if not changes or s.hardest is None:
         return ""
-    return f"; with {'it' if len(s.sure) == 1 else 'them'} in the model, in {KINDS[s.hardest]}: {listed(changes)} (rms)"
+    return f"; with {'it' if len(s.sure) == 1 or s.answer.number else 'them'} in the model, in {KINDS[s.hardest]}: {listed(changes)} (rms)"

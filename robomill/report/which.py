@@ -11,6 +11,7 @@ from robomill.diagnosis.outcome.verdict import IDENTIFIED
 from robomill.report.html import bar, code, fold, paragraph, table
 from robomill.report.subject import Subject, effect_name, spoken
 from robomill.report.units import number, percent, quantity, relative, with_interval
+from robomill.report.words import likelihood
 
 PAIRS = 12
 """Pairs of candidates that are listed, at most."""
@@ -18,6 +19,7 @@ _ALONE = (
     "Every candidate of the catalogue was fitted in the closed loop, alone and together. This one remains, or something without a name:"
 )
 """In place of the introduction where an ambiguous answer has one effect."""
+_ADOPTED = "<pre><code>robomill run SCENARIO.toml --adopt adopt.ssv</code></pre>"
 _INTRO = {
     "none": "None is needed. These came closest:",
     "identified": "Every candidate of the catalogue was fitted in the closed loop, alone and together. These remain:",
@@ -30,7 +32,7 @@ _INTRO = {
 def section(s: Subject) -> str:
     """Candidates with their values, the sets that hold the cause, and how to simulate with the answer."""
     if not s.answer.which:
-        return ""
+        return _number(s)
     described = s.catalogue.descriptions
     rows = []
     for w in s.answer.which:
@@ -51,7 +53,16 @@ def section(s: Subject) -> str:
     shown = table(("Effect", "Probability", "Value (90 % interval)", "Component", "Could be confused with"), rows)
     onset = paragraph(f"{spoken(s.answer.onset.text)}.") if s.answer.onset else ""
     alone = s.verdict == "ambiguous" and len(s.answer.which) == 1
-    return paragraph(_ALONE if alone else _INTRO[s.verdict]) + shown + onset + _sets(s) + _isolability(s) + paragraph(_tried(s)) + _adopt(s)
+    return (
+        _number(s)
+        + paragraph(_ALONE if alone else _INTRO[s.verdict])
+        + shown
+        + onset
+        + _sets(s)
+        + _isolability(s)
+        + paragraph(_tried(s))
+        + _adopt(s)
+    )
 
 
 def _small(w: Which) -> str:
@@ -105,8 +116,19 @@ def _isolability(s: Subject) -> str:
     return fold("Which candidates these runs can tell apart", paragraph(text) + table(("Pair", "Distance", "So they"), rows, (1,)))
 
 
+def _number(s: Subject) -> str:
+    """The number of the model that explains the gap by itself."""
+    if (x := s.answer.number) is None:
+        return ""
+    text = (
+        f"No effect of the catalogue is about {x.name}, and this number of the model explains the gap by itself: {x.text}. "
+        f"That it is right is {likelihood(x.probability)}. If it may be wrong, measure it, or give it an effect in the catalogue. Simulate with it:"
+    )
+    return paragraph(text) + _ADOPTED
+
+
 def _adopt(s: Subject) -> str:
     if s.verdict not in ("identified", "ambiguous"):
         return ""
     text = "The most probable answer is in adopt.ssv. Simulate with it:" if s.verdict == "ambiguous" else "Simulate with it:"
-    return paragraph(text) + "<pre><code>robomill run SCENARIO.toml --adopt adopt.ssv</code></pre>"
+    return paragraph(text) + _ADOPTED
