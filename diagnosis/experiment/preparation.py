@@ -85,7 +85,8 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
     catalogue.check_phases(first)
     beyond = {a: (low - first.get(a, 0.0), high - first.get(a, 0.0)) for a, (low, high) in ranges.items()}
     catalogue = catalogue.limited(beyond)
-    numbers = replace(catalogue, candidates=lacking(catalogue, nuisances, first, units)).limited(beyond).candidates
+    same = {a: value for a, value in first.items() if all(s.values.get(a, value) == value for s in settable)}  # others are of a program
+    numbers = replace(catalogue, candidates=lacking(catalogue, nuisances, same, units)).limited(beyond).candidates
     given |= {a: first[a] for c in numbers for a in c.addresses}
     addresses = [*(u.address for u in nuisances), *given, *((c.component, c.start) for c in catalogue.candidates if c.start)]
     conditions = [

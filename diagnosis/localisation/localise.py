@@ -1,8 +1,8 @@
 """Where inside a component: direction, joint, and what the residual of its replay depends on.
 
 A residual that is a vector (a tool-tip error) is projected on directions that are given from outside, for robots the columns of the
-Jacobian: the engine knows no robots. Dependence on a variable is tested against noise, all variables together at a fixed rate of false
-discoveries (Benjamini & Hochberg 1995).
+Jacobian: the engine knows no robots. Dependence on a variable is tested against noise, all variables together: of those that are found a
+part of FALSE_ALARM may be found by chance (Benjamini & Hochberg 1995).
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ import numpy as np
 from scipy.stats import chi2, false_discovery_control
 
 from robomill.diagnosis.experiment.component_replay import KNOWN
+from robomill.diagnosis.inference.adequacy import FALSE_ALARM
 from robomill.orchestration.slaves.protocol import FloatArray
 
-FALSE_DISCOVERIES = 0.05
-"""Part of the variables that are found which may be found by chance."""
 BANDS = ((0.0, 0.004), (0.004, 0.02), (0.02, 0.06), (0.06, np.inf))
 """Parts of the sampling frequency: 1, 5 and 15 Hz of 250 Hz."""
 PRESENT = 0.1
@@ -109,7 +108,7 @@ def dependences(
             freedom += u.shape[1]
         chances.append(float(chi2.sf(explained / temperature, freedom)))
         tested.append(Dependence(name, explained / (total + 1e-300), chances[-1]))
-    found = [d for d, p in zip(tested, false_discovery_control(chances), strict=True) if p <= FALSE_DISCOVERIES]
+    found = [d for d, p in zip(tested, false_discovery_control(chances), strict=True) if p <= FALSE_ALARM]
     return sorted(found, key=lambda d: -d.share)
 
 
