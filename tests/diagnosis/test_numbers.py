@@ -14,6 +14,7 @@ from robomill.diagnosis.candidates import Nuisance
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.numbers import lacking
 from robomill.diagnosis.outcome.answer import Diagnosis
+from robomill.diagnosis.outcome.reasons import WHY
 from tests.diagnosis.demo import SYSTEM, WELL, Force, catalogue, measure, real, resolve
 
 UNITS = {
