@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import pytest
 
-from robomill.blind.workers import cores, done, work
+from robomill.blind.workers import cores, work
 
 
 def double(x):
@@ -42,28 +41,6 @@ def test_processes_have_one_thread_each_and_the_environment_is_as_before():
 def test_an_error_ends_it_and_is_that_of_the_job():
     with pytest.raises(RuntimeError, match="job 3"):
         list(work(fail_at_3, [(1,), (2,), (3,), (4,)], 2))
-
-
-def resident():
-    """Memory [bytes] that this process holds."""
-    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
-
-
-def test_memory_that_a_job_has_freed_goes_back_to_the_system():
-    """Every hundredth block stays, so that the C library keeps what lies between; blocks of 100 kB are too small for pages of their own."""
-    kept = []
-
-    def job():
-        blocks = [b"1" * 100_000 for _ in range(3000)]
-        kept.extend(blocks[::100])
-
-    before = resident()
-    job()
-    held = resident() - before
-    kept.clear()
-    done(job)
-    assert held > 200e6
-    assert resident() - before < 0.2 * held
 
 
 def test_a_number_of_processes_below_one_is_refused():
