@@ -98,8 +98,10 @@ def diagnose_case(case: Path, out: Path) -> None:
     from robomill.diagnosis.experiment.campaign import Campaign, load_campaign
     from robomill.diagnosis.experiment.measured import DataError
     from robomill.diagnosis.experiment.store import Store
+    from robomill.freed_memory import give_back
     from robomill.orchestration.runs.run import Run
 
+    give_back()
     if (case / "campaign.toml").is_file():
         campaign = load_campaign(case / "campaign.toml", load_system)
     else:

@@ -35,6 +35,7 @@ from robomill.diagnosis.outcome.reasons import WHY
 from robomill.files import FILES, vacant
 from robomill.fmus.components import NAMES, companion, component, home, is_component
 from robomill.fmus.python.builder import build
+from robomill.freed_memory import give_back
 from robomill.joints import projections
 from robomill.models.components.correction import correction_model
 from robomill.models.components.file_names import FORM
@@ -101,6 +102,7 @@ def answered(
 
     The other arguments, and what is raised, are those of `diagnosis.engine.diagnose_campaign`.
     """
+    give_back()
     with TemporaryDirectory() as folder:
         return diagnose_campaign(
             campaign,

@@ -166,7 +166,7 @@ class Fitting:
 
     def _single(self, values: Sequence[Values], calibrated: Values = MappingProxyType({})) -> list[FloatArray | None]:
         """As `mean_signature`, of one simulation each."""
-        n, slopes = len(self.groups), self._by_slopes(calibrated)
+        n, slopes = len(self.groups), by_slopes(self.nuisances, calibrated, self.evidence.space)
         settings = [self.simulator.seeded(setting({**v, **calibrated})) for v in values]
         results = self.simulator.many([(i, changes) for changes in settings for i in range(n)], "fits")
         whole = [self.evidence.signature(results[k * n : (k + 1) * n]) for k in range(len(settings))]
@@ -179,13 +179,7 @@ class Fitting:
         """
         changes = setting({**values, **calibrated})
         whole = self.evidence.mean_signature(self.simulator.repeated(range(len(self.groups)), changes, POLISH, "fits"))
-        return None if whole is None else whole - self._by_slopes(calibrated)
-
-    def _by_slopes(self, calibrated: Values) -> FloatArray:
-        """What calibrated numbers [unit] do by their slopes, whitened, [n]."""
-        space = self.evidence.space
-        deviations = {n.address: calibrated[n.address] / n.scale for n in self.nuisances if n.address in calibrated}
-        return space.nuisances.along(np.array([deviations.get(name, 0.0) for name in space.names]))
+        return None if whole is None else whole - by_slopes(self.nuisances, calibrated, self.evidence.space)
 
     def numbers(self, fit: Fit) -> tuple[list[Nuisance], FloatArray, FloatArray]:
         """The calibrated numbers that a model leaves to the nuisances, and where it has them: their means [k] and covariance [k, k].
@@ -239,12 +233,15 @@ class Fitting:
             polished.append(self.about(f, signature, f.sensitivities))
         return polished
 
-    def about(self, fit: Fit, signature: FloatArray, sensitivities: FloatArray) -> Fit:
-        """The best fit near the values of another one, where the signature and its slopes are these."""
+    def about(self, fit: Fit, signature: FloatArray, sensitivities: FloatArray, form: FloatArray | None = None) -> Fit:
+        """The best fit near the values of another one, where the signature and its slopes are these.
+
+        `form`: what its effects may do otherwise than their laws say; None: as `Evidence.form` has it.
+        """
         scales, _, _ = scaled_bounds(fit.model)
         addresses = [a for c in fit.model for a in c.addresses]
         x = np.array([fit.values[a] for a in addresses]) / scales
-        form = self.evidence.form(fit.model, signature, sensitivities, x)
+        form = self.evidence.form(fit.model, signature, sensitivities, x) if form is None else form
         better = quadratic_fit(fit.model, signature, sensitivities, x, self.evidence.space, form)
         if form is not None:  # what the form may do otherwise counts in the evidence; it is no part of what the model explains
             plain = quadratic_fit(fit.model, signature, sensitivities, x, self.evidence.space)
@@ -331,6 +328,12 @@ class Fitting:
         assert fit.signature is not None
         left = self.evidence.space.y - fit.signature
         return float(self.evidence.space.without(list(fit.values)).dot(left, left))
+
+
+def by_slopes(nuisances: Sequence[Nuisance], calibrated: Values, space: Space) -> FloatArray:
+    """What calibrated numbers [unit] do by their slopes in the conditions of a space, whitened, [n]."""
+    deviations = {n.address: calibrated[n.address] / n.scale for n in nuisances if n.address in calibrated}
+    return space.nuisances.along(np.array([deviations.get(name, 0.0) for name in space.names]))
 
 
 def addresses_of(candidates: Sequence[Candidate]) -> list[Address]:

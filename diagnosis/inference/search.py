@@ -120,7 +120,8 @@ class Search(Fitting):
         fits = self._grown(fits, self._best(level, BASES))
         while (others := self._exchanged(max(fits, key=evidence_of), fits)) and max(others, key=evidence_of).log_evidence > _most(fits):
             fits = self._grown(fits + others, self._best(others, 1))
-        fits = _distinct([f for f in fits + others if f.large_enough()])
+        fits += others
+        fits = _distinct([f for f in fits + self._calibrated_instead(max(fits, key=evidence_of)) if f.large_enough()])
         for f in sorted(fits[1:], key=evidence_of, reverse=True)[:3]:
             f.predictive = {name: part.predicted for name, part in leave_one_out(f, space).items()}
         return fits
@@ -165,6 +166,25 @@ class Search(Fitting):
         trials += [f for f in fewer if frozenset(f.model) not in seen]
         level = self.sharpened(self.polish(self.refine(trials), trials))
         return level + (self._replaced(best, fewer, [f for f in swapped if f not in trials]) if fewer else [])
+
+    def _calibrated_instead(self, best: Fit) -> list[Fit]:
+        """`best` without one of its effects, and a calibrated number that does the same as far off in its place, simulated.
+
+        Slopes of calibrated numbers are those of the nominal system. Beside an effect that turns them, what a number does within its
+        tolerance would be given to an effect that is like it. Its law may be off as much as that of the effect.
+        """
+        found = []
+        numbers = {n.address: n for n in self.nuisances if n.address not in best.calibrated}
+        for c in best.model if len(best.model) > 1 else ():
+            alike = self.evidence.space.alike.get(c.addresses[0], {}) if len(c.addresses) == 1 else {}
+            without = _without(best, c)
+            for n, deviation in ((numbers[a], d) for a, d in alike.items() if a in numbers):
+                off = best.values[c.addresses[0]] / deviation * n.scale  # the same effect, or the opposite one
+                for calibrated in ({**best.calibrated, n.address: sign * off} for sign in (1.0, -1.0)):
+                    signature = self.mean_signature(without.values, calibrated)
+                    if signature is not None and without.sensitivities is not None:
+                        found.append(self.about(replace(without, calibrated=calibrated), signature, without.sensitivities, best.form))
+        return found
 
     def _replaced(self, best: Fit, fewer: Sequence[Fit], swapped: Sequence[Fit]) -> list[Fit]:
         """Models that have another effect in place of one of `best`: those of `swapped` that make up for most of what it explains.

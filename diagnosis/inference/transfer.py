@@ -20,7 +20,7 @@ from robomill.diagnosis.experiment.simulation import setting
 from robomill.diagnosis.inference.adequacy import CONDITIONS, KEEPS, LEVEL, MISFIT, kept, left_by, misfit, worsened
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.evidence import gather
-from robomill.diagnosis.inference.fitting import POLISH
+from robomill.diagnosis.inference.fitting import POLISH, by_slopes
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.sensitivities import NOMINAL, TOLERANCES, changed, interplay
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -106,7 +106,7 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     if not every:
         return None
     nominals = simulator.repeated(every, (), NOMINAL, "new conditions")
-    there = simulator.repeated(every, setting(fit.values), POLISH, "new conditions")
+    there = simulator.repeated(every, setting({**fit.values, **fit.calibrated}), POLISH, "new conditions")
     sizes = {n.address: TOLERANCES * n.scale for n in search.nuisances}
     plain = [n for n in nominals if n is not None]
     if len(plain) < len(every) or any(t is None for t in there):
@@ -129,9 +129,9 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     )
     if not e.judged.any():  # without tolerances nothing is known of discrepancies: there is the noise to compare with
         e = replace(e, judged=np.ones_like(e.judged))
-    signature = e.mean_signature(there)
-    assert signature is not None
-    space = e.space
+    whole, space = e.mean_signature(there), e.space
+    assert whole is not None
+    signature = whole - by_slopes(search.nuisances, fit.calibrated, space)
     before, after = _chi2(space, space.y, None), _chi2(space, space.y - signature, doubt * signature)
     size = float(space.dot(signature, signature))
     unsure, left = doubt * signature, space.y - signature
