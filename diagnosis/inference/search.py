@@ -114,7 +114,7 @@ class Search(Fitting):
         fits = [self.calibrate(nominal) if self.rough(nominal) else nominal]
         gain = space.chi2 - min((f.chi2 for f in singles), default=space.chi2)
         chosen = _first([f for f in singles if space.chi2 - f.chi2 > WORTH * gain], SINGLES) or _first(singles, SINGLES)
-        chosen += [f for f in singles if f not in chosen and self._hidden(f)]
+        chosen += _first([f for f in singles if f not in chosen and self._hidden(f, 1.0 - WORTH)], SINGLES)
         level = self.sharpened(self.polish(self.refine(chosen), chosen))
         fits += level
         fits = self._grown(fits, self._best(level, BASES))
@@ -206,14 +206,15 @@ class Search(Fitting):
         less = [_without(f, c) for f in equal for c in f.model]
         return likeliest + self.sharpened(self.polish(self.refine(less), less)) + self._smaller(equal, ())
 
-    def _hidden(self, fit: Fit) -> bool:
-        """Whether the last effect of a model explains nearly all of a large gap that tolerances explain better, by its linear fit.
+    def _hidden(self, fit: Fit, left: float = HIDDEN) -> bool:
+        """Whether the last effect of a model explains a large gap that tolerances explain better, but for this part, by its linear fit.
 
-        Against a gap that is hundreds of times the noise no sensitivity is exact enough; a simulation is.
+        Against a gap that is hundreds of times the noise no sensitivity is exact enough; a simulation is. A single effect that changes a
+        resonance explains a part of the gap only by its slope, and tolerances of everything else the rest, all far off.
         """
         space = self.evidence.space
         own, before = space.without(list(fit.values)), space.without([a for c in fit.model[:-1] for a in c.addresses])
-        return own is not before and own.chi2 > LARGE * float(self.evidence.expected.sum()) and fit.chi2 < HIDDEN * own.chi2
+        return own is not before and own.chi2 > LARGE * float(self.evidence.expected.sum()) and fit.chi2 < left * own.chi2
 
     def _best(self, level: Sequence[Fit], count: int) -> list[Fit]:
         best = {_names(f): f for f in sorted(level, key=evidence_of)}  # variants do not grow beside each other

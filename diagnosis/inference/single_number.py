@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from heapq import nlargest
 
+import numpy as np
+
 from robomill.diagnosis.candidates import Candidate
 from robomill.diagnosis.experiment.simulation import setting
-from robomill.diagnosis.inference.estimation import Fit
+from robomill.diagnosis.inference.estimation import SAME_SIGNATURE, Fit
 from robomill.diagnosis.inference.fitting import evidence_of
 from robomill.diagnosis.inference.search import SINGLES, Search
 from robomill.diagnosis.inference.sensitivities import gain
@@ -17,7 +19,8 @@ from robomill.orchestration.slaves.protocol import FloatArray
 def single(search: Search, numbers: Sequence[Candidate]) -> Fit | None:
     """The model of one of the `numbers` that has the largest evidence, in the terms of the search; None where none is large enough.
 
-    All are simulated once in each condition, and fitted are those SINGLES that take most away as they are slopes.
+    All are simulated once in each condition, and fitted are those SINGLES that take most away as they are slopes. A number that does the
+    same as an effect of the search is none: that has been asked.
     """
     simulator, space, conditions = search.simulator, search.evidence.space, range(len(search.groups))
 
@@ -33,8 +36,13 @@ def single(search: Search, numbers: Sequence[Candidate]) -> Fit | None:
         space.find_alike({address: column}, {address: c.prior.scale})
         return gain(space.without([address]), column, c)
 
-    best = nlargest(SINGLES, numbers, key=takes)
-    columns = {c: column for c in best if (column := does(c)) is not None}
+    columns: dict[Candidate, FloatArray] = {}
+    _, known, _ = search.alone
+    size = np.linalg.norm(known, axis=0)
+    for c in nlargest(len(numbers), numbers, key=takes):
+        column = does(c) if len(columns) < SINGLES else None
+        if column is not None and not np.any(np.abs(column @ known) > SAME_SIGNATURE * size * np.linalg.norm(column)):
+            columns[c] = column
     if not columns:
         return None
     one = search.of(columns)

@@ -184,7 +184,7 @@ class Conclusion:
             verdict = "unknown"
         said = [c for c in clocks if self.repair or (believed[c] >= IDENTIFIED and verdict != "unknown")]
         for c in said if verdict != "none" else []:
-            (address,), (kind, _, pattern) = c.addresses, c.parameters[0].partition(" ")
+            address, (kind, _, pattern) = c.addresses[0], c.parameters[0].partition(" ")
             value = self.values.said(c)[address]
             text = SAID[kind].format(place=c.location, way="late" if value > 0.0 else "early", size=_size(value, c.unit))
             self.findings.append(gate.Finding(pattern, FAULTS.get(kind, kind), value, c.unit, text, faulty, not faulty))
