@@ -29,8 +29,6 @@ FAULT = 0.67
 reason to reject a log."""
 SINGLES, BASES, EXTENSIONS = 10, 3, 4
 """How many single candidates are refined, how many of them grow, and by how many partners each."""
-HIDDEN = 0.1
-"""Part of a gap without the tolerances like it that a candidate leaves, which is looked at though with them it seems to be of no use."""
 GUESSES = 4
 """How often noise is guessed anew from what the best model leaves: once more than a model has effects, at most."""
 
@@ -114,7 +112,7 @@ class Search(Fitting):
         fits = [self.calibrate(nominal) if self.rough(nominal) else nominal]
         gain = space.chi2 - min((f.chi2 for f in singles), default=space.chi2)
         chosen = _first([f for f in singles if space.chi2 - f.chi2 > WORTH * gain], SINGLES) or _first(singles, SINGLES)
-        chosen += _first([f for f in singles if f not in chosen and self._hidden(f, 1.0 - WORTH)], SINGLES)
+        chosen += _first([f for f in singles if f not in chosen and self._hidden(f, nominal)], SINGLES)
         level = self.sharpened(self.polish(self.refine(chosen), chosen))
         fits += level
         fits = self._grown(fits, self._best(level, BASES))
@@ -134,7 +132,9 @@ class Search(Fitting):
             # a fault of the log does what its signature says: one that explains too little takes no place from others
             exact = [f for f in grown if not any(c.component == LOGGING for c in f.model) or self._worth(f, fits, bases[0])]
             chosen = _first([f for f in exact if f.log_evidence > best + self.growth], EXTENSIONS * len(bases))
-            hidden = {frozenset(f.model) for f in grown if f not in chosen and self._hidden(f)}
+            of = {frozenset(b.model): b for b in bases}
+            others = [f for f in grown if f not in chosen and self._hidden(f, of[frozenset(f.model[:-1])])]
+            hidden = {frozenset(f.model) for f in _first(others, EXTENSIONS)}
             chosen += [f for f in grown if frozenset(f.model) in hidden]
             level = [f for f in self.sharpened(self.polish(self.refine(chosen), chosen)) if self._worth(f, fits, bases[0])]
             level = [f for f in level if frozenset(f.model) not in hidden or f.log_evidence > best + self.growth]
@@ -206,15 +206,17 @@ class Search(Fitting):
         less = [_without(f, c) for f in equal for c in f.model]
         return likeliest + self.sharpened(self.polish(self.refine(less), less)) + self._smaller(equal, ())
 
-    def _hidden(self, fit: Fit, left: float = HIDDEN) -> bool:
-        """Whether the last effect of a model explains a large gap that tolerances explain better, but for this part, by its linear fit.
+    def _hidden(self, fit: Fit, base: Fit) -> bool:
+        """Whether the last effect of a model, by its linear fit, takes WORTH of what `base` leaves without the tolerances like it, or more.
 
-        Against a gap that is hundreds of times the noise no sensitivity is exact enough; a simulation is. A single effect that changes a
-        resonance explains a part of the gap only by its slope, and tolerances of everything else the rest, all far off.
+        Against a gap that is far larger than noise (LARGE) no sensitivity is exact enough; a simulation is. Where an effect changes a
+        resonance, its slope explains a part of the gap only, and tolerances of everything else explain the rest, all far off.
         """
         space = self.evidence.space
-        own, before = space.without(list(fit.values)), space.without([a for c in fit.model[:-1] for a in c.addresses])
-        return own is not before and own.chi2 > LARGE * float(self.evidence.expected.sum()) and fit.chi2 < left * own.chi2
+        own, before = space.without(list(fit.values)), space.without([a for c in base.model for a in c.addresses])
+        assert base.signature is not None
+        left = float(own.dot(space.y - base.signature, space.y - base.signature))
+        return own is not before and left > LARGE * float(self.evidence.expected.sum()) and fit.chi2 < (1.0 - WORTH) * left
 
     def _best(self, level: Sequence[Fit], count: int) -> list[Fit]:
         best = {_names(f): f for f in sorted(level, key=evidence_of)}  # variants do not grow beside each other

@@ -28,7 +28,8 @@ TURNED = 0.7
 SMALLER, NOTED = 0.2, 8.0
 """Part of its prior scale below which an effect that seems to explain this much [nats] is tried at sizes in between, too."""
 WORTH = 0.2
-"""Part of the best candidate's gain (as sensitivities have it) from which a candidate is looked at on more simulations."""
+"""Part of the best candidate's gain (as sensitivities have it), or of what is left without the tolerances like it, from which a candidate
+is looked at on more simulations."""
 LARGE, LOST = 10.0, 0.5
 """chi2 over that of noise, and the part of it that the best candidate leaves, from which effects that turn are tried at EVENLY sizes."""
 EVENLY = 64

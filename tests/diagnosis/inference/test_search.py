@@ -181,11 +181,14 @@ def test_an_effect_that_a_tolerance_hides_is_looked_at_by_what_it_leaves_without
         noise, space = float(s.evidence.expected.sum()), s.evidence.space
         without = space.without([CLOCK]).chi2 / noise
         assert without > 10.0 * space.chi2 / noise  # of noise
-        assert s._hidden(fit(s, {CLOCK: 0.006}, left=0.05 * without))
-        assert not s._hidden(fit(s, {CLOCK: 0.006}, left=0.2 * without))
-        assert s._hidden(fit(s, {GAIN: 0.01, CLOCK: 0.006}, left=0.05 * without))
-        assert not s._hidden(fit(s, {CLOCK: 0.006, GAIN: 0.01}, left=0.05 * without))  # what is added last: no tolerance is like a gain
-        assert not s._hidden(fit(s, {GAIN: 0.01}))
+        assert s._hidden(fit(s, {CLOCK: 0.006}, left=0.75 * without), s.nominal())
+        assert not s._hidden(fit(s, {CLOCK: 0.006}, left=0.85 * without), s.nominal())
+        assert not s._hidden(fit(s, {GAIN: 0.01}), s.nominal())
+        gain, clock = fit(s, {GAIN: 0.01}), fit(s, {CLOCK: 0.006})
+        gain.signature = 0.01 / s.scales[GAIN] * s.evidence.sensitivities[GAIN]
+        clock.signature = 0.006 / s.scales[CLOCK] * s.evidence.sensitivities[CLOCK]
+        assert s._hidden(fit(s, {GAIN: 0.01, CLOCK: 0.006}, left=0.05 * without), gain)
+        assert not s._hidden(fit(s, {CLOCK: 0.006, GAIN: 0.01}, left=0.05 * without), clock)  # no tolerance is like a gain
 
 
 def test_the_law_of_a_strong_effect_may_be_off_in_every_fit_of_it(tmp_path: Path) -> None:
