@@ -27,7 +27,7 @@ from robomill.diagnosis.gate.checks import SINGLE, Finding
 from robomill.models.model.units import Unit, unit_of
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
-ANGLES, SPEEDS, LENGTHS, FORCES = ("rad",), ("rad/s",), ("m",), ("N", "N.m")
+ANGLES, SPEEDS, LENGTHS, FORCES, PRESSURES = ("rad",), ("rad/s",), ("m",), ("N", "N.m"), ("Pa",)
 """SI units in which some mistakes are made, and in their rates: `m` stands for `m/s` and `m/s2`, too."""
 FACTORS: Mapping[float, tuple[str, tuple[str, ...]]] = {
     1e3: ("milli- for units", ()),
@@ -36,8 +36,10 @@ FACTORS: Mapping[float, tuple[str, tuple[str, ...]]] = {
     1e-6: ("units for micro-", ()),
     180.0 / np.pi: ("degrees for radians", ANGLES),
     np.pi / 180.0: ("radians for degrees", ANGLES),
-    9.80665: ("newtons for kilogram-force", FORCES),
-    1 / 9.80665: ("kilogram-force for newtons", FORCES),
+    9.80665: ("newtons (m/s2) for kilogram-force (g)", (*FORCES, "m/s2")),
+    1 / 9.80665: ("kilogram-force (g) for newtons (m/s2)", (*FORCES, "m/s2")),
+    14.5037738: ("pounds per square inch for bar", PRESSURES),
+    1 / 14.5037738: ("bar for pounds per square inch", PRESSURES),
     60 / (2 * np.pi): ("rpm for rad/s", SPEEDS),
     2 * np.pi / 60: ("rad/s for rpm", SPEEDS),
     25.4: ("millimetres for inches", LENGTHS),

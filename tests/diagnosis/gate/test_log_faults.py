@@ -43,9 +43,11 @@ class TestJudged:
         [
             ("rad/s", {"degrees for radians", "rpm for rad/s"}),
             ("deg", {"degrees for radians"}),
-            ("mm/s2", {"millimetres for inches"}),
-            ("N", {"newtons for kilogram-force", "newtons for pound-force"}),
-            ("N.m/s", {"newtons for kilogram-force", "newtons for pound-force"}),
+            ("mm/s2", {"millimetres for inches", "newtons (m/s2) for kilogram-force (g)"}),
+            ("bar", {"pounds per square inch for bar"}),
+            ("mm/s", {"millimetres for inches"}),
+            ("N", {"newtons (m/s2) for kilogram-force (g)", "newtons for pound-force"}),
+            ("N.m/s", {"newtons (m/s2) for kilogram-force (g)", "newtons for pound-force"}),
             ("kg", set()),
             ("V", set()),
             ("1", set()),
@@ -78,7 +80,7 @@ class TestJudged:
     @pytest.mark.parametrize("factor", [85.6, 41.2, 19.8, 13.6, 7.96, 5.31])
     def test_an_effect_that_makes_a_small_signal_large_by_another_factor_is_no_unit(self, factor: float) -> None:
         """TOLERANCE: a weight on the sensor where the simulation has hardly a moment; none of the usual factors is so near."""
-        assert kinds(factor * VECTOR[:, :1], VECTOR[:, :1]) == []
+        assert judged(factor * VECTOR[:, :1], VECTOR[:, :1], NAMES[:1], ["N.m"], np.array([1e-9])) == []
 
     def test_the_text_names_the_mistake_that_is_nearest(self) -> None:
         (finding,) = judged(1.05e-3 * VECTOR[:, :1], VECTOR[:, :1], NAMES[:1], ANY[:1], np.array([1e-9]))
