@@ -410,6 +410,20 @@ class TestGate:
         assert (finding["kind"], finding["fatal"], finding["repaired"]) == ("lag", False, True)
         assert [w["effect"] for w in result["which"] if w["probability"] > 0.8] == ["clock", "stiffness"]
 
+    def test_a_clock_of_several_sensors_is_said_once(self, tmp_path: Path) -> None:
+        entries = catalogue(tmp_path)
+        both = ("lag sensors.y[1]", "lag sensors.y[2]")
+        clocks = [replace(c, parameters=both) for c in entries.candidates if c.effect == "clock" and c.location == "logger"]
+        entries = replace(entries, candidates=(*(c for c in entries.candidates if c.effect != "clock"), *clocks))
+
+        def late(t: Any, y: Any) -> Any:
+            return np.interp(t - 0.02, t, y)
+
+        runs = changed(changed(measure(), "sensors.y[1]", late), "sensors.y[2]", late)
+        found = diagnose(SYSTEM, runs, entries, resolver=resolve).answer
+        assert found.verdict == "bad_log"
+        assert [f.text for f in found.findings] == ["the clock of the logger is late by 20.0 ms"]
+
     def test_repair_goes_on_with_the_clock_corrected(self, tmp_path: Path) -> None:
         def late(t: Any, y: Any) -> Any:
             return np.interp(t - 0.02, t, y)

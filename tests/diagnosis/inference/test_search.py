@@ -22,6 +22,7 @@ from robomill.diagnosis.inference import fitting
 from robomill.diagnosis.inference import search as search_module
 from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, UNKNOWN, by_chance
 from robomill.diagnosis.inference.estimation import Fit, Space
+from robomill.diagnosis.inference.priors import probabilities
 from robomill.diagnosis.inference.search import FAULT, SUBSTANTIAL, Search, searched
 from robomill.diagnosis.inference.sensitivities import Start
 from robomill.orchestration.assembly import run
@@ -554,3 +555,46 @@ class TestVariety:
         assert Search.imitates(of, Fit((both,), {("a", "e0"): 1.0}, {}, 0.0, 0.0)) == 0.6 * by_chance(1.5)
         two = Fit((both, one), {("a", "e0"): 1.0, ("a", "e1"): 2.0}, {}, 0.0, 0.0)
         assert Search.imitates(of, two, 2) == 0.3 * by_chance(0.5, 2)
+
+
+class TestCalibratedInstead:
+    """A number does one thing alone, and another beside a strong effect: its slope there is not that of the nominal system."""
+
+    ROWS = 400
+    STRONG, TWIN, NUMBER = ("a", "strong"), ("a", "twin"), ("a", "number")
+    TOLERANCE = 0.02
+
+    def made(self, off: float) -> Search:
+        t = np.linspace(0.0, 1.0, self.ROWS)
+        alone, strong, together = np.cos(2.0 * np.pi * t), np.sin(6.0 * np.pi * t), np.cos(10.0 * np.pi * t)
+
+        def formula(_: int, values: Mapping[Address, float]) -> FloatArray:
+            e, x = values.get(self.TWIN, 0.0) + values.get(self.NUMBER, 0.0), values.get(self.STRONG, 0.0)
+            return np.asarray(e * alone + x * strong + 30.0 * x * e * together)[:, None]
+
+        noise = np.random.default_rng(3)
+        y = formula(0, {self.STRONG: 3.0, self.NUMBER: off})
+        groups = [[y + 1e-2 * noise.standard_normal(y.shape) for _ in range(4)]]
+        entries = (candidate("strong", scale=2.0), candidate("twin", scale=0.1, largest=1.0))
+        nuisances = [Nuisance(self.NUMBER, self.TOLERANCE)]
+        return Search(Catalogue(Path("made up"), entries), Simulator(Calculated(formula, self.ROWS)), groups, nuisances)
+
+    @pytest.mark.parametrize(("times", "instead"), [(1.5, True), (15.0, False)])
+    def test_a_number_within_its_tolerance_is_likelier_than_an_effect_that_does_the_same(self, times: float, instead: bool) -> None:
+        off = times * self.TOLERANCE
+        search = self.made(off)
+        both = search.fitted(search.candidates, {self.STRONG: 3.0, self.TWIN: off}, {self.STRONG: 0.01, self.TWIN: 0.001})
+        assert both is not None
+        best = max(search._calibrated_instead(both), key=lambda f: f.log_evidence)
+        assert [c.effect for c in best.model] == ["strong"]
+        assert best.calibrated == {self.NUMBER: pytest.approx(off, rel=WELL)}
+        assert best.values[self.STRONG] == pytest.approx(3.0, rel=WELL)
+        assert (probabilities([both, best], search.candidates)[1] > 0.5) is np.bool_(instead)
+
+    def test_a_single_effect_and_one_without_a_number_like_it_have_nothing_instead(self) -> None:
+        search = self.made(self.TOLERANCE)
+        twin, strong = (next(c for c in search.candidates if c.effect == name) for name in ("twin", "strong"))
+        for c in (twin, strong):
+            alone = search.fitted((c,), {c.addresses[0]: 0.02}, {c.addresses[0]: 0.001})
+            assert alone is not None
+            assert search._calibrated_instead(alone) == []
