@@ -12,7 +12,7 @@ import numpy as np
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.localisation.where import WHOLE, Replayed
-from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Which
+from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Number, Which
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.how_far import CONDITION, DIAGNOSED, REPEAT
 from robomill.diagnosis.outcome.reasons import WHY
@@ -169,6 +169,11 @@ def spoken(name: str) -> str:
     return name.replace("_", " ").replace(" @ ", ", ").replace(" + ", " with ")
 
 
+def of_number(x: Number) -> str:
+    """A number of the model in the words of the page; parameters keep their names."""
+    return x.text.replace(" @ ", ", ").replace(" + ", " with ")
+
+
 def effect_name(w: Which) -> str:
     """`backlash, joint 3`."""
     return f"{w.effect.replace('_', ' ')}, {w.location}"
@@ -251,7 +256,7 @@ def _answer(s: Subject) -> str:
         also = f". It may be {perhaps(s.answer, causes(maybe))}" if (maybe := s.answer.suspected) else ""
         return f"No effect is needed to explain these runs: machine and simulation differ by no more than noise and the tolerances of calibrated numbers{also}."
     if (x := s.answer.number) is not None:
-        return f"The gap is what one number of the model does that no effect of the catalogue is about: {x.text}{_shrinks(s)}."
+        return f"The gap is what one number of the model does that no effect of the catalogue is about: {of_number(x)}{_shrinks(s)}."
     if known := s.answer.unknown:
         place = listed([listed([w.component, *(w.alternatives or ())], "or") for w in s.blamed]) or known.component
         where = f"; it shows most in {s.label(next(iter(known.channels)))}" if known.channels else ""

@@ -9,7 +9,7 @@ from robomill.diagnosis.inference.isolability import CONFUSABLE
 from robomill.diagnosis.outcome.answer import Which
 from robomill.diagnosis.outcome.verdict import IDENTIFIED
 from robomill.report.html import bar, code, fold, paragraph, table
-from robomill.report.subject import Subject, effect_name, spoken
+from robomill.report.subject import Subject, effect_name, of_number, spoken
 from robomill.report.units import number, percent, quantity, relative, with_interval
 from robomill.report.words import likelihood
 
@@ -19,6 +19,8 @@ _ALONE = (
     "Every candidate of the catalogue was fitted in the closed loop, alone and together. This one remains, or something without a name:"
 )
 """In place of the introduction where an ambiguous answer has one effect."""
+_TOGETHER = "Effects of the catalogue do as much together. That several of them are as large as that takes is less likely than one number:"
+"""In place of the introduction where one number of the model does as much as several effects."""
 _ADOPTED = "<pre><code>robomill run SCENARIO.toml --adopt adopt.ssv</code></pre>"
 _INTRO = {
     "none": "None is needed. These came closest:",
@@ -52,17 +54,10 @@ def section(s: Subject) -> str:
         return paragraph(_INTRO[s.verdict]) + table(("Effect", "Value (90 % interval)", "Component"), closest) + paragraph(_tried(s))
     shown = table(("Effect", "Probability", "Value (90 % interval)", "Component", "Could be confused with"), rows)
     onset = paragraph(f"{spoken(s.answer.onset.text)}.") if s.answer.onset else ""
-    alone = s.verdict == "ambiguous" and len(s.answer.which) == 1
-    return (
-        _number(s)
-        + paragraph(_ALONE if alone else _INTRO[s.verdict])
-        + shown
-        + onset
-        + _sets(s)
-        + _isolability(s)
-        + paragraph(_tried(s))
-        + _adopt(s)
-    )
+    intro = _ALONE if s.verdict == "ambiguous" and len(s.answer.which) == 1 else _INTRO[s.verdict]
+    if s.answer.number is not None and s.answer.number.instead_of:
+        intro = _TOGETHER
+    return _number(s) + paragraph(intro) + shown + onset + _sets(s) + _isolability(s) + paragraph(_tried(s)) + _adopt(s)
 
 
 def _small(w: Which) -> str:
@@ -121,7 +116,7 @@ def _number(s: Subject) -> str:
     if (x := s.answer.number) is None:
         return ""
     text = (
-        f"No effect of the catalogue is about {x.name}, and this number of the model explains the gap by itself: {x.text}. "
+        f"No effect of the catalogue is about {x.name}, and this number of the model explains the gap by itself: {of_number(x)}. "
         f"That it is right is {likelihood(x.probability)}. If it may be wrong, measure it, or give it an effect in the catalogue. Simulate with it:"
     )
     return paragraph(text) + _ADOPTED
