@@ -20,7 +20,7 @@ def single(search: Search, numbers: Sequence[Candidate]) -> Fit | None:
     """The model of one of the `numbers` that has the largest evidence, in the terms of the search; None where none is large enough.
 
     All are simulated once in each condition, and fitted are those SINGLES that take most away as they are slopes. A number that does the
-    same as an effect of the search is none: that has been asked.
+    same as an effect of its component is none: that has been asked.
     """
     simulator, space, conditions = search.simulator, search.evidence.space, range(len(search.groups))
 
@@ -37,11 +37,12 @@ def single(search: Search, numbers: Sequence[Candidate]) -> Fit | None:
         return gain(space.without([address]), column, c)
 
     columns: dict[Candidate, FloatArray] = {}
-    _, known, _ = search.alone
-    size = np.linalg.norm(known, axis=0)
+    addresses, known, _ = search.alone
     for c in nlargest(len(numbers), numbers, key=takes):
         column = does(c) if len(columns) < SINGLES else None
-        if column is not None and not np.any(np.abs(column @ known) > SAME_SIGNATURE * size * np.linalg.norm(column)):
+        own = known[:, [component == c.component for component, _ in addresses]]
+        size = np.linalg.norm(own, axis=0)
+        if column is not None and not np.any(np.abs(column @ own) > SAME_SIGNATURE * size * np.linalg.norm(column)):
             columns[c] = column
     if not columns:
         return None
