@@ -24,7 +24,8 @@ def lacking(
 ) -> tuple[Candidate, ...]:
     """A candidate for each of these parameters that the catalogue has no effect for; `values` in the system [`units`].
 
-    Of an array that effects are about no element is one, and none whose tolerance is as wide as OFF.
+    Of an array that effects are about no element is one. Nor is a number whose tolerance is as wide as OFF, or that is zero: it has no size
+    to try.
     """
     said = {(c.component, base_name(name)) for c in catalogue.candidates for name in (*c.named, *(s.parameter for s in c.shapes), c.start)}
     said |= {(component, base_name(name)) for component, given in catalogue.quiet.items() for name in given} | set(catalogue.seeds)

@@ -14,7 +14,7 @@ def give_back() -> None:
     """From now on LARGE arrays go back to the system when they are freed.
 
     The GNU C library otherwise keeps what lies between blocks in use. A diagnosis of many simulations held 10 GB, of which 3.5 were in use;
-    a dozen of them in one process held 14 GB, of which 1.7 were. It takes no more time. Other C libraries are left as they are.
+    a dozen of them in one process held 14 GB, of which 1.7 were. Other C libraries are left as they are.
     """
     if mallopt := getattr(ctypes.CDLL(None), "mallopt", None):
         mallopt(_M_MMAP_THRESHOLD, LARGE)

@@ -76,8 +76,8 @@ class Search(Fitting):
     def of(self, sensitivities: Mapping[Candidate, FloatArray]) -> Search:
         """A search for other candidates, of one number each, with the evidence of this one; what each does per prior scale, [n]."""
         other = copy(self)
-        for known in ("alone", "together", "variety"):
-            other.__dict__.pop(known, None)
+        for name in [n for n in self.__dict__ if isinstance(getattr(Search, n, None), cached_property)]:
+            del other.__dict__[name]  # of the other candidates nothing is known yet
         columns = {a: column for c, column in sensitivities.items() for a in c.addresses}
         other.candidates, other.starts, other.bent = list(sensitivities), {}, set()
         other.scales = self.scales | {a: c.prior.scale for c in sensitivities for a in c.addresses}
@@ -178,7 +178,7 @@ class Search(Fitting):
         for c in best.model if len(best.model) > 1 else ():
             alike = self.evidence.space.alike.get(c.addresses[0], {}) if len(c.addresses) == 1 else {}
             without = _without(best, c)
-            for n, deviation in ((numbers[a], d) for a, d in alike.items() if a in numbers):
+            for n, deviation in ((numbers[a], d) for a, d in alike.items() if a in numbers and d > 0.0):
                 off = best.values[c.addresses[0]] / deviation * n.scale  # the same effect, or the opposite one
                 for calibrated in ({**best.calibrated, n.address: sign * off} for sign in (1.0, -1.0)):
                     signature = self.mean_signature(without.values, calibrated)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from heapq import nlargest
 
 import numpy as np
 
@@ -38,8 +37,10 @@ def single(search: Search, numbers: Sequence[Candidate]) -> Fit | None:
 
     columns: dict[Candidate, FloatArray] = {}
     addresses, known, _ = search.alone
-    for c in nlargest(len(numbers), numbers, key=takes):
-        column = does(c) if len(columns) < SINGLES else None
+    for c in sorted(numbers, key=takes, reverse=True):
+        if len(columns) == SINGLES:
+            break
+        column = does(c)
         own = known[:, [component == c.component for component, _ in addresses]]
         size = np.linalg.norm(own, axis=0)
         if column is not None and not np.any(np.abs(column @ own) > SAME_SIGNATURE * size * np.linalg.norm(column)):

@@ -25,6 +25,7 @@ from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.priors import probabilities
 from robomill.diagnosis.inference.search import FAULT, SUBSTANTIAL, Search, searched
 from robomill.diagnosis.inference.sensitivities import Start
+from robomill.diagnosis.inference.single_number import single
 from robomill.orchestration.assembly import run
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -598,3 +599,22 @@ class TestCalibratedInstead:
             alone = search.fitted((c,), {c.addresses[0]: 0.02}, {c.addresses[0]: 0.001})
             assert alone is not None
             assert search._calibrated_instead(alone) == []
+
+
+@pytest.mark.parametrize(("component", "found"), [("a", False), ("b", True)])
+def test_a_number_that_does_what_an_effect_of_its_component_does_has_been_asked(component: str, found: bool) -> None:
+    """One of another component, such as a filter beside a late clock, may be right where the effect is not quite."""
+    t = np.linspace(0.0, 1.0, 400)
+    wave, noise = np.sin(6.0 * np.pi * t), np.random.default_rng(5)
+
+    def formula(_: int, values: Mapping[Address, float]) -> FloatArray:
+        return np.asarray(sum(values.values()) * wave)[:, None]
+
+    groups = [[formula(0, {("a", "first"): 0.5}) + 1e-2 * noise.standard_normal((len(t), 1)) for _ in range(4)]]
+    search = Search(Catalogue(Path("made up"), (candidate("first"),)), Simulator(Calculated(formula, len(t))), groups, ())
+    number = replace(candidate("number", largest=10.0), component=component, parameters=("k",))
+    fit = single(search, [number])
+    assert (fit is not None) is found
+    if fit is not None:
+        assert fit.values[component, "k"] == pytest.approx(0.5, rel=WELL)
+    assert single(search, []) is None
