@@ -94,7 +94,7 @@ def onset_of(search: Search, right: Fit | None = None) -> Onset | None:
     if best is None:
         return None
     space = search.evidence.space
-    return replace(best[1], closes=1.0 - best[0] / float(space.dot(space.y, space.y)))
+    return replace(best[1], closes=1.0 - best[0] / space.square(space.y))
 
 
 def stands(onset: Onset, form: Form | None) -> bool:
@@ -233,7 +233,7 @@ def _between(search: Search, c: Candidate, other: FloatArray) -> tuple[float, On
         gain = 0.5 * (usual - lefts[k]) / unit
         onset = Onset(c.effect, c.component, c.location, "switches on", name, None, None, k + 1, value, c.unit, None, gain)
         gap = evidence.space.y - other
-        left = float(evidence.space.dot(gap, gap)) - size * float((sizes[k:] ** 2).sum())
+        left = evidence.space.square(gap) - size * float((sizes[k:] ** 2).sum())
         if best is None or left < best[0]:
             best = left, onset
     return best

@@ -200,6 +200,10 @@ class Space:
         right = left if b is a else self.nuisances.across(b)
         return np.asarray(a.T @ b - left.T @ (self._inner @ right))
 
+    def square(self, vector: FloatArray) -> float:
+        """<v, v> of a vector [n]."""
+        return float(self.dot(vector, vector))
+
     def against(self, vector: FloatArray) -> tuple[float, float]:
         """<v, y> and <v, v> of a vector [n]."""
         seen = self.nuisances.across(vector)
@@ -376,7 +380,7 @@ def leave_one_out(fit: Fit, space: Space) -> dict[str, LeftOut]:
         left = there.y - fit.signature[here]
         moved = left - fit.sensitivities[here] @ (x - best)
         gains[name] = LeftOut(
-            float(0.5 * (plain.chi2 - there.dot(moved, moved))),
-            float(0.5 * (plain.chi2 - there.dot(left, left))),
+            0.5 * (plain.chi2 - there.square(moved)),
+            0.5 * (plain.chi2 - there.square(left)),
         )
     return gains

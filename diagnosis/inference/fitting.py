@@ -268,7 +268,7 @@ class Fitting:
         own = space.without([a for c in fit.model for a in c.addresses])
 
         def chi2(signature: FloatArray) -> float:
-            return float(own.dot(space.y - signature, space.y - signature))
+            return own.square(space.y - signature)
 
         here = self.mean_signature(fit.values, fit.calibrated)
         for _ in range(SHARPER):
@@ -327,7 +327,7 @@ class Fitting:
         """What a fit leaves by its signature."""
         assert fit.signature is not None
         left = self.evidence.space.y - fit.signature
-        return float(self.evidence.space.without(list(fit.values)).dot(left, left))
+        return self.evidence.space.without(list(fit.values)).square(left)
 
 
 def by_slopes(nuisances: Sequence[Nuisance], calibrated: Values, space: Space) -> FloatArray:
@@ -373,7 +373,7 @@ class _State:
         if length > 0.0:
             self.sensitivities = self.sensitivities + np.outer(signature - self.signature - self.sensitivities @ move, move) / length
         left = space.y - signature
-        chi2 = float(space.without(addresses).dot(left, left))
+        chi2 = space.without(addresses).square(left)
         fit = quadratic_fit(self.fit.model, signature, self.sensitivities, new, space)
         if chi2 < self.chi2:
             # its evidence is that of the quadratic about these values, at their real chi2

@@ -37,7 +37,7 @@ def distance(one: Fit, other: Fit, space: Space) -> float:
     assert one.signature is not None
     assert other.signature is not None
     difference: FloatArray = one.signature - other.signature
-    return math.sqrt(max(float(space.dot(difference, difference)), 0.0))
+    return math.sqrt(max(space.square(difference), 0.0))
 
 
 def pairs(fits: Sequence[Fit], surviving: Sequence[Candidate], space: Space) -> list[Pair]:

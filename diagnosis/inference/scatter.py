@@ -195,7 +195,7 @@ def by_chance(search: Search, c: Candidate) -> Fit | None:
     for k, group in enumerate(ran):
         if (there := e.mean_signature(group)) is not None and known[k]:
             left = e.space.y - there
-            odds.append(0.5 * (e.space.chi2 - float(e.space.dot(left, left))))
+            odds.append(0.5 * (e.space.chi2 - e.space.square(left)))
             kept.append(k)
     if not kept:
         return None
@@ -213,7 +213,7 @@ def by_chance(search: Search, c: Candidate) -> Fit | None:
         return None
     left = e.space.y - signature
     slope = (signature * (c.prior.scale / value))[:, None]
-    return Fit((c,), {c.addresses[0]: value}, {c.addresses[0]: deviation}, evidence, float(e.space.dot(left, left)), signature, slope)
+    return Fit((c,), {c.addresses[0]: value}, {c.addresses[0]: deviation}, evidence, e.space.square(left), signature, slope)
 
 
 def with_chance(search: Search, fits: Sequence[Fit]) -> list[Fit]:

@@ -214,9 +214,11 @@ class Search(Fitting):
         """
         space = self.evidence.space
         own, before = space.without(list(fit.values)), space.without([a for c in base.model for a in c.addresses])
+        if own is before:
+            return False
         assert base.signature is not None
-        left = float(own.dot(space.y - base.signature, space.y - base.signature))
-        return own is not before and left > LARGE * float(self.evidence.expected.sum()) and fit.chi2 < (1.0 - WORTH) * left
+        left = own.square(space.y - base.signature)
+        return left > LARGE * float(self.evidence.expected.sum()) and fit.chi2 < (1.0 - WORTH) * left
 
     def _best(self, level: Sequence[Fit], count: int) -> list[Fit]:
         best = {_names(f): f for f in sorted(level, key=evidence_of)}  # variants do not grow beside each other

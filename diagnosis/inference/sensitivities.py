@@ -129,7 +129,7 @@ class Sensitivities:
         for k, c in enumerate(parts):
             columns = np.stack([known[a] for a in c.addresses])
             done = [(d, np.array(xs) @ columns) for d, xs in zip(does[len(turned) * k :], turned, strict=False) if d is not None]
-            if done and sum(float(space.dot(d - s, d - s) - space.dot(d, d)) for d, s in done) > 0.0:
+            if done and sum(space.square(d - s) - space.square(d) for d, s in done) > 0.0:
                 amplitude = c.with_phases(OCTANTS)
                 (address,) = amplitude.addresses
                 known[address], self.scales[address] = columns[0], c.prior.scale
@@ -258,7 +258,7 @@ class Sensitivities:
     def _chi2(self, address: Address, otherwise: float) -> float:
         """chi2 that is left where the fit of an effect starts; `otherwise` where it has no start."""
         start, own = self.starts.get(address), self.evidence.space.without([address])
-        return otherwise if start is None else float(own.dot(own.y - start.signature, own.y - start.signature))
+        return otherwise if start is None else own.square(own.y - start.signature)
 
     def _least(self) -> float:
         """chi2 that the best candidate leaves, by sensitivities or where its fit starts."""

@@ -133,5 +133,5 @@ def _beside(search: Search, best: Fit, fit: Fit) -> Fit:
     slopes = np.stack([columns[a] if a in columns else per_scale(search.evidence, search.starts, a) for _, a in own]).T
     signature = signature + slopes @ np.array([fit.values[a] / c.prior.scale for c, a in own])
     left = search.evidence.space.y - signature
-    chi2 = float(search.evidence.space.without([a for _, a in own]).dot(left, left))
+    chi2 = search.evidence.space.without([a for _, a in own]).square(left)
     return replace(fit, chi2=chi2, signature=signature, sensitivities=slopes)

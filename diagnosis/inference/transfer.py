@@ -133,11 +133,11 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
     assert whole is not None
     signature = whole - by_slopes(search.nuisances, fit.calibrated, space)
     before, after = _chi2(space, space.y, None), _chi2(space, space.y - signature, doubt * signature)
-    size = float(space.dot(signature, signature))
+    size = space.square(signature)
     unsure, left = doubt * signature, space.y - signature
-    rest = left - unsure * float(space.dot(left, unsure)) / (1.0 + float(space.dot(unsure, unsure)))
+    rest = left - unsure * float(space.dot(left, unsure)) / (1.0 + space.square(unsure))
     wide = space.widened(e.form(fit.model[:1], signature, np.zeros((0, 0)), np.zeros(0)))
-    seen = float(wide.dot(signature, signature)) + 1e-300
+    seen = wide.square(signature) + 1e-300
     amplitude = float(wide.dot(signature, space.y)) / seen
     levels, gain = (e.level(space.y), e.level(rest)), 0.5 * (before - after)
     worse = worsened(e, space.y, rest, signature)
@@ -146,8 +146,8 @@ def transfer(search: Search, groups: Sequence[Sequence[FloatArray]], fit: Fit, d
 
 def _chi2(space: Space, left: FloatArray, unsure: FloatArray | None) -> float:
     """<u, u> of the residual u = `left` [n], with one more nuisance of standard deviation 1, `unsure` [n]."""
-    chi2 = float(space.dot(left, left))
+    chi2 = space.square(left)
     if unsure is None:
         return chi2
     product = float(space.dot(left, unsure))
-    return chi2 - product * product / (1.0 + float(space.dot(unsure, unsure)))
+    return chi2 - product * product / (1.0 + space.square(unsure))

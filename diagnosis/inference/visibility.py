@@ -116,7 +116,7 @@ def settled(evidence: Evidence, simulator: Simulator, seen: Seen) -> dict[Candid
         for k, (c, x) in enumerate(tried.items()):
             signature = evidence.signature(results[k * n : (k + 1) * n])
             # a system that cannot run is seen
-            square = SHOWS**2 if signature is None else float(evidence.space.dot(signature, signature))
+            square = SHOWS**2 if signature is None else evidence.space.square(signature)
             far = math.sqrt(max(square, 0.0)) / SHOWS
             if far * (1.0 + EXACT_TO) >= 1.0:
                 high[c] = x

@@ -340,7 +340,7 @@ class Conclusion:
         total: FloatArray = np.sum(list(parts.values()), axis=0)
         space = self.search.evidence.space
         for c, part in parts.items():
-            share = float(space.dot(total, part)) / (float(space.dot(total, total)) + 1e-300) if len(parts) > 1 else 1.0
+            share = float(space.dot(total, part)) / (space.square(total) + 1e-300) if len(parts) > 1 else 1.0
             sizes = c.sizes(fit.values)
             doubt = math.hypot(doubt, share * WIDER * max(fit.deviations[a] / (sizes[a] + 1e-300) for a in c.addresses))
         self._moved[key] = transfer(self.search, self.groups, fit, min(doubt, 1.0))

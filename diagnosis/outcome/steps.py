@@ -59,7 +59,7 @@ def ranked(fit: Fit, space: Space) -> list[Candidate]:
     parts = fit.signatures()
     left, rest, order = space.y, list(parts), []
     while rest:
-        best = min(rest, key=lambda c: float(space.dot(left - parts[c], left - parts[c])))
+        best = min(rest, key=lambda c: space.square(left - parts[c]))
         rest.remove(best)
         left = left - parts[best]
         order.append(best)
