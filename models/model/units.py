@@ -234,7 +234,9 @@ class _Reader:
         if power is None:
             return found
         if "." in power:
-            raise ValueError(f"its power {power} is not whole, as those of units here are")
+            raise ValueError(
+                f"its power {power} is not whole, as those in FMI are; give the value at a nominal input, such as m3/s at a nominal Pa"
+            )
         return _Product().times(found, int(power))
 
 

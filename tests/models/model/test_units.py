@@ -199,7 +199,10 @@ class TestGrammar:
             ("mPa", ": alone, it is mostly a slip of MPa; write 0.001 Pa if it is none"),
             ("N.furlong/rad", ": 'furlong' is no unit"),
             ("J/kg.K", ": what is divided by has two readings; put it into brackets, as in J/(kg.K)"),
-            ("N/mm^1.5", ": its power 1.5 is not whole, as those of units here are"),
+            (
+                "N/mm^1.5",
+                ": its power 1.5 is not whole, as those in FMI are; give the value at a nominal input, such as m3/s at a nominal Pa",
+            ),
             ("V/\u221aHz", ": '\u221a' is no part of a unit"),
             ("10 N", ": expected a unit before '10'"),
             ("N..m", ": expected a unit before '.'"),
