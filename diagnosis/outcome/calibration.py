@@ -31,10 +31,17 @@ class Pulled:
         """In words: a number, how far it is off, and where it would be."""
         way = "above" if self.deviations > 0.0 else "below"
         unit = "" if self.unit == "1" else f" {self.unit}"
+        value, given = _told_apart(self.value, self.given)
         return (
             f"{self.component}.{self.parameter} is {abs(self.deviations):.1f} times its tolerance {way} what is given:"
-            f" about {self.value:.4g}{unit}, not {self.given:.4g}{unit}"
+            f" about {value}{unit}, not {given}{unit}"
         )
+
+
+def _told_apart(*numbers: float) -> list[str]:
+    """Numbers to four digits, or to as many as tell them apart."""
+    rounded = ([f"{x:.{digits}g}" for x in numbers] for digits in range(4, 17))
+    return next((texts for texts in rounded if len(set(texts)) == len(numbers)), [f"{x:.17g}" for x in numbers])
 
 
 def pulled(search: Search, fit: Fit, false_alarm: float) -> tuple[Pulled, ...]:

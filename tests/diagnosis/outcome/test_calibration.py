@@ -14,7 +14,7 @@ from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.simulation import Simulator
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.search import Search
-from robomill.diagnosis.outcome.calibration import farthest, pulled
+from robomill.diagnosis.outcome.calibration import Pulled, farthest, pulled
 from robomill.diagnosis.outcome.verdict import IDENTIFIED
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.diagnosis.demo import SYSTEM, WELL, catalogue, measure, resolve
@@ -79,3 +79,8 @@ def test_a_damping_that_is_six_tolerances_off_is_in_the_answer_which_is_less_sur
         sure[said] = result["which"][0]["probability"], result["verdict"]
     assert sure[False][1] == "identified" != sure[True][1]
     assert sure[True][0] < IDENTIFIED < sure[False][0]
+
+
+def test_numbers_that_differ_little_are_told_apart() -> None:
+    near = Pulled("scale", "pitch", 0.0016, 0.00160004, 1.5, "m/rad")
+    assert near.text == "scale.pitch is 1.5 times its tolerance above what is given: about 0.00160004 m/rad, not 0.0016 m/rad"
