@@ -121,7 +121,7 @@ def diagnose_campaign(
             if fatal:  # is it the machine, after all?
                 best = _simulated(search, _best(search, fits))
                 machine = _little(search, fits, best) and not any(c.component == LOGGING for c in best.model)
-                turned = [f for f in fatal if f.kind in log_faults.KEEPING]
+                turned = [f for f in fatal if log_faults.keeps_size(f)]
                 if machine and turned:
                     machine = not _nominal(search, gate.without(turned), best)
                 if machine and _shows(search, best, {f.channel for f in fatal}):
@@ -229,8 +229,8 @@ def _explained(
 ) -> Fit | None:
     """The best model of the log without `faults` (`groups`), if it explains that, and better than the best of the log as it is (`search`).
 
-    It does where it leaves no gap, or LITTLE of one. Faults that keep the size of a signal (`log_faults.KEEPING`) have a gap of their own,
-    that of the log as it is: LITTLE of that may be left, too. Where the log as it is has no model that is likelier right than a stand-in
+    It does where it leaves no gap, or LITTLE of one. Faults that keep the size of a signal (`keeps_size`) have a gap of their own, that of
+    the log as it is: LITTLE of that may be left, too. Where the log as it is has no model that is likelier right than a stand-in
     (`_right`), as much may be left as a law may be off (MISFIT). A unit that is undone divides whatever is left, so that it has none. A
     fault is believed, too, where the best model of the log without it is likelier right than a stand-in, by what it leaves and by its
     calibrated numbers, and that of the log as it is is not, or shows nothing of it. What a model leaves is what simulations leave.
@@ -242,7 +242,7 @@ def _explained(
         return best
     left, left_with = over_noise(other, best), over_noise(search, as_it_is)
     little = _little(other, found, best)
-    if faults and all(f.kind in log_faults.KEEPING for f in faults):
+    if faults and all(map(log_faults.keeps_size, faults)):
         little = little or unexplained(over_noise(search, fits[0]), left) < (LITTLE if believed else MISFIT)
     return best if little and (left < left_with or not best.model) else None
 

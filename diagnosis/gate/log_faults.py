@@ -52,9 +52,8 @@ ICE = unit_of("degC").offset
 """K. Zero of the scale that temperatures are logged in: a sign or a prefix is wrong about it."""
 FAHRENHEIT = 1.0 / unit_of("degF").factor
 """Degrees Fahrenheit in a kelvin; both scales show the same number at -40."""
-KEEPING = ("sign", "axes", "rotation")
-"""Kinds of faults that keep the size of a signal: orthogonal operators."""
-KINDS = (*KEEPING, "unit")
+_ORTHOGONAL = ("sign", "axes", "rotation")
+KINDS = (*_ORTHOGONAL, "unit")
 """Kinds of findings that are faults of this sort."""
 XYZ = "xyz"
 """An array with an element for each may be a vector in another frame."""
@@ -116,6 +115,11 @@ def judged(
             found.append(o.finding)
             taken |= set(o.members)
     return found
+
+
+def keeps_size(fault: Finding) -> bool:
+    """Whether a fault keeps the size of what a signal does: it is turned or interchanged, or has another zero [K]."""
+    return fault.kind in _ORTHOGONAL or (fault.kind, fault.unit) == ("unit", "K")
 
 
 def together(faults: Sequence[Finding]) -> list[list[Finding]]:

@@ -17,11 +17,12 @@ from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.experiment.measured import DataError, sort_by_condition
 from robomill.diagnosis.gate import checks as gate
+from robomill.diagnosis.gate.log_faults import ICE
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.outcome import conclusion
 from robomill.diagnosis.outcome.answer import Diagnosis
 from robomill.orchestration.runs.run import Run
-from tests.diagnosis.demo import NOISE, NOISE_PART, PARTS, RANGE, SYSTEM, WELL, Masses, catalogue, changed, measure, resolve
+from tests.diagnosis.demo import NOISE, NOISE_PART, PARTS, RANGE, SYSTEM, WELL, Masses, Sensors, catalogue, changed, measure, resolve
 from tests.tolerances import ROUNDOFF
 
 REPEAT = itertools.count()
@@ -313,6 +314,19 @@ class TestGate:
         result = answer(tmp_path, changed(measure(), "sensors.y[2]", lambda t, y: -(y + 0.1 * np.abs(y)))).result
         assert result["verdict"] == "bad_log"
         assert [(f["kind"], f["channel"]) for f in result["gate"]["findings"] if f["fatal"]] == [("sign", "sensors.y[2]")]
+
+    def test_a_scale_with_another_zero_stops_the_log_though_something_else_is_in_no_catalogue(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        class Thermometers(Sensors):
+            def __init__(self, name: str) -> None:
+                super().__init__(name)
+                self.ports = tuple(replace(p, unit="K", minimum=None, maximum=None) if p.name.startswith("y[") else p for p in self.ports)
+
+        monkeypatch.setitem(PARTS, "sensors", Thermometers)
+        result = answer(tmp_path, changed(measure(), "sensors.y[2]", lambda t, y: y + 0.1 * np.abs(y) - ICE)).result
+        assert result["verdict"] == "bad_log"
+        assert [(f["kind"], f["channel"]) for f in result["gate"]["findings"] if f["fatal"]] == [("unit", "sensors.y[2]")]
 
     def test_a_channel_that_rests_at_an_extreme_and_has_all_of_a_gap_that_nothing_explains_is_stopped(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
