@@ -206,6 +206,7 @@ class Candidate:
 
     def limited(self, least: float, most: float) -> Candidate:
         """The candidate, with its variants, where its parameters can have no more than this [unit] on top of what they have."""
+        least, most = max(least, self.allowed[0]), min(most, self.allowed[1])
         far = max(-least, most) if self.both_signs else most
         if far <= 0.0:  # as large as it can be already: no simulation of it can run
             return self

@@ -20,6 +20,7 @@ from robomill.diagnosis.forms.onset import onset_of, stands
 from robomill.diagnosis.gate import log_faults, phases
 from robomill.diagnosis.gate.checks import Finding, stopped
 from robomill.diagnosis.gate.gate import Gate
+from robomill.diagnosis.gate.measured_inputs import mistakes, undone
 from robomill.diagnosis.inference.adequacy import FALSE_ALARM, LEVEL, MISFIT, UNKNOWN, left_by, unexplained
 from robomill.diagnosis.inference.dormant import searched_beside
 from robomill.diagnosis.inference.estimation import Fit
@@ -132,7 +133,9 @@ def diagnose_campaign(
                 kept = "; with that put right, the log is not explained, or no better: it is kept as it is"
                 findings = [replace(f, text=f.text + kept, fatal=False) if f in faults and f not in mended else f for f in findings]
                 fatal = [f for f in findings if f.fatal]
-            elif (finding := _wrong_channel(catalogue, search, fits, groups[:n], nuisances, gate.limits)) is not None:
+            elif (
+                finding := _wrong_input(search, fits) or _wrong_channel(catalogue, search, fits, groups[:n], nuisances, gate.limits)
+            ) is not None:
                 findings.append(finding)
                 fatal = [finding]
         if fatal:
@@ -181,6 +184,18 @@ def _nominal(search: Search, groups: Sequence[Sequence[FloatArray]], best: Fit) 
     """
     least = LEVEL if len(best.model) > 1 else 0.0
     return max(looks_at(search, search.evidence.residual(groups))) <= max(over_noise(search, best), least)
+
+
+def _wrong_input(search: Search, fits: Sequence[Fit]) -> Finding | None:
+    """The mistake in a measured input without which the nominal system explains most, if that is no less than the best model explains."""
+    if over_noise(search, fits[0]) < UNKNOWN:  # there is no gap
+        return None
+    tried = mistakes(search.simulator.laboratory, len(search.groups))
+    ran = [(m, groups) for m in tried if (groups := undone(search.simulator, search.groups, m)) is not None]
+    if not ran:
+        return None
+    mistake, groups = min(ran, key=lambda pair: max(looks_at(search, search.evidence.residual(pair[1]))))
+    return mistake.finding if _nominal(search, groups, _simulated(search, _best(search, fits))) else None
 
 
 def _wrong_channel(

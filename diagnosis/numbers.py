@@ -16,7 +16,7 @@ from robomill.orchestration.slaves.protocol import base_name
 
 OFF = 0.1
 """Standard deviation of a number that nobody doubts, or whose calibration failed, in parts of itself [1] (judgement). A tenth of that is
-no finding."""
+no finding. A number keeps its sign, and it is larger by no more than itself over OFF."""
 
 
 def lacking(
@@ -42,12 +42,12 @@ def lacking(
             location=name,
             parameters=(name,),
             minimum=OFF * OFF * abs(values[component, name]),
-            maximum=abs(values[component, name]),
+            maximum=abs(values[component, name]) / OFF,
             prior=Prior("normal", OFF * abs(values[component, name])),
             unit=units[component, name],
             both_signs=True,
             locations=len(names),
-        )
+        ).limited(*sorted((-values[component, name], values[component, name] / OFF)))
         for (component, array), names in arrays.items()
         for name in names
     )

@@ -27,7 +27,7 @@ from robomill.diagnosis.gate.checks import SINGLE, Finding
 from robomill.models.model.units import Unit, unit_of
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
-ANGLES, SPEEDS, LENGTHS, FORCES, PRESSURES = ("rad",), ("rad/s",), ("m",), ("N", "N.m"), ("Pa",)
+ANGLES, SPEEDS, LENGTHS, FORCES, PRESSURES, RATES = ("rad",), ("rad/s",), ("m",), ("N", "N.m"), ("Pa",), ("m/s", "m3/s", "kg/s", "1/s")
 """SI units in which some mistakes are made, and in their rates: `m` stands for `m/s` and `m/s2`, too."""
 FACTORS: Mapping[float, tuple[str, tuple[str, ...]]] = {
     1e3: ("milli- for units", ()),
@@ -42,6 +42,12 @@ FACTORS: Mapping[float, tuple[str, tuple[str, ...]]] = {
     1 / 14.5037738: ("bar for pounds per square inch", PRESSURES),
     60 / (2 * np.pi): ("rpm for rad/s", SPEEDS),
     2 * np.pi / 60: ("rad/s for rpm", SPEEDS),
+    100.0: ("centimetres for metres", LENGTHS),
+    0.01: ("metres for centimetres", LENGTHS),
+    60.0: ("per minute for per second", RATES),
+    1 / 60.0: ("per second for per minute", RATES),
+    6e4: ("litres per minute for m3/s", ("m3/s",)),
+    1 / 6e4: ("m3/s for litres per minute", ("m3/s",)),
     25.4: ("millimetres for inches", LENGTHS),
     1 / 25.4: ("inches for millimetres", LENGTHS),
     4.4482216: ("newtons for pound-force", FORCES),
@@ -170,6 +176,23 @@ def made_in(unit: str | None, these: Sequence[str]) -> bool:
     return any(_is_rate(known, unit_of(u)) for u in these)
 
 
+def zeros(unit: str | None) -> tuple[float, ...]:
+    """Where a quantity in this SI unit may have its zero [unit]."""
+    return (0.0, ICE) if unit == "K" else (0.0,)
+
+
+def scales(unit: str | None) -> list[tuple[float, float, str]]:
+    """Usual mistakes in units that are made in this SI unit: (zero [unit], measured over true beyond it, what it is called)."""
+    usual = [(zero, f, mistake) for zero in zeros(unit) for f, (mistake, where) in FACTORS.items() if made_in(unit, where)]
+    same = ICE - 40.0
+    return [*usual, (same, FAHRENHEIT, "degF for degC"), (same, 1.0 / FAHRENHEIT, "degC for degF")] if unit == "K" else usual
+
+
+def shifts(unit: str | None) -> list[tuple[float, str]]:
+    """Usual mistakes in the zero of a scale in this SI unit: (measured less true [unit], what it is called)."""
+    return [(-ICE, "degC"), (ICE, "kelvin for degC")] if unit == "K" else []
+
+
 def _is_rate(unit: Unit, of: Unit) -> bool:
     """Whether one unit is another one, or that divided by a power of the time."""
     powers = {b: unit.exponents.get(b, 0) - of.exponents.get(b, 0) for b in (*unit.exponents, *of.exponents)}
@@ -183,15 +206,9 @@ def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str], units: Seq
         if not own.any():  # zero has no sign and no unit
             continue
         turned = Finding(name, "sign", -1.0, "1", "has the wrong sign; expected that of its simulation: turn it")
-        temperature = units[i] == "K"
-        for zero in (0.0, ICE) if temperature else (0.0,):
+        for zero in zeros(units[i]):
             yield _Operator((i,), np.array([[-1.0]]), turned, pooled[i], offset=2.0 * zero)
-        usual = [(0.0, factor, mistake) for factor, (mistake, where) in FACTORS.items() if made_in(units[i], where)]
-        if temperature:
-            usual += [(ICE, factor, mistake) for _, factor, mistake in usual]
-            same = ICE - 40.0
-            usual += [(same, FAHRENHEIT, "degF for degC"), (same, 1.0 / FAHRENHEIT, "degC for degF")]
-        for zero, factor, mistake in usual:
+        for zero, factor, mistake in scales(units[i]):
             measured, simulated = x[:, i] - zero, s[:, i] - zero
             slope = float(measured @ simulated / (simulated @ simulated)) if simulated.any() else 0.0
             # a unit is exact: what is larger by another factor has an effect
@@ -200,7 +217,7 @@ def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str], units: Seq
             text = f"is {slope:.4g} times what it should be: {mistake}; expected 1 (give the unit that it is logged in)"
             finding = Finding(name, "unit", slope, "1", text)
             yield _Operator((i,), np.array([[factor]]), finding, pooled[i], offset=zero * (1.0 - factor))
-        for offset, mistake in ((-ICE, "degC"), (ICE, "kelvin for degC")) if temperature else ():
+        for offset, mistake in shifts(units[i]):
             way = "small" if offset < 0.0 else "large"
             text = f"is {ICE:g} K too {way}: {mistake}; expected kelvin (give the unit that it is logged in)"
             yield _Operator((i,), np.eye(1), Finding(name, "unit", offset, "K", text), pooled[i], offset=offset)

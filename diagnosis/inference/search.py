@@ -14,6 +14,7 @@ from robomill.diagnosis.candidates import LOGGING, Candidate, Nuisance
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.simulation import Simulator, setting
 from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, MISFIT, UNKNOWN, by_chance, unexplained
+from robomill.diagnosis.inference.calibrated_instead import calibrated_instead, without_effect
 from robomill.diagnosis.inference.estimation import Fit, Gram, leave_one_out
 from robomill.diagnosis.inference.evidence import dependence
 from robomill.diagnosis.inference.fitting import POLISH, POLISHED, SHARPENED, Fitting, addresses_of, evidence_of
@@ -119,7 +120,7 @@ class Search(Fitting):
         while (others := self._exchanged(max(fits, key=evidence_of), fits)) and max(others, key=evidence_of).log_evidence > _most(fits):
             fits = self._grown(fits + others, self._best(others, 1))
         fits += others
-        fits = _distinct([f for f in fits + self._calibrated_instead(max(fits, key=evidence_of)) if f.large_enough()])
+        fits = _distinct([f for f in fits + calibrated_instead(self, max(fits, key=evidence_of)) if f.large_enough()])
         for f in sorted(fits[1:], key=evidence_of, reverse=True)[:3]:
             f.predictive = {name: part.predicted for name, part in leave_one_out(f, space).items()}
         return fits
@@ -155,7 +156,7 @@ class Search(Fitting):
         turned = self.turned(best)
         if len(best.model) <= 1 and not turned:
             return []
-        fewer = [_without(best, c) for c in best.model] if len(best.model) > 1 else []
+        fewer = [without_effect(best, c) for c in best.model] if len(best.model) > 1 else []
         seen = {frozenset(f.model) for f in known}
         beside = self.linear_fits([*fewer, best] if turned else fewer, best if turned else None)
         ranked = [f for f in sorted(beside, key=evidence_of, reverse=True) if frozenset(f.model) not in seen]
@@ -166,25 +167,6 @@ class Search(Fitting):
         trials += [f for f in fewer if frozenset(f.model) not in seen]
         level = self.sharpened(self.polish(self.refine(trials), trials))
         return level + (self._replaced(best, fewer, [f for f in swapped if f not in trials]) if fewer else [])
-
-    def _calibrated_instead(self, best: Fit) -> list[Fit]:
-        """`best` without one of its effects, and a calibrated number that does the same as far off in its place, simulated.
-
-        Slopes of calibrated numbers are those of the nominal system. Beside an effect that turns them, what a number does within its
-        tolerance would be given to an effect that is like it. Its law may be off as much as that of the effect.
-        """
-        found = []
-        numbers = {n.address: n for n in self.nuisances if n.address not in best.calibrated}
-        for c in best.model if len(best.model) > 1 else ():
-            alike = self.evidence.space.alike.get(c.addresses[0], {}) if len(c.addresses) == 1 else {}
-            without = _without(best, c)
-            for n, deviation in ((numbers[a], d) for a, d in alike.items() if a in numbers and d > 0.0):
-                off = best.values[c.addresses[0]] / deviation * n.scale  # the same effect, or the opposite one
-                for calibrated in ({**best.calibrated, n.address: sign * off} for sign in (1.0, -1.0)):
-                    signature = self.mean_signature(without.values, calibrated)
-                    if signature is not None and without.sensitivities is not None:
-                        found.append(self.about(replace(without, calibrated=calibrated), signature, without.sensitivities, best.form))
-        return found
 
     def _replaced(self, best: Fit, fewer: Sequence[Fit], swapped: Sequence[Fit]) -> list[Fit]:
         """Models that have another effect in place of one of `best`: those of `swapped` that make up for most of what it explains.
@@ -203,7 +185,7 @@ class Search(Fitting):
         ranked = sorted(ran, key=lambda pair: (pair[0].chi2 - best.chi2) / (pair[1] - best.chi2))
         likeliest = [self.sharpen(f) for f, _ in ranked[:EXTENSIONS]]
         equal = [f for f in likeliest if f.log_evidence > best.log_evidence - self.growth]
-        less = [_without(f, c) for f in equal for c in f.model]
+        less = [without_effect(f, c) for f in equal for c in f.model]
         return likeliest + self.sharpened(self.polish(self.refine(less), less)) + self._smaller(equal, ())
 
     def _hidden(self, fit: Fit, base: Fit) -> bool:
@@ -346,20 +328,6 @@ def _distinct(fits: Sequence[Fit]) -> list[Fit]:
     """The best fit of each model, in the order in which they came: a model that was fitted twice is no likelier for that."""
     best = {frozenset(f.model): f for f in sorted(fits, key=evidence_of)}
     return [f for f in fits if best[frozenset(f.model)] is f]
-
-
-def _without(fit: Fit, candidate: Candidate) -> Fit:
-    """The model without one of its effects, as sensitivities have it: nothing is fitted again."""
-    assert fit.signature is not None
-    assert fit.sensitivities is not None
-    order = [(c, a) for c in fit.model for a in c.addresses]
-    here = [i for i, (c, _) in enumerate(order) if c == candidate]
-    kept = [i for i, (c, _) in enumerate(order) if c != candidate]
-    x = np.array([fit.values[a] / c.prior.scale for c, a in order])
-    model = tuple(c for c in fit.model if c != candidate)
-    values, deviations = ({a: known[a] for c in model for a in c.addresses} for known in (fit.values, fit.deviations))
-    signature = fit.signature - fit.sensitivities[:, here] @ x[here]
-    return Fit(model, values, deviations, -np.inf, np.inf, signature, fit.sensitivities[:, kept], form=fit.form)
 
 
 def _names(fit: Fit) -> frozenset[str]:

@@ -18,8 +18,8 @@ from robomill.orchestration.slaves.protocol import FloatArray
 def single(search: Search, numbers: Sequence[Candidate]) -> Fit | None:
     """The model of one of the `numbers` that has the largest evidence, in the terms of the search; None where none is large enough.
 
-    All are simulated once in each condition, and fitted are those SINGLES that take most away as they are slopes. A number that does the
-    same as an effect of its component is none: that has been asked.
+    All are simulated once in each condition, and fitted are those SINGLES that take most away as they are slopes. A number that does no
+    more than an effect of its component with the same slope is none: that has been asked.
     """
     simulator, space, conditions = search.simulator, search.evidence.space, range(len(search.groups))
 
@@ -35,19 +35,47 @@ def single(search: Search, numbers: Sequence[Candidate]) -> Fit | None:
         space.find_alike({address: column}, {address: c.prior.scale})
         return gain(space.without([address]), column, c)
 
-    columns: dict[Candidate, FloatArray] = {}
-    addresses, known, _ = search.alone
-    for c in sorted(numbers, key=takes, reverse=True):
-        if len(columns) == SINGLES:
-            break
-        column = does(c)
-        own = known[:, [component == c.component for component, _ in addresses]]
-        size = np.linalg.norm(own, axis=0)
-        if column is not None and not np.any(np.abs(column @ own) > SAME_SIGNATURE * size * np.linalg.norm(column)):
-            columns[c] = column
+    ranked = sorted(numbers, key=takes, reverse=True)[:SINGLES]
+    columns = {c: column for c in ranked if (column := does(c)) is not None}
     if not columns:
         return None
-    one = search.of(columns)
-    chosen = one.linear_fits([one.nominal()])
-    fits = [f for f in one.sharpened(one.polish(one.refine(chosen), chosen)) if f.large_enough()]
-    return max(fits, key=evidence_of, default=None)
+    fits = [f for f in _fitted(search.of(columns)) if f.large_enough()]
+    alike = {c: _alike(search, c, column) for c, column in columns.items()}
+    asked = {f.model[0]: f for f in _fitted(search, {effect for f in fits for effect in alike[f.model[0]]})}
+
+    def does_more(f: Fit) -> bool:
+        return all(f.log_evidence > asked[x].log_evidence + search.growth for x in alike[f.model[0]] if x in asked)
+
+    return next((f for f in sorted(filter(does_more, fits), key=evidence_of, reverse=True) if not _contradicted(search, f)), None)
+
+
+def _contradicted(search: Search, fit: Fit) -> bool:
+    """Whether a measured channel that no effect changes, and that a fit has no part in, is likelier to be as it is without the model.
+
+    Half the squares that the model adds there, over those of what the nominal system leaves, are log odds against it [nats].
+    """
+    simulator, aside = search.simulator, ~search.evidence.active
+    against = 0.0
+    for i, group in enumerate(search.groups):
+        with_it, nominal = simulator.many([(i, simulator.seeded(setting(values))) for values in (fit.values, {})])
+        if with_it is None or nominal is None:
+            return True
+        on = aside & simulator.laboratory.there(simulator.laboratory.conditions[i].name)
+        left, more = (np.mean(group, axis=0) - nominal)[:, on], (with_it - nominal)[:, on]
+        usual = (left**2).mean(axis=0) + np.finfo(float).eps * (nominal[:, on] ** 2).mean(axis=0) + np.finfo(float).tiny
+        against += 0.5 * float(((more**2 - 2.0 * more * left).sum(axis=0) / usual).sum())
+    return against > search.growth
+
+
+def _alike(search: Search, c: Candidate, column: FloatArray) -> list[Candidate]:
+    """Effects of the component of a number that have its slope, [n]."""
+    addresses, known, _ = search.alone
+    large = np.abs(column @ known) > SAME_SIGNATURE * np.linalg.norm(known, axis=0) * np.linalg.norm(column)
+    same = {a for a, one in zip(addresses, large, strict=True) if one and a[0] == c.component}
+    return [x for x in search.candidates if not same.isdisjoint(x.addresses)]
+
+
+def _fitted(search: Search, some: set[Candidate] | None = None) -> list[Fit]:
+    """Models of one candidate each, of all or of `some` of them, that simulations confirm."""
+    chosen = [f for f in search.linear_fits([search.nominal()]) if some is None or f.model[0] in some] if some is None or some else []
+    return search.sharpened(search.polish(search.refine(chosen), chosen))

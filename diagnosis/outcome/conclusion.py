@@ -207,6 +207,7 @@ class Conclusion:
         )
         belief = tests.p_fit * (1.0 - number.likelier if several and number else 1.0)
         which = self.which(marginal, pairs, {c: belief * instead.belief(c) for c in marginal})
+        shown = self.best if number is None else number.fit
         answer = Answer(
             verdict,
             tuple(self.findings),
@@ -217,10 +218,9 @@ class Conclusion:
             tests=tests,
             families=self.families(belief, instead),
             smallest_visible=self.smallest(),
-            calibrated=pulled(search, self.best, self.false_alarm),
+            calibrated=pulled(search, shown, self.false_alarm),
         )
         acts = verdict in ("identified", "ambiguous", "unknown")
-        shown = self.best if number is None else number.fit
         adopted = physical(shown.values) if acts else {}
         if verdict == "none":
             answer = replace(answer, probability_none=tests.nothing)
@@ -253,11 +253,12 @@ class Conclusion:
     def number(self, verdict: Verdict) -> _Single | None:
         """The number of the model, in no catalogue, that explains the gap by itself; None if there is none.
 
-        It is asked for where the answer is `unknown` otherwise, or has several numbers. Then it has to be likelier than these, each by
-        evidence and prior. It has to pass the tests that an effect has to pass.
+        It is asked for where the answer is `unknown` otherwise, or not sure, or has several numbers, or needs calibrated numbers far off.
+        Then it has to be likelier than these, each by evidence and prior. It has to pass the tests that an effect has to pass.
         """
         named = verdict in ("identified", "ambiguous") and not any(c.component == LOGGING for c in self.best.model)
-        if not (verdict == "unknown" or (named and len(self.best.values) > 1)) or self.differs is not None:
+        doubtful = verdict == "ambiguous" or len(self.best.values) > 1 or bool(pulled(self.search, self.best, self.false_alarm))
+        if not (verdict == "unknown" or (named and doubtful)) or self.differs is not None:
             return None
         fit = single(self.search, self.numbers)
         if fit is None or at_bound(fit.model, fit.values):

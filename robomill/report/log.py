@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
+from robomill.diagnosis.candidates import LOGGING
 from robomill.report.html import code, figure, paragraph, table
 from robomill.report.subject import Subject
 from robomill.report.units import number, quantity
@@ -14,8 +15,11 @@ def section(s: Subject, figures: Mapping[str, str]) -> str:
     """What was found in the log, and what to do about it."""
     findings = s.answer.findings
     if not findings:
+        clocks = any(c.component == LOGGING for c in s.catalogue.candidates)
+        rest = "" if clocks else " Clocks that are late were not looked for: the catalogue has no effect of one."
         return paragraph(
-            "Yes. Time base, missing and constant samples, ranges, signs, units, axes and clocks were looked at; nothing was found."
+            f"Yes. Time base, missing and constant samples, ranges, signs, units{', axes and clocks' if clocks else ' and axes'} were looked at; "
+            f"nothing was found.{rest}"
         )
     rows = []
     for f in findings:

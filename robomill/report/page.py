@@ -87,7 +87,7 @@ def _tiles(s: Subject) -> str:
     if (tests := s.answer.tests) is not None:
         why = rests.no_effect(tests) if s.verdict == "none" else "p_none"
         about_tests = {
-            "p_none": ("Machines without effects that look like this", rank(tests.p_none), "of simulated ones"),
+            "p_none": ("Machines without effects where one seems as likely", rank(tests.p_none), "of simulated ones"),
             "nothing": ("Probability that nothing is wrong", percent(tests.nothing), "new conditions included"),
             "p_fit": (
                 "Probability that the nearest candidate is right",

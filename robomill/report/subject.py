@@ -293,7 +293,10 @@ def because(s: Subject) -> list[str]:
     """What is said against the best model of an answer that is `unknown` (`outcome.reasons`)."""
     known = s.answer.unknown
     assert known is not None
-    return [f"leaves {percent(s.left)} of the gap in the diagnosed runs" if r == "left" else WHY[r] for r in known.why]
+    return [
+        f"leaves {percent(s.left)} of the gap, in that signal of the diagnosed runs where it explains least" if r == "left" else WHY[r]
+        for r in known.why
+    ]
 
 
 def _formed(s: Subject) -> str:

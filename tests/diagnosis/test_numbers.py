@@ -43,7 +43,9 @@ def test_a_number_is_in_waiting_if_it_is_not_zero_and_no_effect_is_about_its_arr
     for c in found:
         size = abs(VALUES[c.addresses[0]])
         assert c.both_signs
-        assert (c.minimum, c.prior.scale, c.maximum) == (numbers.OFF**2 * size, numbers.OFF * size, size)
+        assert (c.minimum, c.prior.scale, c.maximum) == (numbers.OFF**2 * size, numbers.OFF * size, size / numbers.OFF)
+        assert sorted(map(abs, c.bounds)) == [size, size / numbers.OFF]
+        assert max(c.bounds, key=abs) * VALUES[c.addresses[0]] > 0.0
 
 
 @pytest.mark.parametrize(("tolerance", "there"), [(0.19, True), (0.21, False)])

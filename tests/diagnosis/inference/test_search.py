@@ -21,6 +21,7 @@ from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
 from robomill.diagnosis.inference import fitting
 from robomill.diagnosis.inference import search as search_module
 from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, UNKNOWN, by_chance
+from robomill.diagnosis.inference.calibrated_instead import calibrated_instead, without_effect
 from robomill.diagnosis.inference.estimation import Fit, Space
 from robomill.diagnosis.inference.priors import probabilities
 from robomill.diagnosis.inference.search import FAULT, SUBSTANTIAL, Search, searched
@@ -421,7 +422,7 @@ class TestReplaced:
         s = self.made()
         best = self.fitted(s, partner=4.0, wrong=1.0, helper=0.4)
         right = {"partner", "right"}
-        fewer = [search_module._without(best, c) for c in best.model]
+        fewer = [without_effect(best, c) for c in best.model]
         by_slopes = {frozenset(c.effect for c in f.model): f.log_evidence for f in s.linear_fits(fewer)}
         assert by_slopes[frozenset(right | {"helper"})] < best.log_evidence - s.growth
         found = max(s._exchanged(best, [best]), key=lambda f: f.log_evidence)
@@ -586,7 +587,7 @@ class TestCalibratedInstead:
         search = self.made(off)
         both = search.fitted(search.candidates, {self.STRONG: 3.0, self.TWIN: off}, {self.STRONG: 0.01, self.TWIN: 0.001})
         assert both is not None
-        best = max(search._calibrated_instead(both), key=lambda f: f.log_evidence)
+        best = max(calibrated_instead(search, both), key=lambda f: f.log_evidence)
         assert [c.effect for c in best.model] == ["strong"]
         assert best.calibrated == {self.NUMBER: pytest.approx(off, rel=WELL)}
         assert best.values[self.STRONG] == pytest.approx(3.0, rel=WELL)
@@ -598,7 +599,7 @@ class TestCalibratedInstead:
         for c in (twin, strong):
             alone = search.fitted((c,), {c.addresses[0]: 0.02}, {c.addresses[0]: 0.001})
             assert alone is not None
-            assert search._calibrated_instead(alone) == []
+            assert calibrated_instead(search, alone) == []
 
 
 @pytest.mark.parametrize(("component", "found"), [("a", False), ("b", True)])

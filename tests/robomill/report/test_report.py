@@ -193,7 +193,10 @@ class TestContent:
         s = subject("unknown elsewhere")
         assert s.answer.unknown is not None
         left = _saying(s, unknown=replace(s.answer.unknown, why=("left", "calibrated")))
-        assert re.search(r"the best model leaves [\d.]+\s% of the gap in the diagnosed runs;", verdict_sentence(left))
+        assert re.search(
+            r"the best model leaves [\d.]+\s% of the gap, in that signal of the diagnosed runs where it explains least;",
+            verdict_sentence(left),
+        )
 
     def test_what_changes_with_time_is_described_by_what_it_is_like(self, page: Callable[[str], Path]) -> None:
         text = _text(page("growing"))
