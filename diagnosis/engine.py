@@ -119,7 +119,8 @@ def diagnose_campaign(
         fatal = [f for f in findings if f.fatal]
         if all(f.kind in EXPLAINABLE for f in fatal):
             search, fits = searched_beside(catalogue, simulator, groups[:n], nuisances)
-            if fatal:  # is it the machine, after all?
+            suspected = bool(fatal)
+            if suspected:  # is it the machine, after all?
                 best = _simulated(search, _best(search, fits))
                 machine = _little(search, fits, best) and not any(c.component == LOGGING for c in best.model)
                 turned = [f for f in fatal if log_faults.keeps_size(f)]
@@ -133,11 +134,12 @@ def diagnose_campaign(
                 kept = "; with that put right, the log is not explained, or no better: it is kept as it is"
                 findings = [replace(f, text=f.text + kept, fatal=False) if f in faults and f not in mended else f for f in findings]
                 fatal = [f for f in findings if f.fatal]
-            elif (
-                finding := _wrong_input(search, fits) or _wrong_channel(catalogue, search, fits, groups[:n], nuisances, gate.limits)
-            ) is not None:
-                findings.append(finding)
-                fatal = [finding]
+            if not fatal:
+                wrong = _wrong_input(search, fits)
+                if wrong is None and not suspected:
+                    wrong = _wrong_channel(catalogue, search, fits, groups[:n], nuisances, gate.limits)
+                fatal = [wrong] if wrong is not None else []
+                findings += fatal
         if fatal:
             curves = curves_of(laboratory, groups, simulator.repeated(range(n), (), NOMINAL))
             answer = Answer("bad_log", tuple(findings), effort=effort_of(began, simulator), skipped=tuple(skipped))
@@ -187,15 +189,22 @@ def _nominal(search: Search, groups: Sequence[Sequence[FloatArray]], best: Fit) 
 
 
 def _wrong_input(search: Search, fits: Sequence[Fit]) -> Finding | None:
-    """The mistake in a measured input without which the nominal system explains most, if that is no less than the best model explains."""
-    if over_noise(search, fits[0]) < UNKNOWN:  # there is no gap
+    """The mistake in a measured input without which the nominal system explains most; None where it does not explain enough.
+
+    It does if it leaves no more than the best model, or LITTLE of the gap: nothing is fitted, and no effect is as large as a wrong sign or
+    unit is.
+    """
+    gap = over_noise(search, fits[0])
+    if gap < UNKNOWN:
         return None
     tried = mistakes(search.simulator.laboratory, len(search.groups))
     ran = [(m, groups) for m in tried if (groups := undone(search.simulator, search.groups, m)) is not None]
+    left = [max(looks_at(search, search.evidence.residual(groups))) for _, groups in ran]
     if not ran:
         return None
-    mistake, groups = min(ran, key=lambda pair: max(looks_at(search, search.evidence.residual(pair[1]))))
-    return mistake.finding if _nominal(search, groups, _simulated(search, _best(search, fits))) else None
+    mistake, groups = ran[int(np.argmin(left))]
+    explained = min(left) < LITTLE * gap or _nominal(search, groups, _simulated(search, _best(search, fits)))
+    return mistake.finding if explained else None
 
 
 def _wrong_channel(

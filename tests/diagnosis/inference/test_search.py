@@ -593,6 +593,32 @@ class TestCalibratedInstead:
         assert best.values[self.STRONG] == pytest.approx(3.0, rel=WELL)
         assert (probabilities([both, best], search.candidates)[1] > 0.5) is np.bool_(instead)
 
+    @pytest.mark.parametrize(("times", "there"), [(1.5, True), (15.0, False)])
+    def test_a_number_that_is_like_an_effect_only_beside_another_one_is_fitted_in_its_place(self, times: float, there: bool) -> None:
+        """Alone it does next to nothing that the effect does. No tolerance is as wide as the larger one is off."""
+        other, off = ("a", "other"), times * self.TOLERANCE
+        t = np.linspace(0.0, 1.0, self.ROWS)
+        alone, strong, together = np.cos(2.0 * np.pi * t), np.sin(6.0 * np.pi * t), np.cos(10.0 * np.pi * t)
+
+        def formula(_: int, values: Mapping[Address, float]) -> FloatArray:
+            n, x = values.get(self.NUMBER, 0.0), values.get(self.STRONG, 0.0)
+            return np.asarray(n * alone + x * strong + (10.0 * x * n + values.get(other, 0.0)) * together)[:, None]
+
+        y = formula(0, {self.STRONG: 3.0, self.NUMBER: off})
+        groups = [[y + 0.3 * np.random.default_rng(k).standard_normal(y.shape) for k in range(4)]]
+        entries = (candidate("strong", scale=2.0), candidate("other", scale=1.0, largest=100.0))
+        nuisances = [Nuisance(self.NUMBER, self.TOLERANCE)]
+        search = Search(Catalogue(Path("made up"), entries), Simulator(Calculated(formula, self.ROWS)), groups, nuisances)
+        both = search.fitted(search.candidates, {self.STRONG: 3.0, other: 30.0 * off}, {self.STRONG: 0.01, other: 0.01})
+        assert both is not None
+        assert not search.evidence.space.alike[other]
+        instead = [f for f in calibrated_instead(search, both) if [c.effect for c in f.model] == ["strong"]]
+        assert bool(instead) is there
+        for f in instead:
+            assert abs(f.calibrated[self.NUMBER] - off) < 0.1 * self.TOLERANCE
+            assert f.values[self.STRONG] == pytest.approx(3.0, rel=WELL)
+            assert f.log_evidence > both.log_evidence
+
     def test_a_single_effect_and_one_without_a_number_like_it_have_nothing_instead(self) -> None:
         search = self.made(self.TOLERANCE)
         twin, strong = (next(c for c in search.candidates if c.effect == name) for name in ("twin", "strong"))
