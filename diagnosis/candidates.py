@@ -229,6 +229,8 @@ class Nuisance:
     """Standard deviation of machines that are calibrated as usual [unit]; None: `scale`."""
     unit: str = "1"
     """Unit of the number, that of the parameter of its component."""
+    allowed: tuple[float, float] = (-math.inf, math.inf)
+    """Least and largest value that the parameter can have [unit]."""
 
     @property
     def doubt(self) -> float:

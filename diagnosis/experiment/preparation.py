@@ -80,7 +80,7 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
         within[component].append(name)
     catalogue, skipped = catalogue.within(within, frozenset[str]().union(*(s.outputs for s in settable)))
     catalogue.check_units(units, convert)
-    nuisances = _nuisances(catalogue, first, units)
+    nuisances = tuple(replace(u, allowed=ranges.get(u.address, u.allowed)) for u in _nuisances(catalogue, first, units))
     given = {a: first[a] for c in catalogue.candidates for a in c.addresses if first.get(a)}
     catalogue.check_phases(first)
     beyond = {a: (low - first.get(a, 0.0), high - first.get(a, 0.0)) for a, (low, high) in ranges.items()}

@@ -25,16 +25,19 @@ class Pulled:
     """How far that is off, in standard deviations of its tolerance [1]."""
     unit: str
     """Unit of the number."""
+    bound: float | None = None
+    """What its parameter can be at most or at least, where the value is beyond that [unit]; null: it is not."""
 
     @property
     def text(self) -> str:
-        """In words: a number, how far it is off, and where it would be."""
+        """In words: a number, how far it is off, where it would be, and whether it can be there."""
         way = "above" if self.deviations > 0.0 else "below"
         unit = "" if self.unit == "1" else f" {self.unit}"
         value, given = _told_apart(self.value, self.given)
         return (
             f"{self.component}.{self.parameter} is {abs(self.deviations):.1f} times its tolerance {way} what is given:"
             f" about {value}{unit}, not {given}{unit}"
+            + ("" if self.bound is None else f"; it cannot be {way} {self.bound:.4g}{unit}, so something else is wrong")
         )
 
 
@@ -62,5 +65,9 @@ def farthest(search: Search, fit: Fit) -> Pulled | None:
 def _numbers(search: Search, fit: Fit) -> list[Pulled]:
     """All calibrated numbers as a model has them, the farthest off first."""
     numbers, means, _ = search.numbers(fit)
-    found = [Pulled(*n.address, n.nominal, n.nominal + z * n.scale, z, n.unit) for n, z in zip(numbers, map(float, means), strict=True)]
+    found = []
+    for n, z in zip(numbers, map(float, means), strict=True):
+        value, bound = n.nominal + z * n.scale, n.allowed[z > 0.0]
+        beyond_it = value > bound if z > 0.0 else value < bound
+        found.append(Pulled(*n.address, n.nominal, value, z, n.unit, bound if beyond_it else None))
     return sorted(found, key=lambda p: -abs(p.deviations))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,22 @@ def test_a_damping_that_is_six_tolerances_off_is_in_the_answer_which_is_less_sur
         sure[said] = result["which"][0]["probability"], result["verdict"]
     assert sure[False][1] == "identified" != sure[True][1]
     assert sure[True][0] < IDENTIFIED < sure[False][0]
+
+
+@pytest.mark.parametrize(
+    ("off", "said"),
+    [
+        (-5.0, "; it cannot be below 3 kg, so something else is wrong"),
+        (5.0, "; it cannot be above 6 kg, so something else is wrong"),
+        (2.0, "not 4 kg"),
+    ],
+)
+def test_a_number_beyond_what_its_parameter_can_be_says_so(off: float, said: str) -> None:
+    search, best = made(off)
+    search.nuisances = [replace(search.nuisances[0], allowed=(3.0, 6.0)), *search.nuisances[1:]]
+    found = farthest(search, best)
+    assert found is not None
+    assert found.text.endswith(said)
 
 
 def test_numbers_that_differ_little_are_told_apart() -> None:
