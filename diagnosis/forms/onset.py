@@ -87,6 +87,8 @@ def onset_of(search: Search, right: Fit | None = None) -> Onset | None:
     of = [c for c in does if len(c.parameters) == 1 and c.component != LOGGING] if right is not None else _looked_at(search)
     other = {c: sum((s for d, s in does.items() if d != c), np.zeros_like(search.evidence.space.y)) for c in of}
     usual = min((_always(search, c, other[c]) for c in of), default=math.inf)
+    if right is not None:  # slopes say less of a large effect than its simulation
+        usual = min(usual, search.chi2(right))
     for c in of:
         for found in (_within(search, c, usual, other[c]), _between(search, c, other[c])):
             if found is not None and _may_be(c, found[1].value) and (best is None or found[0] < best[0]):
