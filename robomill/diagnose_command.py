@@ -380,4 +380,7 @@ def _form_lines(form: Form) -> list[str]:
         if h.unit != "1" and h.closure is not None:
             closed = "" if form.refuted else f", closure {100 * h.closure:.0f} %"
             out.append(f"form in the loop: {h.metric}, {h.on}: {h.before:.3g} -> {h.after:.3g} {h.unit}{closed}")
+    larger = dict.fromkeys(h.metric for h in form.how_far if h.unit != "1" and (h.closure or 0.0) < 0.0)
+    if larger and not form.refuted:
+        out.append(f"form: in the loop it makes larger: {', '.join(larger)}; look at that before it is adopted")
     return out

@@ -334,6 +334,15 @@ class TestContent:
         line = "form: the effects that are nearest close more of the whole gap (all signals, each over its noise), 97 %, held-out condition"
         assert (line in lines(both.answer)) is said
 
+    def test_a_form_that_makes_a_signal_larger_says_so_on_the_console(self, subject: Callable[[str], Subject]) -> None:
+        port = PortForm("masses.force", "N", "0.3 sgn(v)", (), 0.97, None)
+        near = HowFar("y rms", "sensors.y[2]", "m", "diagnosed runs", 1e-3, 2e-3, 2e-3, -3.0, [-3.5, -2.5], 1.0, "repeats", -3.0)
+        form = Form("masses", "input", 0.0, (port,), (), (near, replace(near, closure=0.9, metric="x rms")), specification={"name": "x"})
+        line = "form: in the loop it makes larger: y rms; look at that before it is adopted"
+        assert line in lines(_saying(subject("unknown"), form=form).answer)
+        better = replace(form, how_far=form.how_far[1:])
+        assert not any("makes larger" in said for said in lines(_saying(subject("unknown"), form=better).answer))
+
     def test_a_form_that_the_loop_refutes_is_said_to_be_of_no_use(self, subject: Callable[[str], Subject], tmp_path: Path) -> None:
         """What it closes outside of the loop is no merit: no closure is printed."""
         curve = Curve("v", "m/s", [-1.0, 1.0], [-0.31, 0.29], [-0.3, 0.3])
