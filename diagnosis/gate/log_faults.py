@@ -229,6 +229,10 @@ def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str], units: Seq
                 yield _Operator((i, j), np.array([[0.0, signs[1]], [signs[0], 0.0]]), finding)
         if len(members) == len(XYZ):
             yield _rotation(name, tuple(members), x[:, members], s[:, members])
+    for i, j in itertools.combinations([members[0] for members in by_array(channels).values() if len(members) == 1], 2):
+        if units[i] == units[j] and channels[i].partition(".")[0] == channels[j].partition(".")[0]:
+            text = f"is interchanged with {channels[j]}; give each the other's name"
+            yield _Operator((i, j), np.array([[0.0, 1.0], [1.0, 0.0]]), Finding(channels[i], "axes", 1.0, "1", text))
 
 
 def _rotation(name: str, members: tuple[int, ...], a: FloatArray, b: FloatArray) -> _Operator:

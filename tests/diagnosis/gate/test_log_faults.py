@@ -25,6 +25,9 @@ def kinds(x: FloatArray, s: FloatArray, noise: float = 1e-9) -> list[tuple[str, 
     return [(f.channel, f.kind) for f in judged(x, s, NAMES[: x.shape[1]], ANY[: x.shape[1]], np.full(x.shape[1], noise))]
 
 
+CENTI, MINUTES = "centimetres for metres", "per minute for per second"
+
+
 class TestJudged:
     @pytest.mark.parametrize("gain", [1.0, 0.5, 1.6, -0.1, 2.2])
     def test_a_gain_is_left_to_the_search(self, gain: float) -> None:
@@ -43,9 +46,11 @@ class TestJudged:
         [
             ("rad/s", {"degrees for radians", "rpm for rad/s"}),
             ("deg", {"degrees for radians"}),
-            ("mm/s2", {"millimetres for inches", "newtons (m/s2) for kilogram-force (g)"}),
+            ("mm/s2", {"millimetres for inches", CENTI, MINUTES, "newtons (m/s2) for kilogram-force (g)"}),
             ("bar", {"pounds per square inch for bar"}),
-            ("mm/s", {"millimetres for inches"}),
+            ("mm/s", {"millimetres for inches", CENTI, MINUTES}),
+            ("l/s", {MINUTES, "litres per minute for m3/s"}),
+            ("kg/s", {MINUTES}),
             ("N", {"newtons (m/s2) for kilogram-force (g)", "newtons for pound-force"}),
             ("N.m/s", {"newtons (m/s2) for kilogram-force (g)", "newtons for pound-force"}),
             ("kg", set()),
@@ -116,6 +121,13 @@ class TestJudged:
     def test_interchanged_axes_are_found_whatever_their_signs_are(self) -> None:
         for signs in ((1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)):
             assert kinds(VECTOR[:, [1, 0, 2]] * signs, VECTOR) == [(NAMES[0], "axes")]
+
+    @pytest.mark.parametrize(("names", "found"), [(["a.warm", "a.cold"], [("a.warm", "axes")]), (["a.warm", "b.cold"], [])])
+    def test_two_signals_of_a_component_that_are_interchanged_are_found(self, names: list[str], found: list[tuple[str, str]]) -> None:
+        s = np.stack([3.0 * SINE, COSINE], axis=1)
+        told = judged(s[:, ::-1], s, names, ["N", "N"], np.array([0.05, 0.05]))
+        assert [(f.channel, f.kind) for f in told if f.kind == "axes"] == found
+        assert [f for f in judged(s[:, ::-1], s, names, ["N", "m"], np.array([0.05, 0.05])) if f.kind == "axes"] == []
 
     def test_axes_that_are_nearly_alike_are_not_interchanged(self) -> None:
         alike = np.stack([SINE + 0.05 * COSINE, SINE - 0.05 * COSINE], axis=1)
