@@ -16,6 +16,7 @@ from robomill.orchestration.runs.importing import write_run
 from robomill.orchestration.runs.run import Run
 from tests.diagnosis.axis import catalogue, resolve
 from tests.diagnosis.experiment.test_driven import SYSTEM, recorded
+from tests.tolerances import ROUNDOFF
 
 
 def logged(folder: Path, change: Callable[[str, Any], Any], **how: float) -> Run:
@@ -69,4 +70,4 @@ def test_what_may_be_wrong_goes_with_the_unit_and_only_with_what_is_played(tmp_p
     assert not any("273.15" in text for text in texts["program.v"])
     assert any("rpm for rad/s" in text for text in texts["program.v"])
     (celsius,) = (m for m in mistakes(laboratory, 1) if "too small, degC" in m.finding.text)
-    assert celsius.undo(np.array([20.0]))[0] == pytest.approx(293.15)
+    assert celsius.undo(np.array([20.0]))[0] == pytest.approx(293.15, rel=ROUNDOFF)

@@ -645,3 +645,23 @@ def test_a_number_that_does_what_an_effect_of_its_component_does_has_been_asked(
     if fit is not None:
         assert fit.values[component, "k"] == pytest.approx(0.5, rel=WELL)
     assert single(search, []) is None
+
+
+@pytest.mark.parametrize(("shows", "found"), [(0.0, False), (0.5, True)])
+def test_a_number_that_changes_a_signal_which_is_as_it_should_be_is_none(shows: float, found: bool) -> None:
+    """No effect changes the second signal, so that the search does not look at it."""
+    t = np.linspace(0.0, 1.0, 400)
+    wave = np.sin(6.0 * np.pi * t)
+
+    def formula(_: int, values: Mapping[Address, float]) -> FloatArray:
+        k = values.get(("b", "k"), 0.0)
+        return np.stack([(values.get(("a", "first"), 0.0) + k) * wave, 1.0 + k * wave], axis=1)
+
+    measured = np.stack([0.5 * wave, 1.0 + shows * wave], axis=1)
+    noise = np.array([1e-2, 0.0])
+    groups = [[measured + noise * np.random.default_rng(k).standard_normal(measured.shape) for k in range(4)]]
+    simulator = Simulator(Calculated(formula, len(t), ("a.x", "b.x")))
+    search = Search(Catalogue(Path("made up"), (candidate("first"),)), simulator, groups, ())
+    assert list(search.evidence.active) == [True, False]
+    number = replace(candidate("number", largest=10.0), component="b", parameters=("k",))
+    assert (single(search, [number]) is not None) is found
