@@ -396,7 +396,10 @@ class Conclusion:
         return next_run.recommend(fits, weights, kinds, self.search, self.simulator)
 
     def described(self, answer: Answer, found: Located, instead: Laws, other: Changing | None, why: tuple[Reason, ...]) -> Answer:
-        """The answer with what is known of an effect that is not in the catalogue; `other`: what it is like if it changes with time."""
+        """The answer with what is known of an effect that is not in the catalogue; `other`: what it is like if it changes with time.
+
+        Calibrated numbers are judged together: where none is far off by itself, and all are too far, the farthest one is said.
+        """
         unknown, where = replace(self.unknown(), why=why, instead=instead.found), answer.where
         if found.where:
             first = where[0]
@@ -408,7 +411,8 @@ class Conclusion:
             also, named = other.candidate.component, {c for w in found.where for c in (w.component, *(w.alternatives or ()))}
             if found.where and also not in named:  # the replay knows only effects that do not change
                 where = (replace(first, alternatives=(*(first.alternatives or ()), also)), *where[1:])
-        return replace(answer, unknown=unknown, where=where)
+        far = farthest(self.search, self.best) if "calibrated" in why and not answer.calibrated else None
+        return replace(answer, unknown=unknown, where=where, calibrated=(far,) if far is not None else answer.calibrated)
 
     def unknown(self) -> Unknown:
         """Channels and times that what the best model leaves is in."""
