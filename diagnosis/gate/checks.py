@@ -20,6 +20,8 @@ NEAR = 25.5
 LIMIT = 0.1
 """Part of a channel's range by which its simulation may be short of a limit that the channel stands at."""
 
+LIMITED = "limit"
+"""Kind of finding of a channel that stays where its simulation goes beyond."""
 BREAK, LONG_BREAK = 12.5, 62.5
 """Samples (communication steps, if these are longer) without a stamp that are noted, and those that make a log a bad one."""
 PART = 0.05
@@ -139,13 +141,24 @@ def standstill(
 
     At rest at zero is what a dead band makes of an output, too. At rest where the simulation goes as far or further, or at an extreme to
     which the channel comes back after it has left it, is what a limit does. While a channel is at one of its `limits`, what its component
-    makes of it may rest, too. What sticks, or ends at rest while its simulation moves by less than LIMIT of its range, is not fatal.
+    makes of it may rest, too; that it is there is noted. What sticks, or ends at rest while its simulation moves by less than LIMIT of its
+    range, is not fatal.
     """
     found: list[Finding] = []
     held = {name: np.zeros(len(x), dtype=bool) for name in map(_component, channels)}
     for i, name in enumerate(channels):  # a component at a limit to which its simulation does not go
         if name in limits:
-            held[_component(name)] |= np.isin(x[:, i], limits[name]) & (np.abs(x[:, i] - s[:, i]) > MOVED * noise[i])
+            stays = np.isin(x[:, i], limits[name]) & (np.abs(x[:, i] - s[:, i]) > MOVED * noise[i])
+            held[_component(name)] |= stays
+            least, most = limits[name]
+            beyond = stays & np.where(x[:, i] == most, s[:, i] > most, s[:, i] < least)
+            if beyond.sum() > REST * len(x):
+                bound, unit = float(x[beyond, i][0]), run.ports[name].unit or ""
+                time = float(beyond.sum()) * step
+                text = (
+                    f"stays at {bound:.6g} {unit} for {time:.3g} s, where its simulation goes beyond: a limit of the machine or the sensor"
+                )
+                found.append(Finding(name, LIMITED, time, "s", text, fatal=False))
     for i, name in enumerate(channels):
         spread = float(np.ptp(s[:, i]))
         known = run.columns[name][np.isfinite(run.columns[name])]

@@ -210,7 +210,7 @@ class Conclusion:
         shown = self.best if number is None else number.fit
         answer = Answer(
             verdict,
-            tuple(self.findings),
+            tuple(f for f in self.findings if f.kind != gate.LIMITED or verdict == "unknown"),  # else the answer says why it is there
             which=which,
             isolability=tuple(pairs),
             gap=gap,

@@ -118,6 +118,14 @@ class TestLimitOfSeveralRuns:
         assert checks.stopped(self.HELD, T, STEP, 1e-12) == pytest.approx(7.0, abs=A_SAMPLE)
         assert checks.stopped(self.HELD, T, STEP, 1e-12, (np.nan, 3.0)) == 0.0
 
+    @pytest.mark.parametrize(("factor", "noted"), [(1.0, True), (0.3, False)])
+    def test_a_limit_beyond_which_the_simulation_goes_is_noted(self, factor: float, noted: bool) -> None:
+        run = recorded(self.HELD)
+        limits = {CHANNEL: (np.nan, 3.0)}
+        found = checks.standstill(run, self.HELD[:, None], factor * T[:, None], [CHANNEL], STEP, np.array([1e-12]), limits)
+        assert [(f.kind, f.fatal) for f in found] == ([(checks.LIMITED, False)] if noted else [])
+        assert all(f.text.startswith("stays at 3 ") and f.value == pytest.approx(7.0, abs=A_SAMPLE) for f in found)
+
     def test_what_stands_still_before_the_limit_is_met_is_broken(self) -> None:
         assert self.beside([self.HELD, np.minimum(T, 1.0)], (np.nan, 3.0)) == ["sensors.y[2]"]
 

@@ -381,6 +381,13 @@ class TestContent:
         (tmp_path / "view.html").write_text("<html></html>")
         assert '<a href="view.html">' in report.write(s, tmp_path).read_text()
 
+    def test_clocks_that_were_not_looked_for_are_said(self, subject: Callable[[str], Subject]) -> None:
+        s = subject("none")
+        assert "units, axes and clocks were looked at; nothing was found." in _text(html(s, {}))
+        without = replace(s.catalogue, candidates=tuple(c for c in s.catalogue.candidates if c.component != "logging"))
+        said = _text(html(replace(s, catalogue=without), {}))
+        assert "units and axes were looked at; nothing was found. Clocks that are late were not looked for" in said
+
     def test_names_are_escaped(self, subject: Callable[[str], Subject]) -> None:
         text = html(replace(subject("none"), system=replace(SYSTEM, name="a <b> & c")), {})
         assert "a &lt;b&gt; &amp; c" in text
