@@ -138,7 +138,7 @@ def drawn(true: float) -> tuple[Any, Candidate]:
     search = unsteady(1.0, runs=3)
     search.groups = [idle(made(true, 1.0, 7))]
     search.evidence.nominals = [made(0.0, 0.0, 5)]
-    search.evidence.space = SimpleNamespace(blocks={"there": slice(0, 1)}, y=np.zeros(4), chi2=0.0, dot=lambda a, b: float(a @ b))
+    search.evidence.space = SimpleNamespace(blocks={"there": slice(0, 1)}, y=np.zeros(4), chi2=0.0, square=lambda v: float(v @ v))
     search.evidence.mean_signature = lambda group: np.zeros(4)
     search.simulator.repeated = repeated
     search.catalogue = SimpleNamespace(drawn=frozenset({c.effect}))
