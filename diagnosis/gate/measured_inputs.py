@@ -22,7 +22,7 @@ from robomill.orchestration.slaves.protocol import FloatArray, Slave, arrays
 
 UNDONE = "undone:"
 """Source of a component that plays what was measured, with a mistake undone."""
-_PUT_RIGHT = "with that put right, the system explains more of the log than any effect does as it is"
+_PUT_RIGHT = "with that put right, the nominal system explains nearly all of the gap, or as much as any effects do"
 _UNIT = f"{_PUT_RIGHT}; give the unit that it is logged in"
 
 
