@@ -199,9 +199,9 @@ def _wrong_input(search: Search, fits: Sequence[Fit]) -> Finding | None:
         return None
     tried = mistakes(search.simulator.laboratory, len(search.groups))
     ran = [(m, groups) for m in tried if (groups := undone(search.simulator, search.groups, m)) is not None]
-    left = [max(looks_at(search, search.evidence.residual(groups))) for _, groups in ran]
     if not ran:
         return None
+    left = [max(looks_at(search, search.evidence.residual(groups))) for _, groups in ran]
     mistake, groups = ran[int(np.argmin(left))]
     explained = min(left) < LITTLE * gap or _nominal(search, groups, _simulated(search, _best(search, fits)))
     return mistake.finding if explained else None

@@ -77,5 +77,5 @@ def _alike(search: Search, c: Candidate, column: FloatArray) -> list[Candidate]:
 
 def _fitted(search: Search, some: set[Candidate] | None = None) -> list[Fit]:
     """Models of one candidate each, of all or of `some` of them, that simulations confirm."""
-    chosen = [f for f in search.linear_fits([search.nominal()]) if some is None or f.model[0] in some] if some is None or some else []
+    chosen = [f for f in search.linear_fits([search.nominal()]) if some is None or f.model[0] in some]
     return search.sharpened(search.polish(search.refine(chosen), chosen))
