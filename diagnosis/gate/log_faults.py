@@ -18,7 +18,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -65,24 +65,33 @@ XYZ = "xyz"
 """An array with an element for each may be a vector in another frame."""
 TOLERANCE = 0.15
 """Part of a signal by which a machine that is logged well may be off: the largest gain error of a sensor in the catalogue."""
+_UNIT = "give the unit that it is logged in"
 DECISIVE = 150.0
 """Bayes factor, times the number of operators that are tried, from which a fault is believed: Kass & Raftery's "very strong"."""
 
 
 @dataclass(frozen=True)
-class _Operator:
-    """A fault that is tried: what it makes of the simulation of some channels, and what is said if it is believed."""
+class Operator:
+    """A fault that is tried: what it makes of some channels, and what is said if it is believed."""
 
     members: tuple[int, ...]
+    """Places of the channels."""
     matrix: FloatArray
     """[members, members]: logged = true @ matrix + offset."""
-    finding: Finding
+    kind: str
+    """One of KINDS."""
+    value: float
+    unit: str
+    """Of the value."""
+    what: str
+    """What is wrong, after the name of the channel."""
+    remedy: str
+    offset: float = 0.0
+    """Where the zero of the scale is not that of the unit [unit of the channel]."""
     spread: float | None = None
     """Mean square that tolerances are a part of [unit^2]: of an array, where that is not the variance of each channel."""
     paid: float = 0.0
     """What its fitted numbers cost [nats] (Schwarz 1978, Ann. Stat. 6, 461)."""
-    offset: float = 0.0
-    """Where the zero of the scale is not that of the unit [unit]."""
 
     @property
     def scale(self) -> float:
@@ -96,6 +105,15 @@ class _Operator:
     def true(self, logged: FloatArray) -> FloatArray:
         """The true signal of one that is logged [samples, members]."""
         return np.asarray((logged - self.offset) @ np.linalg.inv(self.matrix))
+
+    def named(self, channels: Sequence[str]) -> str:
+        """Which of these channels has the fault: the first member, or an array that is turned."""
+        first = channels[self.members[0]]
+        return base_name(first) if self.kind == "rotation" else first
+
+    def finding(self, channels: Sequence[str], why: str = "") -> Finding:
+        """What is said of it among these channels; `why` it is believed."""
+        return Finding(self.named(channels), self.kind, self.value, self.unit, f"{self.what}{why}; {self.remedy}")
 
 
 def judged(
@@ -118,7 +136,7 @@ def judged(
     taken: set[int] = set()
     for o, _ in sorted(clear, key=lambda known: (known[0].paid > 0.0, -known[1])):
         if not taken & set(o.members):
-            found.append(o.finding)
+            found.append(o.finding(channels))
             taken |= set(o.members)
     return found
 
@@ -144,9 +162,9 @@ def undone(faults: Sequence[Finding], x: FloatArray, s: FloatArray, channels: Se
     """
     x = x.copy()
     tried = list(_operators(x, s, channels, units))
-    scaled: dict[str, dict[int, _Operator]] = {}
+    scaled: dict[str, dict[int, Operator]] = {}
     for fault in faults:
-        same = [o for o in tried if (o.finding.channel, o.finding.kind) == (fault.channel, fault.kind)]
+        same = [o for o in tried if (o.named(channels), o.kind) == (fault.channel, fault.kind)]
         if same:
             o = min(same, key=lambda o: float(((x[:, list(o.members)] - o.logged(s[:, list(o.members)])) ** 2).sum()))
             x[:, list(o.members)] = o.true(x[:, list(o.members)])
@@ -176,21 +194,36 @@ def made_in(unit: str | None, these: Sequence[str]) -> bool:
     return any(_is_rate(known, unit_of(u)) for u in these)
 
 
-def zeros(unit: str | None) -> tuple[float, ...]:
-    """Where a quantity in this SI unit may have its zero [unit]."""
-    return (0.0, ICE) if unit == "K" else (0.0,)
+def exact(channels: Sequence[str], units: Sequence[str | None]) -> Iterator[Operator]:
+    """Faults without a fitted number that channels in these SI units (None: not known) may have: signs, units, zeros, interchanged signals.
+
+    Signals may be interchanged within an array, and two scalars of one component and unit.
+    """
+    for i, unit in enumerate(units):
+        zeros = (0.0, ICE) if unit == "K" else (0.0,)
+        for zero in zeros:
+            yield Operator((i,), -np.eye(1), "sign", -1.0, "1", "has the wrong sign", "turn it", 2.0 * zero)
+        scales = [(zero, f, mistake) for zero in zeros for f, (mistake, where) in FACTORS.items() if made_in(unit, where)]
+        if unit == "K":
+            scales += [(ICE - 40.0, FAHRENHEIT, "degF for degC"), (ICE - 40.0, 1.0 / FAHRENHEIT, "degC for degF")]
+        for zero, factor, mistake in scales:
+            what = f"is {factor:.4g} times what it should be ({mistake})"
+            yield Operator((i,), factor * np.eye(1), "unit", factor, "1", what, _UNIT, zero * (1.0 - factor))
+        for offset, mistake in ((-ICE, "small (degC)"), (ICE, "large (kelvin for degC)")) if unit == "K" else ():
+            yield Operator((i,), np.eye(1), "unit", offset, "K", f"is {ICE:g} K too {mistake}", _UNIT, offset)
+    groups = by_array(channels)
+    for members in groups.values():
+        for i, j in itertools.combinations(members, 2):
+            for signs in itertools.product((1.0, -1.0), repeat=2):
+                yield _interchanged(i, j, channels, signs)
+    for i, j in itertools.combinations([members[0] for members in groups.values() if len(members) == 1], 2):
+        if units[i] == units[j] and channels[i].partition(".")[0] == channels[j].partition(".")[0]:
+            yield _interchanged(i, j, channels)
 
 
-def scales(unit: str | None) -> list[tuple[float, float, str]]:
-    """Usual mistakes in units that are made in this SI unit: (zero [unit], measured over true beyond it, what it is called)."""
-    usual = [(zero, f, mistake) for zero in zeros(unit) for f, (mistake, where) in FACTORS.items() if made_in(unit, where)]
-    same = ICE - 40.0
-    return [*usual, (same, FAHRENHEIT, "degF for degC"), (same, 1.0 / FAHRENHEIT, "degC for degF")] if unit == "K" else usual
-
-
-def shifts(unit: str | None) -> list[tuple[float, str]]:
-    """Usual mistakes in the zero of a scale in this SI unit: (measured less true [unit], what it is called)."""
-    return [(-ICE, "degC"), (ICE, "kelvin for degC")] if unit == "K" else []
+def _interchanged(i: int, j: int, channels: Sequence[str], signs: tuple[float, ...] = (1.0, 1.0)) -> Operator:
+    matrix = np.array([[0.0, signs[1]], [signs[0], 0.0]])
+    return Operator((i, j), matrix, "axes", float(j - i), "1", f"is interchanged with {channels[j]}", "give each the other's name")
 
 
 def _is_rate(unit: Unit, of: Unit) -> bool:
@@ -199,53 +232,40 @@ def _is_rate(unit: Unit, of: Unit) -> bool:
     return powers.pop("s", 0) <= 0 and not any(powers.values())
 
 
-def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str], units: Sequence[str | None]) -> Iterator[_Operator]:
-    pooled = {i: float(s[:, members].var(axis=0).mean()) for members in by_array(channels).values() for i in members}
-    for i, name in enumerate(channels):
-        own = s[:, [i]]
-        if not own.any():  # zero has no sign and no unit
-            continue
-        turned = Finding(name, "sign", -1.0, "1", "has the wrong sign; expected that of its simulation: turn it")
-        for zero in zeros(units[i]):
-            yield _Operator((i,), np.array([[-1.0]]), turned, pooled[i], offset=2.0 * zero)
-        for zero, factor, mistake in scales(units[i]):
-            measured, simulated = x[:, i] - zero, s[:, i] - zero
-            slope = float(measured @ simulated / (simulated @ simulated)) if simulated.any() else 0.0
-            # a unit is exact: what is larger by another factor has an effect
-            if abs(slope / factor - 1.0) > TOLERANCE:
-                continue
-            text = f"is {slope:.4g} times what it should be: {mistake}; expected 1 (give the unit that it is logged in)"
-            finding = Finding(name, "unit", slope, "1", text)
-            yield _Operator((i,), np.array([[factor]]), finding, pooled[i], offset=zero * (1.0 - factor))
-        for offset, mistake in shifts(units[i]):
-            way = "small" if offset < 0.0 else "large"
-            text = f"is {ICE:g} K too {way}: {mistake}; expected kelvin (give the unit that it is logged in)"
-            yield _Operator((i,), np.eye(1), Finding(name, "unit", offset, "K", text), pooled[i], offset=offset)
-    for name, members in by_array(channels).items():
-        for i, j in itertools.combinations(members, 2):
-            text = f"is interchanged with {channels[j]}; give each the other's name"
-            finding = Finding(channels[i], "axes", float(j - i), "1", text)
-            for signs in itertools.product((1.0, -1.0), repeat=2):
-                yield _Operator((i, j), np.array([[0.0, signs[1]], [signs[0], 0.0]]), finding)
+def _operators(x: FloatArray, s: FloatArray, channels: Sequence[str], units: Sequence[str | None]) -> Iterator[Operator]:
+    """What measured `x` may have beside simulated `s`, [samples, channels]: exact faults of the size that they are seen in, and turns."""
+    groups = by_array(channels)
+    pooled = {i: float(s[:, members].var(axis=0).mean()) for members in groups.values() for i in members}
+    for o in exact(channels, units):
+        (i, *others) = o.members
+        if others:
+            yield o
+        # zero has no sign and no unit; a unit is exact: what is larger by another factor has an effect
+        elif s[:, i].any() and (o.kind == "sign" or o.scale == 1.0 or abs(_slope(o, x[:, i], s[:, i]) / o.scale - 1.0) <= TOLERANCE):
+            yield replace(o, spread=pooled[i])
+    for members in groups.values():
         if len(members) == len(XYZ):
-            yield _rotation(name, tuple(members), x[:, members], s[:, members])
-    for i, j in itertools.combinations([members[0] for members in by_array(channels).values() if len(members) == 1], 2):
-        if units[i] == units[j] and channels[i].partition(".")[0] == channels[j].partition(".")[0]:
-            text = f"is interchanged with {channels[j]}; give each the other's name"
-            yield _Operator((i, j), np.array([[0.0, 1.0], [1.0, 0.0]]), Finding(channels[i], "axes", 1.0, "1", text))
+            yield _rotation(tuple(members), x[:, members], s[:, members])
 
 
-def _rotation(name: str, members: tuple[int, ...], a: FloatArray, b: FloatArray) -> _Operator:
+def _slope(o: Operator, x: FloatArray, s: FloatArray) -> float:
+    """Measured over simulated [samples] about the zero of a scale."""
+    zero = o.offset / (1.0 - o.scale)
+    measured, simulated = x - zero, s - zero
+    return float(measured @ simulated / (simulated @ simulated)) if simulated.any() else 0.0
+
+
+def _rotation(members: tuple[int, ...], a: FloatArray, b: FloatArray) -> Operator:
     """The turn that brings simulated vectors `b` nearest to measured ones `a`, [samples, 3] (Kabsch 1976, Acta Cryst. A32, 922)."""
     u, _, vt = np.linalg.svd(a.T @ b)
     turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     angle = float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
-    text = f"is turned by {np.rad2deg(angle):.0f} degrees; expected 0: another frame, or a transposed rotation"
+    what, remedy = f"is turned by {np.rad2deg(angle):.0f} degrees", "expected 0: another frame, or a transposed rotation"
     spread = float((b**2).mean())  # an inexact pose turns what is there all the time, too
-    return _Operator(members, turn.T, Finding(name, "rotation", angle, "rad", text), spread, 1.5 * math.log(len(a)))
+    return Operator(members, turn.T, "rotation", angle, "rad", what, remedy, spread=spread, paid=1.5 * math.log(len(a)))
 
 
-def _log_bayes_factor(o: _Operator, x: FloatArray, s: FloatArray, noise: FloatArray) -> float:
+def _log_bayes_factor(o: Operator, x: FloatArray, s: FloatArray, noise: FloatArray) -> float:
     """Log of the odds of the operator against none [nats]."""
     members = list(o.members)
     measured, plain = x[:, members], s[:, members]

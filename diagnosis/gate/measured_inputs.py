@@ -1,29 +1,29 @@
-"""Mistakes in what drives a system: another sign, unit or zero of a measured input.
+"""Mistakes in what drives a system: another sign, unit or zero of a measured input, or two that are interchanged.
 
 No simulation says what an input should be. So each usual mistake is undone, and the nominal system is driven by what is then measured.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from robomill.diagnosis.experiment.measured import Condition
+from robomill.diagnosis.experiment.segments import by_array
 from robomill.diagnosis.experiment.simulation import Laboratory, Simulator
 from robomill.diagnosis.gate.checks import Finding
-from robomill.diagnosis.gate.log_faults import scales, shifts, zeros
+from robomill.diagnosis.gate.log_faults import Operator, exact
 from robomill.orchestration.assembly import MEASURED
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.playback import Playback
-from robomill.orchestration.slaves.protocol import FloatArray, Slave, arrays
+from robomill.orchestration.slaves.protocol import FloatArray, Slave
 
 UNDONE = "undone:"
 """Source of a component that plays what was measured, with a mistake undone."""
-_PUT_RIGHT = "with that put right, the nominal system explains nearly all of the gap, or as much as any effects do"
-_UNIT = f"{_PUT_RIGHT}; give the unit that it is logged in"
+_PUT_RIGHT = ": with that put right, the nominal system explains nearly all of the gap, or as much as any effects do"
 
 
 @dataclass(frozen=True)
@@ -33,19 +33,16 @@ class Mistake:
     columns: tuple[str, ...]
     """What has it, `component.port`."""
     finding: Finding
-    undo: Callable[[FloatArray], FloatArray]
-    """What is true of what is measured [n]."""
+    operator: Operator
 
 
 def mistakes(laboratory: Laboratory, n: int) -> list[Mistake]:
-    """Those that the diagnosed conditions, the first `n`, may have: a sign of each input, a unit or a zero of each array."""
-    found: dict[tuple[str, str, float, str], Mistake] = {}
-    for i in range(n):
-        condition = laboratory.conditions[i]
+    """Those that the diagnosed conditions, the first `n`, may have: a sign, a unit, a zero, two interchanged."""
+    found: dict[Finding, Mistake] = {}
+    for condition in laboratory.conditions[:n]:
         for component in _players(laboratory, condition):
             for m in _of(component, condition.runs[0]):
-                f = m.finding
-                found.setdefault((f.channel, f.kind, f.value, f.text), m)
+                found.setdefault(m.finding, m)
     return list(found.values())
 
 
@@ -74,27 +71,19 @@ def _players(laboratory: Laboratory, condition: Condition) -> list[str]:
 
 
 def _of(component: str, run: Run) -> Iterator[Mistake]:
-    ports = [replace(p, name=name) for name, p in run.ports.items() if name.partition(".")[0] == component and p.type == "real"]
-    for p in ports:
-        for zero in zeros(p.unit):
-            text = f"has the wrong sign: {_PUT_RIGHT}; turn it"
-            yield Mistake((p.name,), Finding(p.name, "sign", -1.0, "1", text), _scaled(zero, -1.0))
-    for members in arrays(ports).values():
-        columns, unit = tuple(p.name for p in members), members[0].unit
-        for zero, factor, mistake in scales(unit):
-            text = f"is {factor:.4g} times what it should be, {mistake}: {_UNIT}"
-            yield Mistake(columns, Finding(columns[0], "unit", factor, "1", text), _scaled(zero, factor))
-        for offset, mistake in shifts(unit):
-            text = f"is {abs(offset):g} K too {'small' if offset < 0.0 else 'large'}, {mistake}: {_UNIT}"
-            yield Mistake(columns, Finding(columns[0], "unit", offset, "K", text), _shifted(offset))
+    ports = {name: p for name, p in run.ports.items() if name.partition(".")[0] == component and p.type == "real"}
+    channels, units = list(ports), [p.unit for p in ports.values()]
+    whole = {members[0]: tuple(members) for members in by_array(channels).values()}
+    for o in exact(channels, units):
+        if o.kind == "unit":  # of a device: of a whole array
+            if members := whole.get(o.members[0]):
+                yield _in(channels, replace(o, members=members, matrix=o.scale * np.eye(len(members))))
+        elif o.kind == "sign" or (o.matrix >= 0.0).all():  # interchanged and turned are two mistakes
+            yield _in(channels, o)
 
 
-def _scaled(zero: float, factor: float) -> Callable[[FloatArray], FloatArray]:
-    return lambda x: np.asarray(zero + (x - zero) / factor)
-
-
-def _shifted(offset: float) -> Callable[[FloatArray], FloatArray]:
-    return lambda x: np.asarray(x - offset)
+def _in(channels: Sequence[str], o: Operator) -> Mistake:
+    return Mistake(tuple(channels[i] for i in o.members), o.finding(channels, _PUT_RIGHT), o)
 
 
 def _without(laboratory: Laboratory, i: int, mistake: Mistake) -> Laboratory:
@@ -103,7 +92,11 @@ def _without(laboratory: Laboratory, i: int, mistake: Mistake) -> Laboratory:
     (run, *_), system = condition.runs, condition.system or laboratory.system
     if component not in _players(laboratory, condition):
         return laboratory
-    true = replace(run, columns={**run.columns, **{c: mistake.undo(run.columns[c]) for c in mistake.columns if c in run.columns}})
+    there = [c for c in mistake.columns if c in run.columns]
+    if there != list(mistake.columns):
+        return laboratory
+    logged = np.stack([run.columns[c] for c in there], axis=1)
+    true = replace(run, columns={**run.columns, **dict(zip(there, mistake.operator.true(logged).T, strict=True))})
 
     def resolver(source: str, name: str) -> Slave:
         if source == f"{UNDONE}{component}":

@@ -7,7 +7,7 @@ import pytest
 
 from robomill.diagnosis.experiment.observation import observe
 from robomill.diagnosis.gate.checks import Finding
-from robomill.diagnosis.gate.log_faults import FACTORS, FAHRENHEIT, ICE, judged, made_in, together, undone
+from robomill.diagnosis.gate.log_faults import FACTORS, FAHRENHEIT, ICE, TOLERANCE, judged, made_in, together, undone
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import ROUNDOFF
 
@@ -38,8 +38,9 @@ class TestJudged:
         for gain in (0.9, 1.0, 1.1):
             (finding,) = judged(gain * factor * VECTOR[:, :1], VECTOR[:, :1], NAMES[:1], ANY[:1], np.array([1e-9]))
             assert (finding.kind, finding.fatal) == ("unit", True)
-            assert finding.value == pytest.approx(gain * factor, rel=ROUNDOFF)
-            assert "; expected 1 (give the unit that it is logged in)" in finding.text
+            assert finding.value in FACTORS  # two of them may be nearer to each other than a gain allows to tell
+            assert abs(gain * factor / finding.value - 1.0) <= TOLERANCE
+            assert finding.text.endswith("; give the unit that it is logged in")
 
     @pytest.mark.parametrize(
         ("unit", "tried"),
@@ -77,7 +78,7 @@ class TestJudged:
             return [f.text for f in judged(0.2344 * s, s, NAMES[:1], [unit], np.array([1e-9]))]
 
         assert found("rad/s") == []
-        assert found("N") == ["is 0.2344 times what it should be: pound-force for newtons; expected 1 (give the unit that it is logged in)"]
+        assert found("N") == ["is 0.2248 times what it should be (pound-force for newtons); give the unit that it is logged in"]
         logged = 0.2344 * VECTOR
         faults = judged(logged, VECTOR, NAMES, ["N"] * 3, np.full(3, 1e-9))
         np.testing.assert_array_equal(undone(faults, logged, VECTOR, NAMES, ["rad/s"] * 3), logged)
@@ -89,7 +90,7 @@ class TestJudged:
 
     def test_the_text_names_the_mistake_that_is_nearest(self) -> None:
         (finding,) = judged(1.05e-3 * VECTOR[:, :1], VECTOR[:, :1], NAMES[:1], ANY[:1], np.array([1e-9]))
-        assert finding.text == "is 0.00105 times what it should be: units for milli-; expected 1 (give the unit that it is logged in)"
+        assert finding.text == "is 0.001 times what it should be (units for milli-); give the unit that it is logged in"
 
     @pytest.mark.parametrize("factor", FACTORS)
     def test_a_unit_of_a_whole_array_is_found(self, factor: float) -> None:
@@ -230,14 +231,14 @@ KELVIN = 273.15 + 40.0 + 30.0 * np.sin(0.01 * np.arange(600.0))[:, None]
 @pytest.mark.parametrize(
     ("logged", "kind", "said"),
     [
-        (273.15 + 1e3 * (KELVIN - 273.15), "unit", "is 1000 times what it should be: milli- for units"),
-        (273.15 + 1e-3 * (KELVIN - 273.15), "unit", "is 0.001 times what it should be: units for milli-"),
-        (1e3 * KELVIN, "unit", "is 1000 times what it should be: milli- for units"),
+        (273.15 + 1e3 * (KELVIN - 273.15), "unit", "is 1000 times what it should be (milli- for units)"),
+        (273.15 + 1e-3 * (KELVIN - 273.15), "unit", "is 0.001 times what it should be (units for milli-)"),
+        (1e3 * KELVIN, "unit", "is 1000 times what it should be (milli- for units)"),
         (273.15 - (KELVIN - 273.15), "sign", "has the wrong sign"),
-        (273.15 + 1.8 * (KELVIN - 273.15) + 32.0, "unit", "is 1.8 times what it should be: degF for degC"),
-        (273.15 + (KELVIN - 273.15 - 32.0) / 1.8, "unit", "is 0.5556 times what it should be: degC for degF"),
-        (KELVIN - 273.15, "unit", "is 273.15 K too small: degC"),
-        (KELVIN + 273.15, "unit", "is 273.15 K too large: kelvin for degC"),
+        (273.15 + 1.8 * (KELVIN - 273.15) + 32.0, "unit", "is 1.8 times what it should be (degF for degC)"),
+        (273.15 + (KELVIN - 273.15 - 32.0) / 1.8, "unit", "is 0.5556 times what it should be (degC for degF)"),
+        (KELVIN - 273.15, "unit", "is 273.15 K too small (degC)"),
+        (KELVIN + 273.15, "unit", "is 273.15 K too large (kelvin for degC)"),
     ],
 )
 def test_temperatures_have_a_zero_of_their_own(logged: FloatArray, kind: str, said: str) -> None:
