@@ -106,6 +106,10 @@ class Operator:
         """The true signal of one that is logged [samples, members]."""
         return np.asarray((logged - self.offset) @ np.linalg.inv(self.matrix))
 
+    def on(self, members: tuple[int, ...]) -> Operator:
+        """A fault of one channel, in all of these."""
+        return replace(self, members=members, matrix=self.scale * np.eye(len(members)))
+
     def named(self, channels: Sequence[str]) -> str:
         """Which of these channels has the fault: the first member, or an array that is turned."""
         first = channels[self.members[0]]
@@ -203,6 +207,8 @@ def exact(channels: Sequence[str], units: Sequence[str | None]) -> Iterator[Oper
         zeros = (0.0, ICE) if unit == "K" else (0.0,)
         for zero in zeros:
             yield Operator((i,), -np.eye(1), "sign", -1.0, "1", "has the wrong sign", "turn it", 2.0 * zero)
+        if unit == "1":
+            yield Operator((i,), -np.eye(1), "sign", -1.0, "1", "is inverted (0 for 1, 1 for 0)", "take it from 1", 1.0)
         scales = [(zero, f, mistake) for zero in zeros for f, (mistake, where) in FACTORS.items() if made_in(unit, where)]
         if unit == "K":
             scales += [(ICE - 40.0, FAHRENHEIT, "degF for degC"), (ICE - 40.0, 1.0 / FAHRENHEIT, "degC for degF")]

@@ -5,7 +5,8 @@ No simulation says what an input should be. So each usual mistake is undone, and
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +18,6 @@ from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.gate.log_faults import Operator, exact
 from robomill.orchestration.assembly import MEASURED
 from robomill.orchestration.errors import OrchestrationError
-from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.playback import Playback
 from robomill.orchestration.slaves.protocol import FloatArray, Slave
 
@@ -40,9 +40,12 @@ def mistakes(laboratory: Laboratory, n: int) -> list[Mistake]:
     """Those that the diagnosed conditions, the first `n`, may have: a sign, a unit, a zero, two interchanged."""
     found: dict[Finding, Mistake] = {}
     for condition in laboratory.conditions[:n]:
-        for component in _players(laboratory, condition):
-            for m in _of(component, condition.runs[0]):
-                found.setdefault(m.finding, m)
+        ports = {name: p for name, p in condition.runs[0].ports.items() if p.type == "real"}
+        players = _players(laboratory, condition)
+        inputs = {name: p.unit for name, p in ports.items() if name.partition(".")[0] in players}
+        outputs = {name: ports[name].unit for name in laboratory.channels if name in ports}
+        for m in (*_of_inputs(inputs), *_of_all(inputs, outputs)):
+            found.setdefault(m.finding, m)
     return list(found.values())
 
 
@@ -53,14 +56,16 @@ def undone(simulator: Simulator, groups: Sequence[Sequence[FloatArray]], mistake
     """
     laboratory, changes, made = simulator.laboratory, simulator.seeded(()), []
     for i, group in enumerate(groups):
+        changed = _without(laboratory, i, mistake)
         (nominal,) = simulator.many([(i, changes)], "measured inputs")
         try:
-            without = _without(laboratory, i, mistake).simulate(i, changes)
+            without = changed.simulate(i, changes)
         except OrchestrationError:  # what no input of this machine can be
             return None
         if nominal is None or without is None:
             return None
-        made.append([x - (without - nominal) for x in group])
+        measured = zip(group, laboratory.measured_in(i), changed.measured_in(i), strict=True)
+        made.append([x + (true - logged) - (without - nominal) for x, logged, true in measured])
     return made
 
 
@@ -70,16 +75,33 @@ def _players(laboratory: Laboratory, condition: Condition) -> list[str]:
     return [c.name for c in system.components if c.source.startswith(f"{MEASURED}:")]
 
 
-def _of(component: str, run: Run) -> Iterator[Mistake]:
-    ports = {name: p for name, p in run.ports.items() if name.partition(".")[0] == component and p.type == "real"}
-    channels, units = list(ports), [p.unit for p in ports.values()]
+def _of_inputs(units: Mapping[str, str | None]) -> Iterator[Mistake]:
+    """Mistakes in inputs with these units alone."""
+    channels = list(units)
     whole = {members[0]: tuple(members) for members in by_array(channels).values()}
-    for o in exact(channels, units):
+    for o in exact(channels, list(units.values())):
         if o.kind == "unit":  # of a device: of a whole array
             if members := whole.get(o.members[0]):
-                yield _in(channels, replace(o, members=members, matrix=o.scale * np.eye(len(members))))
+                yield _in(channels, o.on(members))
         elif o.kind == "sign" or (o.matrix >= 0.0).all():  # interchanged and turned are two mistakes
             yield _in(channels, o)
+
+
+def _of_all(inputs: Mapping[str, str | None], outputs: Mapping[str, str | None]) -> Iterator[Mistake]:
+    """Mistakes in inputs and outputs together: a unit of all that are in one, or an input that is interchanged with an output."""
+    channels, units = [*inputs, *outputs], [*inputs.values(), *outputs.values()]
+    for unit in dict.fromkeys(u for u in inputs.values() if u and u in outputs.values()):
+        members = tuple(i for i, u in enumerate(units) if u == unit)
+        for o in exact([channels[members[0]]], [unit]):
+            if o.kind == "unit":
+                yield _in(channels, replace(o.on(members), what=f"{o.what}, as all signals in {unit} are"))
+    arrays = by_array(channels).items()
+    for (_, one), (name, other) in itertools.combinations(arrays, 2):
+        if one[0] < len(inputs) <= other[0] and [units[i] for i in one] == [units[i] for i in other]:
+            swap = np.roll(np.eye(2 * len(one)), len(one), axis=0)
+            yield _in(
+                channels, Operator((*one, *other), swap, "axes", 1.0, "1", f"is interchanged with {name}", "give each the other's name")
+            )
 
 
 def _in(channels: Sequence[str], o: Operator) -> Mistake:
@@ -88,23 +110,23 @@ def _in(channels: Sequence[str], o: Operator) -> Mistake:
 
 def _without(laboratory: Laboratory, i: int, mistake: Mistake) -> Laboratory:
     """The laboratory with condition `i` driven by what is measured without the mistake."""
-    condition, component = laboratory.conditions[i], mistake.columns[0].partition(".")[0]
+    condition = laboratory.conditions[i]
     (run, *_), system = condition.runs, condition.system or laboratory.system
-    if component not in _players(laboratory, condition):
+    if not set(mistake.columns) <= set(run.columns):
         return laboratory
-    there = [c for c in mistake.columns if c in run.columns]
-    if there != list(mistake.columns):
-        return laboratory
-    logged = np.stack([run.columns[c] for c in there], axis=1)
-    true = replace(run, columns={**run.columns, **dict(zip(there, mistake.operator.true(logged).T, strict=True))})
+    logged = np.stack([run.columns[c] for c in mistake.columns], axis=1)
+    true = replace(run, columns={**run.columns, **dict(zip(mistake.columns, mistake.operator.true(logged).T, strict=True))})
+    players = _players(laboratory, condition)
 
     def resolver(source: str, name: str) -> Slave:
-        if source == f"{UNDONE}{component}":
+        if source.startswith(UNDONE):
             return Playback.of_run(name, true, clamps=True)
         if laboratory.resolver is None:
             raise LookupError("no in-process components were given")
         return laboratory.resolver(source, name)
 
-    changed = replace(condition, system=system.with_source(component, f"{UNDONE}{component}"))
+    for component in players:
+        system = system.with_source(component, f"{UNDONE}{component}")
+    changed = replace(condition, system=system, runs=(true,))
     conditions = [changed if k == i else c for k, c in enumerate(laboratory.conditions)]
     return replace(laboratory, conditions=conditions, resolver=resolver)
