@@ -69,6 +69,7 @@ def searched_beside(
     assert best.sensitivities is not None
     again.evidence.sensitivities[c.addresses[0]] = best.sensitivities[:, -1]
     again.evidence.space.find_alike({c.addresses[0]: best.sensitivities[:, -1]}, {c.addresses[0]: c.prior.scale})
+    again.forget()
     for f in sorted(fits[1:], key=evidence_of, reverse=True)[:3]:
         f.predictive = {name: part.predicted for name, part in leave_one_out(f, again.evidence.space).items()}
     return again, fits

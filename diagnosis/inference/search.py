@@ -77,14 +77,18 @@ class Search(Fitting):
     def of(self, sensitivities: Mapping[Candidate, FloatArray]) -> Search:
         """A search for other candidates, of one number each, with the evidence of this one; what each does per prior scale, [n]."""
         other = copy(self)
-        for name in [n for n in self.__dict__ if isinstance(getattr(Search, n, None), cached_property)]:
-            del other.__dict__[name]  # of the other candidates nothing is known yet
+        other.forget()
         columns = {a: column for c, column in sensitivities.items() for a in c.addresses}
         other.candidates, other.starts, other.bent = list(sensitivities), {}, set()
         other.scales = self.scales | {a: c.prior.scale for c in sensitivities for a in c.addresses}
         other.sizes = self.sizes | dict.fromkeys(columns, 1.0)
         other.evidence = replace(self.evidence, sensitivities=self.evidence.sensitivities | columns)
         return other
+
+    def forget(self) -> None:
+        """Forget what was computed of the candidates, for they are others now."""
+        for name in [n for n in self.__dict__ if isinstance(getattr(Search, n, None), cached_property)]:
+            del self.__dict__[name]
 
     @property
     def growth(self) -> float:

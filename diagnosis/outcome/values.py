@@ -30,10 +30,10 @@ class Values:
         """Parameter of the component -> its value, 90 % interval and unit.
 
         Half of the interval: 1.645 sqrt((WIDER deviation)^2 + tolerance^2 + (FORM size)^2); of a single run value and deviation are those
-        of least squares (`intervals`), which need no factors. Where these two contradict each other (`contradicted`), it is the value of
-        the fit, and the interval reaches to the end of either.
+        of least squares (`intervals`), which need no factors. Where these two contradict each other (`contradicted`), or the effect may be
+        nothing by least squares and is something by the fit, it is the value of the fit, and the interval reaches to the end of either.
         """
-        known, apart = (self.known.get(c.name) if fit is self.best else None), self.contradicted(c, fit)
+        known, apart = (self.known.get(c.name) if fit is self.best else None), self._apart(c, fit)
         free = known if known and not apart else None
         best = {a: fit.values[a] for a in c.addresses} | dict(free.values if free else {})
         sizes, values = c.sizes(best), physical(best)
@@ -63,7 +63,7 @@ class Values:
     def said(self, c: Candidate) -> Mapping[Address, float]:
         """The numbers of an effect of the best model [unit], as `parameters` has them."""
         known = self.known.get(c.name)
-        return known.values if known and not self.contradicted(c, self.best) else self.best.values
+        return known.values if known and not self._apart(c, self.best) else self.best.values
 
     def closes(self, c: Candidate) -> float | None:
         """Part of the gap that an effect closes when all the others are there; None where least squares do not say so."""
@@ -80,10 +80,20 @@ class Values:
 
         Slopes reach only so far, and in a loop noise comes back as a signal. Then neither the value nor what it closes is known by them.
         """
-        if fit is not self.best or (known := self.known.get(c.name)) is None:
-            return False
-        apart = {a: abs(known.values[a] - fit.values[a]) for a in c.addresses if a in known.values}
-        return any(x > 1.645 * math.hypot(known.deviations[a], self.spread(c, fit)[a], self.tolerance(a)) for a, x in apart.items())
+        wide, spread = self._free(c, fit), self.spread(c, fit)
+        return any(abs(self.known[c.name].values[a] - fit.values[a]) > math.hypot(w, 1.645 * spread[a]) for a, w in wide.items())
+
+    def _apart(self, c: Candidate, fit: Fit) -> bool:
+        """Whether the value is that of the fit: it is contradicted, or with all of the catalogue free the effect may be nothing."""
+        wide, spread = self._free(c, fit), self.spread(c, fit)
+        nothing = all(abs(self.known[c.name].values[a]) < w for a, w in wide.items())
+        something = any(abs(fit.values[a]) > 1.645 * math.hypot(spread[a], self.tolerance(a)) for a in wide)
+        return self.contradicted(c, fit) or (nothing and something)
+
+    def _free(self, c: Candidate, fit: Fit) -> dict[Address, float]:
+        """Half of the 90 % intervals [unit] that least squares have of numbers of the best model; of others nothing is known."""
+        known = self.known.get(c.name) if fit is self.best else None
+        return {a: 1.645 * math.hypot(d, self.tolerance(a)) for a, d in known.deviations.items() if a in c.addresses} if known else {}
 
     def tolerance(self, address: Address) -> float:
         """Standard deviation to which the nominal value is believed [unit]."""

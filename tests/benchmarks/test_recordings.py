@@ -160,3 +160,19 @@ def test_friction_of_the_mill_is_found_and_wear_is_not(prepared: Path, tmp_path:
     assert "coulomb_friction_x @ axis x" in {v.effect for v in table.named(found, "expected")}
     assert table.named(found, "absent") == []
     assert isinstance(Run.load(tmp_path / "01").info["parameters"]["spindle"]["tool_worn"], bool)
+
+
+@pytest.mark.slow
+def test_a_coupling_that_the_catalogue_has_is_named_where_the_model_has_none(prepared: Path, tmp_path: Path) -> None:
+    found = measured(ALL["fanuc_uncoupled"], tmp_path, prepared)
+    assert (found.verdict, found.error) == ("identified", "")
+    assert "coupling_error @ joint 3" in {v.effect for v in table.named(found, "expected")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["kuka_kr300", "ur10", "fanuc_r2000ic"])
+def test_a_robot_has_no_name_that_it_cannot_have(name: str, prepared: Path, tmp_path: Path) -> None:
+    found = measured(ALL[name], tmp_path, prepared)
+    assert (table.named(found, "absent"), found.error) == ([], "")
+    assert found.verdict in ("identified", "ambiguous")
+    assert len(table.named(found, "expected")) > len(ALL[name].expected) // 2

@@ -63,6 +63,7 @@ def test_a_coupling_that_moves_nothing_alone_is_found_beside_the_joint_that_give
     assert found.values["a", "gives"] == pytest.approx(1.0, abs=chance(found.deviations["a", "gives"]))
     assert found.chi2 < 2.0 * search.evidence.expected.sum()
     assert [c.effect for c in search.candidates].count("coupled") == 1
+    assert ("a", "coupled") in search.alone[0]  # with its slope beside the best model
     without = [f for f in fits[1:] if ("a", "coupled") not in f.values]
     assert all(f.log_evidence < found.log_evidence for f in without)
     assert without  # the best model without it is among those that are compared

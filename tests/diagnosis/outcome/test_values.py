@@ -66,6 +66,16 @@ def test_what_is_known_of_neither_is_no_contradiction() -> None:
     assert found.interval == pytest.approx([0.5 - of_fit(0.5), 0.5 + of_fit(0.5)], rel=1e2 * ROUNDOFF)
 
 
+def test_what_may_be_nothing_with_all_else_free_has_the_value_that_is_adopted() -> None:
+    """A loss of a box, in a catalogue that has its power, too: named at 0.95, fitted at -0.22, and at -0.05 beside the power."""
+    of = made(0.5, 0.1, 0.3)
+    assert of.said(EFFECT)[ADDRESS] == 0.5
+    assert of.closes(EFFECT) == 1e-4
+    found = of.parameters(EFFECT, of.best)[NAME]
+    assert found.value == 0.5
+    assert found.interval == pytest.approx([0.1 - 1.645 * 0.3, 0.5 + of_fit(0.5)], rel=1e2 * ROUNDOFF)
+
+
 def test_an_interval_ends_where_the_catalogue_does() -> None:
     """By the fit, too: dry friction is not less than none."""
     alone = made(0.5)
