@@ -193,6 +193,11 @@ class Fitting:
         here = [places[n.address] for n in numbers]
         return numbers, space.moved(space.y - fit.signature)[here], space.covariance(here)
 
+    def far_off(self, fit: Fit) -> frozenset[Address]:
+        """The calibrated numbers that a model needs farther off than one of so many is with FALSE_ALARM."""
+        numbers, means, _ = self.numbers(fit)
+        return frozenset(n.address for n, z in zip(numbers, means, strict=True) if abs(z) > beyond(len(numbers), FALSE_ALARM))
+
     def calibrate(self, fit: Fit) -> Fit:
         """The fit again with its calibrated numbers as far off as the data have them, simulated, while that explains more.
 

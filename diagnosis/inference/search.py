@@ -137,8 +137,8 @@ class Search(Fitting):
             # a fault of the log does what its signature says: one that explains too little takes no place from others
             exact = [f for f in grown if not any(c.component == LOGGING for c in f.model) or self._worth(f, fits, bases[0])]
             chosen = _first([f for f in exact if f.log_evidence > best + self.growth], EXTENSIONS * len(bases))
-            of = {frozenset(b.model): b for b in bases}
-            others = [f for f in grown if f not in chosen and self._hidden(f, of[frozenset(f.model[:-1])])]
+            of = {frozenset(b.model): (b, self.far_off(b)) for b in bases}
+            others = [f for f in grown if f not in chosen and self._hidden(f, *of[frozenset(f.model[:-1])])]
             hidden = {frozenset(f.model) for f in _first(others, EXTENSIONS)}
             chosen += [f for f in grown if frozenset(f.model) in hidden]
             level = [f for f in self.sharpened(self.polish(self.refine(chosen), chosen)) if self._worth(f, fits, bases[0])]
@@ -192,16 +192,19 @@ class Search(Fitting):
         less = [without_effect(f, c) for f in equal for c in f.model]
         return likeliest + self.sharpened(self.polish(self.refine(less), less)) + self._smaller(equal, ())
 
-    def _hidden(self, fit: Fit, base: Fit) -> bool:
+    def _hidden(self, fit: Fit, base: Fit, far: frozenset[Address] = frozenset()) -> bool:
         """Whether the last effect of a model, by its linear fit, takes WORTH of what `base` leaves without the tolerances like it, or more.
 
         Against a gap that is far larger than noise (LARGE) no sensitivity is exact enough; a simulation is. Where an effect changes a
-        resonance, its slope explains a part of the gap only, and tolerances of everything else explain the rest, all far off.
+        resonance, its slope explains a part of the gap only, and tolerances of everything else explain the rest, all far off. Whatever the
+        gap, an effect is looked at that is like a calibrated number which the base has far off (`far`): so large a change is no slope.
         """
         space = self.evidence.space
         own, before = space.without(list(fit.values)), space.without([a for c in base.model for a in c.addresses])
         if own is before:
             return False
+        if not far.isdisjoint(own.gone):
+            return True
         assert base.signature is not None
         left = own.square(space.y - base.signature)
         return left > LARGE * float(self.evidence.expected.sum()) and fit.chi2 < (1.0 - WORTH) * left
