@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from robomill.diagnosis.candidates import LOGGING, Candidate
+from robomill.diagnosis.candidates import LOGGING, Address, Candidate
 from robomill.diagnosis.experiment.component_replay import ComponentReplay
 from robomill.diagnosis.experiment.simulation import Laboratory, decimate, setting
 from robomill.diagnosis.forms.library import Term
@@ -102,8 +102,10 @@ class Port:
         return float((self.rows.y**2).sum()) / self.gap
 
 
-def laws(laboratory: Laboratory, n: int, best: Fit, false_alarm: float) -> Laws:
+def laws(laboratory: Laboratory, n: int, best: Fit, calibrated: Mapping[Address, float], false_alarm: float) -> Laws:
     """The laws that do better than effects of the best model; `n`: how many conditions are diagnosed.
+
+    `calibrated`: what the model has calibrated numbers off by [unit]: no law is about that.
 
     None where no output of a component with an effect was measured, where the system cannot be replayed, and where a fault of the log is
     part of the model: it is in the measured signals that components are driven with. Two questions are asked, each with the rate of
@@ -113,7 +115,7 @@ def laws(laboratory: Laboratory, n: int, best: Fit, false_alarm: float) -> Laws:
     if not own or any(c.component == LOGGING for c in best.model):
         return Laws()
     try:
-        looked_at = ports(laboratory.shown_in(own), own, best)
+        looked_at = ports(laboratory.shown_in(own), own, best, calibrated)
     except OrchestrationError:
         return Laws()
     apart = all(laboratory.conditions[i].independent for i in own)
@@ -126,12 +128,12 @@ def laws(laboratory: Laboratory, n: int, best: Fit, false_alarm: float) -> Laws:
     return Laws.of([x for x in found if x.p <= false_alarm], looked_at)
 
 
-def ports(laboratory: Laboratory, own: Sequence[int], best: Fit) -> list[Port]:
+def ports(laboratory: Laboratory, own: Sequence[int], best: Fit, calibrated: Mapping[Address, float]) -> list[Port]:
     """Measured outputs of the components of the best model, with the effects that close MATERIAL of the gap there or more."""
     components = list(dict.fromkeys(c.component for c in best.model))
     if not any(channel.partition(".")[0] in components for channel in laboratory.channels):
         return []
-    with_it = [_with(laboratory, i, best) for i in own]
+    with_it = [_with(laboratory, i, {**calibrated, **best.values}) for i in own]
     replays = [ComponentReplay.of(one, i) for one, i in zip(with_it, own, strict=True)]
     found = []
     for component in components:
@@ -141,10 +143,10 @@ def ports(laboratory: Laboratory, own: Sequence[int], best: Fit) -> list[Port]:
     return found
 
 
-def _with(laboratory: Laboratory, i: int, best: Fit) -> Laboratory:
-    """The laboratory whose nominal system of condition `i` is the best model."""
+def _with(laboratory: Laboratory, i: int, changes: Mapping[Address, float]) -> Laboratory:
+    """The laboratory whose nominal system of condition `i` has these changes [unit]."""
     quiet: dict[str, Mapping[str, Any]] = dict(laboratory.quiet)
-    for component, values in laboratory.values(i, setting(best.values)).items():
+    for component, values in laboratory.values(i, setting(changes)).items():
         quiet[component] = {**quiet.get(component, {}), **values}
     return replace(laboratory, quiet=quiet)
 

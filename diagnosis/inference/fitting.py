@@ -193,6 +193,11 @@ class Fitting:
         here = [places[n.address] for n in numbers]
         return numbers, space.moved(space.y - fit.signature)[here], space.covariance(here)
 
+    def calibrated(self, fit: Fit) -> dict[Address, float]:
+        """What a model has the calibrated numbers off by [unit]."""
+        numbers, means, _ = self.numbers(fit)
+        return {n.address: float(z) * n.scale for n, z in zip(numbers, means, strict=True)}
+
     def far_off(self, fit: Fit) -> frozenset[Address]:
         """The calibrated numbers that a model needs farther off than one of so many is with FALSE_ALARM."""
         numbers, means, _ = self.numbers(fit)
@@ -207,10 +212,9 @@ class Fitting:
         own = self.evidence.space.without(list(fit.values))
         for _ in range(SHARPER):
             assert fit.sensitivities is not None
-            numbers, means, _ = self.numbers(fit)
-            if np.max(np.abs(means), initial=0.0) > beyond(len(numbers), FALSE_ALARM):
+            if self.far_off(fit):
                 break
-            calibrated = {n.address: float(z) * n.scale for n, z in zip(numbers, means, strict=True)}
+            calibrated = self.calibrated(fit)
             there = self.mean_signature(fit.values, calibrated)
             if there is None or own.chi2_of((own.y - there)[:, None])[0] > BETTER * fit.chi2:
                 break

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import entr
 
-from robomill.diagnosis.candidates import LOGGING, Candidate, Nuisance
+from robomill.diagnosis.candidates import LOGGING, Address, Candidate, Nuisance
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.simulation import Simulator, setting
 from robomill.diagnosis.inference.adequacy import COHERENT, LEVEL, MISFIT, UNKNOWN, by_chance, unexplained

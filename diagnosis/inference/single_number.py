@@ -11,15 +11,15 @@ from robomill.diagnosis.experiment.simulation import setting
 from robomill.diagnosis.inference.estimation import SAME_SIGNATURE, Fit
 from robomill.diagnosis.inference.fitting import evidence_of
 from robomill.diagnosis.inference.search import SINGLES, Search
-from robomill.diagnosis.inference.sensitivities import gain
+from robomill.diagnosis.inference.sensitivities import cosine, gain
 from robomill.orchestration.slaves.protocol import FloatArray
 
 
-def single(search: Search, numbers: Sequence[Candidate]) -> Fit | None:
+def single(search: Search, numbers: Sequence[Candidate], known: Sequence[Fit]) -> Fit | None:
     """The model of one of the `numbers` that has the largest evidence, in the terms of the search; None where none is large enough.
 
     All are simulated once in each condition, and fitted are those SINGLES that take most away as they are slopes. A number that does no
-    more than an effect of its component with the same slope is none: that has been asked.
+    more than an effect of its component is none, where that has the same slope, or does the same in a model that is `known`.
     """
     simulator, space, conditions = search.simulator, search.evidence.space, range(len(search.groups))
 
@@ -43,8 +43,13 @@ def single(search: Search, numbers: Sequence[Candidate]) -> Fit | None:
     alike = {c: _alike(search, c, column) for c, column in columns.items()}
     asked = {f.model[0]: f for f in _fitted(search, {effect for f in fits for effect in alike[f.model[0]]})}
 
+    alone = [f for f in known if len(f.model) == 1 and f.signature is not None]
+
     def does_more(f: Fit) -> bool:
-        return all(f.log_evidence > asked[x].log_evidence + search.growth for x in alike[f.model[0]] if x in asked)
+        (number,) = f.model
+        same = [asked[x] for x in alike[number] if x in asked]
+        same += [g for g in alone if g.model[0].component == number.component and _same(f.signature, g.signature)]
+        return all(f.log_evidence > g.log_evidence + search.growth for g in same)
 
     return next((f for f in sorted(filter(does_more, fits), key=evidence_of, reverse=True) if not _contradicted(search, f)), None)
 
@@ -70,9 +75,13 @@ def _contradicted(search: Search, fit: Fit) -> bool:
 def _alike(search: Search, c: Candidate, column: FloatArray) -> list[Candidate]:
     """Effects of the component of a number that have its slope, [n]."""
     addresses, known, _ = search.alone
-    large = np.abs(column @ known) > SAME_SIGNATURE * np.linalg.norm(known, axis=0) * np.linalg.norm(column)
-    same = {a for a, one in zip(addresses, large, strict=True) if one and a[0] == c.component}
+    same = {a for a, one in zip(addresses, known.T, strict=True) if a[0] == c.component and _same(one, column)}
     return [x for x in search.candidates if not same.isdisjoint(x.addresses)]
+
+
+def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
+    """Whether two changes [n] have the same direction."""
+    return one is not None and other is not None and abs(cosine(one, other)) > SAME_SIGNATURE
 
 
 def _fitted(search: Search, some: set[Candidate] | None = None) -> list[Fit]:

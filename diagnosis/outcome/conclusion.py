@@ -169,7 +169,7 @@ class Conclusion:
         verdict = judged(search, tests, nominal, self.best, lambda: self.other, believed, faulty, self.differs is not None, moved)
         # where noise is known, what a model leaves says whether it is right
         tried = verdict in ("identified", "ambiguous") and search.evidence.whitening.guessed
-        instead = laws(self.laboratory, self.n, self.best, self.false_alarm) if tried else Laws()
+        instead = laws(self.laboratory, self.n, self.best, search.calibrated(self.best), self.false_alarm) if tried else Laws()
         bound = at_bound(self.best.model, self.best.values)
         if verdict != "none":
             self.values = Values(search, self.best, by_least_squares(search, self.best))
@@ -260,7 +260,7 @@ class Conclusion:
         doubtful = verdict == "ambiguous" or len(self.best.values) > 1 or bool(pulled(self.search, self.best, self.false_alarm))
         if not (verdict == "unknown" or (named and doubtful)) or self.differs is not None:
             return None
-        fit = single(self.search, self.numbers)
+        fit = single(self.search, self.numbers, self.fits)
         if fit is None or at_bound(fit.model, fit.values):
             return None
         its, others = log_posteriors([fit], self.numbers)[0], log_posteriors([self.best], self.search.candidates)[0]

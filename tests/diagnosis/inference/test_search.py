@@ -640,11 +640,11 @@ def test_a_number_that_does_what_an_effect_of_its_component_does_has_been_asked(
     groups = [[formula(0, {("a", "first"): 0.5}) + 1e-2 * noise.standard_normal((len(t), 1)) for _ in range(4)]]
     search = Search(Catalogue(Path("made up"), (candidate("first"),)), Simulator(Calculated(formula, len(t))), groups, ())
     number = replace(candidate("number", largest=10.0), component=component, parameters=("k",))
-    fit = single(search, [number])
+    fit = single(search, [number], [])
     assert (fit is not None) is found
     if fit is not None:
         assert fit.values[component, "k"] == pytest.approx(0.5, rel=WELL)
-    assert single(search, []) is None
+    assert single(search, [], []) is None
 
 
 @pytest.mark.parametrize(("shows", "found"), [(0.0, False), (0.5, True)])
@@ -664,4 +664,4 @@ def test_a_number_that_changes_a_signal_which_is_as_it_should_be_is_none(shows: 
     search = Search(Catalogue(Path("made up"), (candidate("first"),)), simulator, groups, ())
     assert list(search.evidence.active) == [True, False]
     number = replace(candidate("number", largest=10.0), component="b", parameters=("k",))
-    assert (single(search, [number]) is not None) is found
+    assert (single(search, [number], []) is not None) is found
