@@ -31,7 +31,7 @@ from robomill.diagnosis.inference.sensitivities import NOMINAL
 from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Menu, curves_of, effort_of, titles_of
 from robomill.diagnosis.outcome.conclusion import Conclusion
 from robomill.diagnosis.outcome.how_far import CLOSING
-from robomill.diagnosis.outcome.verdict import looks_at, over_noise, right, share_left
+from robomill.diagnosis.outcome.verdict import at_bound, looks_at, over_noise, right, share_left
 from robomill.orchestration.assembly import Resolver
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import FloatArray
@@ -123,6 +123,7 @@ def diagnose_campaign(
             if suspected:  # is it the machine, after all?
                 best = _simulated(search, _best(search, fits))
                 machine = _little(search, fits, best) and not any(c.component == LOGGING for c in best.model)
+                machine = machine and not at_bound(best.model, best.values)  # it would be larger if it could
                 turned = [f for f in fatal if log_faults.keeps_size(f)]
                 if machine and turned:
                     machine = not _nominal(search, gate.without(turned), best)

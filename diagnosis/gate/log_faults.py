@@ -57,7 +57,9 @@ FACTORS: Mapping[float, tuple[str, tuple[str, ...]]] = {
 ICE = unit_of("degC").offset
 """K. Zero of the scale that temperatures are logged in: a sign or a prefix is wrong about it."""
 FAHRENHEIT = 1.0 / unit_of("degF").factor
-"""Degrees Fahrenheit in a kelvin; both scales show the same number at -40."""
+"""Degrees Fahrenheit in a kelvin; degrees Fahrenheit and Celsius are the same number at -40."""
+SAME = unit_of("degF").offset / (1.0 - unit_of("degF").factor)
+"""K. Where degrees Fahrenheit and kelvin are the same number."""
 _ORTHOGONAL = ("sign", "axes", "rotation")
 KINDS = (*_ORTHOGONAL, "unit")
 """Kinds of findings that are faults of this sort."""
@@ -201,7 +203,7 @@ def made_in(unit: str | None, these: Sequence[str]) -> bool:
 def exact(channels: Sequence[str], units: Sequence[str | None]) -> Iterator[Operator]:
     """Faults without a fitted number that channels in these SI units (None: not known) may have: signs, units, zeros, interchanged signals.
 
-    Signals may be interchanged within an array, and two scalars of one component and unit.
+    Signals may be interchanged within an array, and any two scalars: two columns were given each other's name.
     """
     for i, unit in enumerate(units):
         zeros = (0.0, ICE) if unit == "K" else (0.0,)
@@ -212,6 +214,7 @@ def exact(channels: Sequence[str], units: Sequence[str | None]) -> Iterator[Oper
         scales = [(zero, f, mistake) for zero in zeros for f, (mistake, where) in FACTORS.items() if made_in(unit, where)]
         if unit == "K":
             scales += [(ICE - 40.0, FAHRENHEIT, "degF for degC"), (ICE - 40.0, 1.0 / FAHRENHEIT, "degC for degF")]
+            scales += [(SAME, FAHRENHEIT, "degF for K"), (SAME, 1.0 / FAHRENHEIT, "K for degF")]
         for zero, factor, mistake in scales:
             what = f"is {factor:.4g} times what it should be ({mistake})"
             yield Operator((i,), factor * np.eye(1), "unit", factor, "1", what, _UNIT, zero * (1.0 - factor))
@@ -223,8 +226,7 @@ def exact(channels: Sequence[str], units: Sequence[str | None]) -> Iterator[Oper
             for signs in itertools.product((1.0, -1.0), repeat=2):
                 yield _interchanged(i, j, channels, signs)
     for i, j in itertools.combinations([members[0] for members in groups.values() if len(members) == 1], 2):
-        if units[i] == units[j] and channels[i].partition(".")[0] == channels[j].partition(".")[0]:
-            yield _interchanged(i, j, channels)
+        yield _interchanged(i, j, channels)
 
 
 def _interchanged(i: int, j: int, channels: Sequence[str], signs: tuple[float, ...] = (1.0, 1.0)) -> Operator:

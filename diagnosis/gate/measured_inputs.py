@@ -97,7 +97,8 @@ def _of_all(inputs: Mapping[str, str | None], outputs: Mapping[str, str | None])
                 yield _in(channels, replace(o.on(members), what=f"{o.what}, as all signals in {unit} are"))
     arrays = by_array(channels).items()
     for (_, one), (name, other) in itertools.combinations(arrays, 2):
-        if one[0] < len(inputs) <= other[0] and [units[i] for i in one] == [units[i] for i in other]:
+        alike = len(one) == len(other) == 1 or [units[i] for i in one] == [units[i] for i in other]
+        if one[0] < len(inputs) <= other[0] and alike:
             swap = np.roll(np.eye(2 * len(one)), len(one), axis=0)
             yield _in(
                 channels, Operator((*one, *other), swap, "axes", 1.0, "1", f"is interchanged with {name}", "give each the other's name")

@@ -123,12 +123,12 @@ class TestJudged:
         for signs in ((1.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0)):
             assert kinds(VECTOR[:, [1, 0, 2]] * signs, VECTOR) == [(NAMES[0], "axes")]
 
-    @pytest.mark.parametrize(("names", "found"), [(["a.warm", "a.cold"], [("a.warm", "axes")]), (["a.warm", "b.cold"], [])])
-    def test_two_signals_of_a_component_that_are_interchanged_are_found(self, names: list[str], found: list[tuple[str, str]]) -> None:
+    @pytest.mark.parametrize("units", [["N", "N"], ["N", "m"]])
+    def test_two_scalars_that_are_interchanged_are_found(self, units: list[str]) -> None:
         s = np.stack([3.0 * SINE, COSINE], axis=1)
-        told = judged(s[:, ::-1], s, names, ["N", "N"], np.array([0.05, 0.05]))
-        assert [(f.channel, f.kind) for f in told if f.kind == "axes"] == found
-        assert [f for f in judged(s[:, ::-1], s, names, ["N", "m"], np.array([0.05, 0.05])) if f.kind == "axes"] == []
+        told = judged(s[:, ::-1], s, ["a.warm", "b.cold"], units, np.array([0.05, 0.05]))
+        assert [(f.channel, f.kind) for f in told if f.kind == "axes"] == [("a.warm", "axes")]
+        assert [f for f in judged(s, s, ["a.warm", "b.cold"], units, np.array([0.05, 0.05])) if f.kind == "axes"] == []
 
     def test_axes_that_are_nearly_alike_are_not_interchanged(self) -> None:
         alike = np.stack([SINE + 0.05 * COSINE, SINE - 0.05 * COSINE], axis=1)
@@ -237,6 +237,7 @@ KELVIN = 273.15 + 40.0 + 30.0 * np.sin(0.01 * np.arange(600.0))[:, None]
         (273.15 - (KELVIN - 273.15), "sign", "has the wrong sign"),
         (273.15 + 1.8 * (KELVIN - 273.15) + 32.0, "unit", "is 1.8 times what it should be (degF for degC)"),
         (273.15 + (KELVIN - 273.15 - 32.0) / 1.8, "unit", "is 0.5556 times what it should be (degC for degF)"),
+        (1.8 * (KELVIN - 273.15) + 32.0, "unit", "is 1.8 times what it should be (degF for K)"),
         (KELVIN - 273.15, "unit", "is 273.15 K too small (degC)"),
         (KELVIN + 273.15, "unit", "is 273.15 K too large (kelvin for degC)"),
     ],

@@ -82,12 +82,10 @@ def test_what_may_be_wrong_goes_with_the_unit_and_only_with_what_is_played(tmp_p
     assert celsius.operator.true(np.array([[20.0]]))[0, 0] == pytest.approx(293.15, rel=ROUNDOFF)
 
 
-def test_signals_of_one_unit_may_be_interchanged(tmp_path: Path) -> None:
-    run = logged(tmp_path, lambda _, x: x)
-    assert [m.columns for m in possible(run) if m.finding.kind == "axes"] == [("program.q", "drive.angle")]
-    alike = replace(run.ports["program.v"], unit="rad")
-    found = [m for m in possible(replace(run, ports={**run.ports, "program.v": alike})) if m.finding.kind == "axes"]
-    assert [m.columns for m in found] == [("program.q", "program.v"), ("program.q", "drive.angle"), ("program.v", "drive.angle")]
+def test_inputs_may_be_interchanged_with_each_other_and_with_outputs(tmp_path: Path) -> None:
+    found = [m for m in possible(logged(tmp_path, lambda _, x: x)) if m.finding.kind == "axes"]
+    q, v, a, torque, angle = "program.q", "program.v", "program.a", "drive.torque", "drive.angle"
+    assert {m.columns for m in found} == {(q, v), (q, a), (v, a), *((x, y) for x in (q, v, a) for y in (torque, angle))}
     swapped = found[0]
     assert "is interchanged with program.v: with that put right" in swapped.finding.text
     np.testing.assert_array_equal(swapped.operator.true(np.array([[1.0, 2.0]])), [[2.0, 1.0]])
