@@ -10,6 +10,7 @@ import numpy as np
 
 from robomill.diagnosis.candidates import LOGGING, Address, Nuisance
 from robomill.diagnosis.catalogue import Catalogue
+from robomill.diagnosis.experiment.bridging import bridged
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.preparation import prepared
 from robomill.diagnosis.experiment.simulation import Report, Simulator, setting
@@ -111,9 +112,10 @@ def diagnose_campaign(
     laboratory, n, catalogue, nuisances, skipped = start.laboratory, start.n, start.catalogue, start.nuisances, start.skipped
     ports, channels = laboratory.ports, laboratory.channels
     told = [*start.findings, *phases.aligned(laboratory, catalogue.candidates, n)]
-    conditions, groups = laboratory.conditions, laboratory.measured()
+    conditions = laboratory.conditions
     with Simulator(laboratory, workers, report, store, scheduler) as simulator:
         simulator.expected = likely_count(catalogue, nuisances, n) + 2 * CLOSING * len(conditions)
+        groups = bridged(simulator, laboratory.measured())
         gate = Gate(laboratory, simulator, groups, n, catalogue.candidates, nuisances)
         findings = told + gate.findings()
         fatal = [f for f in findings if f.fatal]

@@ -151,8 +151,9 @@ def standstill(
             stays = np.isin(x[:, i], limits[name]) & (np.abs(x[:, i] - s[:, i]) > MOVED * noise[i])
             held[_component(name)] |= stays
             least, most = limits[name]
-            beyond = stays & np.where(x[:, i] == most, s[:, i] > most, s[:, i] < least)
-            if beyond.sum() > REST * len(x):
+            over, under = s[:, i] > most + MOVED * noise[i], s[:, i] < least - MOVED * noise[i]
+            beyond = (over & (x[:, i] == most)) | (under & (x[:, i] == least))
+            if beyond.sum() > max(BREAK, 0.5 * np.count_nonzero(over | under)):
                 bound, unit = float(x[beyond, i][0]), run.ports[name].unit or ""
                 time = float(beyond.sum()) * step
                 text = (

@@ -68,7 +68,7 @@ class Gate:
         measured, simulated = [x[:, at] for x in group], [s[:, at] for s in models]
         middle, names = np.mean(simulated, axis=0), [r.folder.name for r in condition.runs]
         ranges = {c: (p.minimum, p.maximum) for c, p in self.laboratory.ports.items()}
-        noise = np.sqrt(repeats.scatter(measured if len(measured) > 1 else simulated))
+        noise = np.sqrt(repeats.usual_scatter(measured if len(measured) > 1 else simulated))
         found = checks.spikes(condition, channels)
         found += repeats.copies(measured, simulated, names) or repeats.compared(measured, simulated, channels, names, step)
         for r, x in zip(condition.runs, measured, strict=True):

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from robomill.diagnosis.experiment.measured import ON_TIME
-from robomill.diagnosis.gate.checks import SINGLE, Finding
+from robomill.diagnosis.gate.checks import REST, SINGLE, Finding
 from robomill.diagnosis.inference.isolability import CONFUSABLE
 from robomill.orchestration.slaves.protocol import FloatArray
 
@@ -49,6 +49,12 @@ def scatter(group: Sequence[FloatArray]) -> FloatArray:
     """Variance of repeats about their mean [unit^2 per channel]; zero for a single one."""
     stack = np.stack(group)
     return np.asarray(((stack - stack.mean(axis=0)) ** 2).sum(axis=0).mean(axis=0) / max(len(stack) - 1, 1))
+
+
+def usual_scatter(group: Sequence[FloatArray]) -> FloatArray:
+    """The median of `scatter` over parts as long as the shortest standstill that is one (REST): one that is in a part is not in most."""
+    parts = np.array_split(np.stack(group), round(1.0 / REST), axis=1)
+    return np.asarray(np.median([scatter(list(p)) for p in parts if p.shape[1]], axis=0))
 
 
 def offsets(group: Sequence[FloatArray], usual: FloatArray, step: float) -> FloatArray:

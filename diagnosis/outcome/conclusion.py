@@ -210,7 +210,9 @@ class Conclusion:
         shown = self.best if number is None else number.fit
         answer = Answer(
             verdict,
-            tuple(f for f in self.findings if f.kind != gate.LIMITED or verdict == "unknown"),  # else the answer says why it is there
+            tuple(
+                f for f in self.findings if f.kind != gate.LIMITED or verdict in ("unknown", "none")
+            ),  # else the answer says why it is there
             which=which,
             isolability=tuple(pairs),
             gap=gap,

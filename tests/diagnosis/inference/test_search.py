@@ -665,3 +665,41 @@ def test_a_number_that_changes_a_signal_which_is_as_it_should_be_is_none(shows: 
     assert list(search.evidence.active) == [True, False]
     number = replace(candidate("number", largest=10.0), component="b", parameters=("k",))
     assert (single(search, [number], []) is not None) is found
+
+
+def test_a_number_that_does_what_a_known_model_of_its_component_does_has_been_asked() -> None:
+    """The slopes of a frequency at two sizes are two signals; what it does at the value that fits is one."""
+    t = np.linspace(0.0, 1.0, 400)
+
+    def formula(_: int, values: Mapping[Address, float]) -> FloatArray:
+        return np.asarray(np.sin((60.0 + 3.0 * values.get(("a", "error"), 0.0) + values.get(("a", "k"), 0.0)) * t))[:, None]
+
+    groups = [[formula(0, {("a", "error"): 0.5}) + 1e-2 * np.random.default_rng(k).standard_normal((len(t), 1)) for k in range(4)]]
+    search = Search(Catalogue(Path("made up"), (candidate("error"),)), Simulator(Calculated(formula, len(t))), groups, ())
+    number = replace(candidate("number", scale=6.0), parameters=("k",))
+    known = search.run()
+    assert any(f.values.get(("a", "error")) == pytest.approx(0.5, rel=WELL) for f in known)
+    assert single(search, [number], []) is not None
+    assert single(search, [number], known) is None
+
+
+def test_an_effect_that_is_like_a_number_far_off_is_looked_at() -> None:
+    """By its slope at the nominal system an effect that bends explains no more than the calibrated number that is like it."""
+    t = np.linspace(0.0, 1.0, 400)
+    one, other = np.sin(6.0 * np.pi * t), np.cos(10.0 * np.pi * t)
+
+    def formula(_: int, values: Mapping[Address, float]) -> FloatArray:
+        loss = (1.0 + values.get(("a", "loss"), 0.0) / 10.0) * (1.0 + values.get(("a", "loss_error"), 0.0))
+        return np.asarray(values.get(("a", "slow"), 0.0) * one + other / loss**2)[:, None]
+
+    truth = {("a", "slow"): 5.0, ("a", "loss_error"): -0.25}
+    groups = [[formula(0, truth) + 0.1 * np.random.default_rng(k).standard_normal((len(t), 1)) for k in range(4)]]
+    effects = candidate("slow", scale=3.0), candidate("loss_error", scale=0.2, largest=0.9)
+    nuisance = Nuisance(("a", "loss"), 0.2)
+    search = Search(Catalogue(Path("made up"), effects), Simulator(Calculated(formula, len(t))), groups, (nuisance,))
+    best = max(search.run(), key=lambda f: f.log_evidence)
+    assert {c.effect for c in best.model} == {"slow", "loss_error"}
+    alone = search.fitted((effects[0],), {("a", "slow"): 5.0}, {("a", "slow"): 0.1})
+    assert alone is not None
+    assert search.far_off(alone) == {("a", "loss")}
+    assert search.far_off(best) == frozenset()
