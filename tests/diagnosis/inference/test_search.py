@@ -692,8 +692,8 @@ def test_an_effect_that_is_like_a_number_far_off_is_looked_at() -> None:
         loss = (1.0 + values.get(("a", "loss"), 0.0) / 10.0) * (1.0 + values.get(("a", "loss_error"), 0.0))
         return np.asarray(values.get(("a", "slow"), 0.0) * one + other / loss**2)[:, None]
 
-    truth = {("a", "slow"): 5.0, ("a", "loss_error"): -0.25}
-    groups = [[formula(0, truth) + 0.1 * np.random.default_rng(k).standard_normal((len(t), 1)) for k in range(4)]]
+    truth = {("a", "slow"): 5.0, ("a", "loss_error"): -0.12}
+    groups = [[formula(0, truth) + 0.2 * np.random.default_rng(k).standard_normal((len(t), 1)) for k in range(4)]]
     effects = candidate("slow", scale=3.0), candidate("loss_error", scale=0.2, largest=0.9)
     nuisance = Nuisance(("a", "loss"), 0.2)
     search = Search(Catalogue(Path("made up"), effects), Simulator(Calculated(formula, len(t))), groups, (nuisance,))
@@ -703,3 +703,6 @@ def test_an_effect_that_is_like_a_number_far_off_is_looked_at() -> None:
     assert alone is not None
     assert search.far_off(alone) == {("a", "loss")}
     assert search.far_off(best) == frozenset()
+    (larger,) = search.linear_fits([alone])
+    assert search._hidden(larger, alone, search.far_off(alone))
+    assert not search._hidden(larger, alone)  # the gap is not so large that no slope is exact enough
