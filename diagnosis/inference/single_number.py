@@ -1,4 +1,4 @@
-"""The number of the model that does most by itself, of those that the catalogue lacks (`numbers.lacking`)."""
+"""The number of the model that does most, of those that the catalogue lacks (`numbers.lacking`): by itself, or beside effects."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from robomill.diagnosis.candidates import Candidate
 from robomill.diagnosis.experiment.simulation import setting
 from robomill.diagnosis.inference.estimation import SAME_SIGNATURE, Fit
 from robomill.diagnosis.inference.fitting import evidence_of
+from robomill.diagnosis.inference.priors import log_priors
 from robomill.diagnosis.inference.search import SINGLES, Search
 from robomill.diagnosis.inference.sensitivities import cosine, gain
 from robomill.orchestration.slaves.protocol import FloatArray
 
 
-def single(search: Search, numbers: Sequence[Candidate], known: Sequence[Fit]) -> Fit | None:
-    """The model of one of the `numbers` that has the largest evidence, in the terms of the search; None where none is large enough.
+def single(search: Search, numbers: Sequence[Candidate], known: Sequence[Fit], beside: Sequence[Fit] = ()) -> Fit | None:
+    """The likeliest model of one of the `numbers`, by evidence and prior, in the terms of the search; None where none is large enough.
 
-    All are simulated once in each condition, and fitted are those SINGLES that take most away as they are slopes. A number that does no
-    more than an effect of its component is none, where that has the same slope, or does the same in a model that is `known`.
+    It is tried by itself, and in addition to each of the models `beside`. All are simulated once in each condition, and fitted are those
+    SINGLES that take most away as they are slopes. A number that does no more than an effect of its component is none, where that has the
+    same slope, or does the same in a model that is `known`.
     """
     simulator, space, conditions = search.simulator, search.evidence.space, range(len(search.groups))
 
@@ -35,23 +37,40 @@ def single(search: Search, numbers: Sequence[Candidate], known: Sequence[Fit]) -
         space.find_alike({address: column}, {address: c.prior.scale})
         return gain(space.without([address]), column, c)
 
-    ranked = sorted(numbers, key=takes, reverse=True)[:SINGLES]
-    columns = {c: column for c in ranked if (column := does(c)) is not None}
+    ranked = sorted(numbers, key=takes, reverse=True)
+    chosen = ranked if beside else ranked[:SINGLES]
+    columns = {c: column for c in chosen if (column := does(c)) is not None}
     if not columns:
         return None
-    fits = [f for f in _fitted(search.of(columns)) if f.large_enough()]
-    alike = {c: _alike(search, c, column) for c, column in columns.items()}
-    asked = {f.model[0]: f for f in _fitted(search, {effect for f in fits for effect in alike[f.model[0]]})}
-
-    alone = [f for f in known if len(f.model) == 1 and f.signature is not None]
+    alone = search.of({c: column for c, column in columns.items() if c in ranked[:SINGLES]})
+    fits = _fitted(alone, alone.linear_fits([search.nominal()]))
+    if beside:
+        all_of_them = search.of(columns)
+        fits += _fitted(all_of_them, sorted(all_of_them.linear_fits(beside), key=evidence_of, reverse=True)[:SINGLES])
+    fits = [f for f in fits if f.large_enough()]
+    bases = [search.nominal(), *beside]
+    alike = {f.model[-1]: _alike(search, f.model[-1], columns[f.model[-1]]) for f in fits}
+    wanted = {frozenset((*f.model[:-1], x)) for f in fits for x in alike[f.model[-1]]}
+    asked = _fitted(search, [g for g in search.linear_fits(bases) if frozenset(g.model) in wanted]) if wanted else []
 
     def does_more(f: Fit) -> bool:
-        (number,) = f.model
-        same = [asked[x] for x in alike[number] if x in asked]
-        same += [g for g in alone if g.model[0].component == number.component and _same(f.signature, g.signature)]
+        *rest, number = f.model
+        same = [g for g in asked if any(set(g.model) == {*rest, x} for x in alike[number])]
+        if not rest:
+            same += [g for g in known if len(g.model) == 1 and g.model[0].component == number.component and _same(f.signature, g.signature)]
         return all(f.log_evidence > g.log_evidence + search.growth for g in same)
 
-    return next((f for f in sorted(filter(does_more, fits), key=evidence_of, reverse=True) if not _contradicted(search, f)), None)
+    def likely(f: Fit) -> float:
+        return f.log_evidence + log_prior(f, search, numbers)
+
+    return next((f for f in sorted(filter(does_more, fits), key=likely, reverse=True) if not _contradicted(search, f)), None)
+
+
+def log_prior(fit: Fit, search: Search, numbers: Sequence[Candidate]) -> float:
+    """Log of the probability before the data of a model whose last member is one of the `numbers`: the others are as likely without it."""
+    *rest, number = fit.model
+    own = log_priors([(number,)], numbers)[0]
+    return own + log_priors([tuple(rest)], search.candidates)[0] if rest else own
 
 
 def _contradicted(search: Search, fit: Fit) -> bool:
@@ -84,7 +103,6 @@ def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
     return one is not None and other is not None and abs(cosine(one, other)) > SAME_SIGNATURE
 
 
-def _fitted(search: Search, some: set[Candidate] | None = None) -> list[Fit]:
-    """Models of one candidate each, of all or of `some` of them, that simulations confirm."""
-    chosen = [f for f in search.linear_fits([search.nominal()]) if some is None or f.model[0] in some]
-    return search.sharpened(search.polish(search.refine(chosen), chosen))
+def _fitted(search: Search, chosen: Sequence[Fit]) -> list[Fit]:
+    """Models as simulations have them."""
+    return search.sharpened(search.polish(search.refine(chosen), chosen)) if chosen else []

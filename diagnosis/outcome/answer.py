@@ -102,7 +102,7 @@ class Which:
 
 @dataclass(frozen=True)
 class Number:
-    """A number of the model that the catalogue lacks, and that explains the gap by itself."""
+    """A number of the model that the catalogue lacks, and that explains the gap by itself, or with some effects."""
 
     component: str
     """Component that has it."""
@@ -114,6 +114,8 @@ class Number:
     """Probability that it is right rather than something else that nobody listed, as `tests.p_fit` of an effect, 0..1."""
     instead_of: tuple[str, ...]
     """Names of the effects that do no more together; empty where no effects were believed."""
+    beside: tuple[str, ...] = ()
+    """Names of the effects that it explains the gap with."""
 
     @property
     def name(self) -> str:
@@ -128,11 +130,12 @@ class Number:
 
     @property
     def text(self) -> str:
-        """In words: the value, its interval, what the system has, and which effects do no more together."""
+        """In words: the value, its interval, what the system has, the effects beside it, and those that do no more together."""
         value, low, high = self.becomes
         unit = "" if self.estimate.unit == "1" else f" {self.estimate.unit}"
         others = f", which does as much as {' + '.join(self.instead_of)}" if self.instead_of else ""
-        return f"{self.name} is {value:.4g} [{low:.4g} .. {high:.4g}]{unit} instead of {self.estimate.given:.4g}{others}"
+        beside = f", beside {' + '.join(self.beside)}" if self.beside else ""
+        return f"{self.name} is {value:.4g} [{low:.4g} .. {high:.4g}]{unit} instead of {self.estimate.given:.4g}{beside}{others}"
 
 
 @dataclass(frozen=True)

@@ -63,10 +63,12 @@ def farthest(search: Search, fit: Fit) -> Pulled | None:
 
 
 def _numbers(search: Search, fit: Fit) -> list[Pulled]:
-    """All calibrated numbers as a model has them, the farthest off first."""
+    """All calibrated numbers as a model has them, the farthest off first; one that is in the model itself is no tolerance."""
     numbers, means, _ = search.numbers(fit)
     found = []
     for n, z in zip(numbers, map(float, means), strict=True):
+        if n.address in fit.values:
+            continue
         value, bound = n.nominal + z * n.scale, n.allowed[z > 0.0]
         beyond_it = value > bound if z > 0.0 else value < bound
         found.append(Pulled(*n.address, n.nominal, value, z, n.unit, bound if beyond_it else None))

@@ -24,7 +24,7 @@ from robomill.diagnosis.inference.priors import log_posteriors, probabilities
 from robomill.diagnosis.inference.scatter import Spell, levels, spell, swing
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.inference.sets import weighed
-from robomill.diagnosis.inference.single_number import single
+from robomill.diagnosis.inference.single_number import log_prior, single
 from robomill.diagnosis.inference.time_varying import Changing, changing
 from robomill.diagnosis.inference.transfer import Transfer, transfer
 from robomill.diagnosis.inference.visibility import Seen
@@ -206,8 +206,9 @@ class Conclusion:
             farthest(search, nominal) if verdict == "none" else None,
         )
         belief = tests.p_fit * (1.0 - number.likelier if several and number else 1.0)
-        which = self.which(marginal, pairs, {c: belief * instead.belief(c) for c in marginal})
         shown = self.best if number is None else number.fit
+        stays = dict.fromkeys(shown.model, number.p_fit) if number is not None else {}
+        which = self.which(marginal, pairs, {c: max(belief * instead.belief(c), stays.get(c, 0.0)) for c in marginal}, shown)
         answer = Answer(
             verdict,
             tuple(
@@ -241,6 +242,8 @@ class Conclusion:
                 not_replayed=found.not_replayed,
                 predictive={f.name: f.predictive for f in self.fits if f.predictive},
             )
+        if number is not None:
+            answer = replace(answer, number=self.described_number(number, several))
         if verdict == "unknown":
             other = self.other if self.other is not None and changes(search, self.best, self.other) else None
             seen: dict[Reason, bool] = {"bound": bound, "changes": other is not None, "instead": bool(instead.found), "number": several}
@@ -248,34 +251,37 @@ class Conclusion:
             answer = self.described(
                 answer, found, instead, other, reasons(tests, bool(self.best.model), largest(search, nominal, moved), seen)
             )
-        if number is not None:
-            answer = replace(answer, number=self.described_number(number, several))
         return answer, adopted
 
     def number(self, verdict: Verdict) -> _Single | None:
         """The number of the model, in no catalogue, that explains the gap by itself; None if there is none.
 
         It is asked for where the answer is `unknown` otherwise, or not sure, or has several numbers, or needs calibrated numbers far off.
-        Then it has to be likelier than these, each by evidence and prior. It has to pass the tests that an effect has to pass.
+        Then it has to be likelier than these, each by evidence and prior. Where calibrated numbers are far off, it may stand beside effects
+        of the best model, too. It has to pass the tests that an effect has to pass.
         """
-        named = verdict in ("identified", "ambiguous") and not any(c.component == LOGGING for c in self.best.model)
-        doubtful = verdict == "ambiguous" or len(self.best.values) > 1 or bool(pulled(self.search, self.best, self.false_alarm))
+        machine = not any(c.component == LOGGING for c in self.best.model)
+        named = verdict in ("identified", "ambiguous") and machine
+        far = bool(pulled(self.search, self.best, self.false_alarm))
+        doubtful = verdict == "ambiguous" or len(self.best.values) > 1 or far
         if not (verdict == "unknown" or (named and doubtful)) or self.differs is not None:
             return None
-        fit = single(self.search, self.numbers, self.fits)
+        beside = [f for f in self.fits if f.model and set(f.model) <= set(self.best.model)] if machine and far else []
+        fit = single(self.search, self.numbers, self.fits, beside)
         if fit is None or at_bound(fit.model, fit.values):
             return None
-        its, others = log_posteriors([fit], self.numbers)[0], log_posteriors([self.best], self.search.candidates)[0]
-        likelier = float(expit(its - others)) if named else 1.0
+        its = fit.log_evidence + log_prior(fit, self.search, self.numbers)
+        others = log_posteriors([self.best], self.search.candidates)[0]
+        likelier = float(expit(its - others)) if named or len(fit.model) > 1 else 1.0
         p_fit = self.tests(fit, self.transfer(fit)).p_fit
         return None if refuted(likelier) or refuted(p_fit) else _Single(fit, p_fit, likelier)
 
     def described_number(self, number: _Single, several: bool) -> Number:
         """What is said of a number of the model; `several`: that it is in place of the effects of the best model."""
-        (c,) = number.fit.model
+        *rest, c = number.fit.model
         (estimate,) = Values(self.search, number.fit).parameters(c, number.fit).values()
-        others = tuple(x.name for x in self.best.model) if several else ()
-        return Number(c.component, c.parameters[0], estimate, number.p_fit * number.likelier, others)
+        others = tuple(x.name for x in self.best.model if x not in rest) if several else ()
+        return Number(c.component, c.parameters[0], estimate, number.p_fit * number.likelier, others, tuple(x.name for x in rest))
 
     def held_out(self) -> FloatArray:
         """Probability of each fit, float64[fits], where models of fewer of the best one's effects are asked in new conditions, too.
@@ -360,9 +366,12 @@ class Conclusion:
         return tuple(f for f in scaled if f.probability >= LISTED)
 
     def which(
-        self, marginal: Mapping[Candidate, float], pairs: Sequence[isolability.Pair], belief: Mapping[Candidate, float]
+        self, marginal: Mapping[Candidate, float], pairs: Sequence[isolability.Pair], belief: Mapping[Candidate, float], shown: Fit
     ) -> tuple[Which, ...]:
-        """Every candidate with a probability of LISTED or more if the best model is right; said is its product with `belief`."""
+        """Every candidate with a probability of LISTED or more if the best model is right; said is its product with `belief`.
+
+        Those of the model that is `shown` have its values.
+        """
         listed = []
         sets: dict[str, list[str]] = {}
         for one, other in (p.pair for p in pairs if p.confusable):
@@ -371,10 +380,12 @@ class Conclusion:
         for c, p in marginal.items():
             if p < LISTED:
                 continue
-            fit = max((f for f in self.fits if c in f.model), key=lambda f: float(self.weights[self.fits.index(f)]))
+            fit = shown
+            if c not in shown.model:
+                fit = max((f for f in self.fits if c in f.model), key=lambda f: float(self.weights[self.fits.index(f)]))
             parameters, closes = self.values.parameters(c, fit), self.values.closes(c)
             listed.append(Which(c.effect, c.component, c.location, p * belief[c], parameters, sets.get(c.name, []), closes))
-        return tuple(listed)
+        return tuple(sorted(listed, key=lambda w: -w.probability))
 
     def figures(self) -> dict[str, FloatArray]:
         """Weights of the channels in each figure, name -> [channels]: 1 for those in it, 0 for the others."""
@@ -400,7 +411,8 @@ class Conclusion:
     def described(self, answer: Answer, found: Located, instead: Laws, other: Changing | None, why: tuple[Reason, ...]) -> Answer:
         """The answer with what is known of an effect that is not in the catalogue; `other`: what it is like if it changes with time.
 
-        Calibrated numbers are judged together: where none is far off by itself, and all are too far, the farthest one is said.
+        Calibrated numbers are judged together: where none is far off by itself, and all are too far, the farthest one is said, unless one
+        number explains it all.
         """
         unknown, where = replace(self.unknown(), why=why, instead=instead.found), answer.where
         if found.where:
@@ -413,7 +425,7 @@ class Conclusion:
             also, named = other.candidate.component, {c for w in found.where for c in (w.component, *(w.alternatives or ()))}
             if found.where and also not in named:  # the replay knows only effects that do not change
                 where = (replace(first, alternatives=(*(first.alternatives or ()), also)), *where[1:])
-        far = farthest(self.search, self.best) if "calibrated" in why and not answer.calibrated else None
+        far = farthest(self.search, self.best) if "calibrated" in why and not answer.calibrated and answer.number is None else None
         return replace(answer, unknown=unknown, where=where, calibrated=(far,) if far is not None else answer.calibrated)
 
     def unknown(self) -> Unknown:

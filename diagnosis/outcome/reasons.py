@@ -21,7 +21,7 @@ WHY: dict[Reason, str] = {
     "bound": "needs an effect as large as the catalogue lets it be",
     "changes": "does not change with time as the gap does",
     "instead": "has an effect that a law of no name does better than",
-    "number": "does no more than one number of the model that no effect is about",
+    "number": "is less likely than one with a number of the model that no effect is about",
     "runs": "does not differ from run to run as the machine does",
     "swing": "does not swing within samples as the machine does",
     "nominal": "is not believed, and without its effects calibrated numbers are farther off than their tolerances say",

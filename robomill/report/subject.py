@@ -256,7 +256,8 @@ def _answer(s: Subject) -> str:
         also = f". It may be {perhaps(s.answer, causes(maybe))}" if (maybe := s.answer.suspected) else ""
         return f"No effect is needed to explain these runs: machine and simulation differ by no more than noise and the tolerances of calibrated numbers{also}."
     if (x := s.answer.number) is not None:
-        return f"The gap is what one number of the model does that no effect of the catalogue is about: {of_number(x)}{_shrinks(s)}."
+        what = "The gap is" if not x.beside else "In the gap is"
+        return f"{what} what one number of the model does that no effect of the catalogue is about: {of_number(x)}{_shrinks(s)}."
     if known := s.answer.unknown:
         place = listed([listed([w.component, *(w.alternatives or ())], "or") for w in s.blamed]) or known.component
         where = f"; it shows most in {s.label(next(iter(known.channels)))}" if known.channels else ""

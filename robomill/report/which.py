@@ -116,7 +116,7 @@ def _number(s: Subject) -> str:
     if (x := s.answer.number) is None:
         return ""
     text = (
-        f"No effect of the catalogue is about {x.name}, and this number of the model explains the gap by itself: {of_number(x)}. "
+        f"No effect of the catalogue is about {x.name}, and this number of the model explains the gap{'' if x.beside else ' by itself'}: {of_number(x)}. "
         f"That it is right is {likelihood(x.probability)}. If it may be wrong, measure it, or give it an effect in the catalogue. Simulate with it:"
     )
     return paragraph(text) + _ADOPTED

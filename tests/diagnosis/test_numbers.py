@@ -146,3 +146,20 @@ def test_a_calibrated_number_that_is_far_beyond_its_tolerance_is_said_where_noth
     value, low, high = found.number.becomes
     assert low < 2.6 < high
     assert value == pytest.approx(2.6, rel=WELL)
+
+
+def test_a_calibrated_number_that_is_far_off_stands_beside_an_effect_of_the_catalogue(tmp_path: Path) -> None:
+    """The same damping, and a sensor that shows 8 % too much."""
+    found = answered(tmp_path, {"masses": {"damping": 2.6}, "sensors": {"gain_error[1]": 0.08}})
+    answer, one = found.answer, found.answer.number
+    assert answer.verdict == "unknown"
+    assert one is not None
+    assert (one.name, one.beside) == ("masses.damping", ("gain @ sensor 1",))
+    assert "instead of 2, beside gain @ sensor 1" in one.text
+    assert one.becomes[1] < 2.6 < one.becomes[2]
+    first = answer.which[0]
+    assert (first.effect, first.location) == ("gain", "sensor 1")
+    assert first.probability > 0.5
+    low, high = first.parameters["gain_error[1]"].interval
+    assert low < 0.08 < high
+    assert set(found.adopted) == {("masses", "damping"), ("sensors", "gain_error[1]")}

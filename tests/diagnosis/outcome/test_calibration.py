@@ -69,17 +69,20 @@ def test_what_is_far_depends_on_the_false_alarm_rate_and_on_how_many_there_are(f
     assert pulled(search, best, 0.02)
 
 
-def test_a_damping_that_is_six_tolerances_off_is_in_the_answer_which_is_less_sure_for_it(tmp_path: Path) -> None:
+def test_a_damping_that_is_six_tolerances_off_is_a_number_of_the_model_beside_the_effect_that_is_there(tmp_path: Path) -> None:
     """2 N.s/m, known to 1 %."""
-    sure = {}
     for off, said in ((6.0, True), (0.5, False)):
-        runs = measure({"masses": {"damping": 2.0 * (1.0 + 0.01 * off)}, "sensors": {"gain_error[1]": 0.04}})
-        result = diagnose(SYSTEM, runs, catalogue(tmp_path), resolver=resolve).result
-        assert result["which"][0]["effect"] == "gain"
-        assert [f"{p['component']}.{p['parameter']}" for p in result["calibrated"]] == (["masses.damping"] if said else [])
-        sure[said] = result["which"][0]["probability"], result["verdict"]
-    assert sure[False][1] == "identified" != sure[True][1]
-    assert sure[True][0] < IDENTIFIED < sure[False][0]
+        damping = 2.0 * (1.0 + 0.01 * off)
+        runs = measure({"masses": {"damping": damping}, "sensors": {"gain_error[1]": 0.04}})
+        answer = diagnose(SYSTEM, runs, catalogue(tmp_path), resolver=resolve).answer
+        assert answer.which[0].effect == "gain"
+        assert answer.which[0].probability > IDENTIFIED
+        assert answer.calibrated == ()
+        assert (answer.verdict, answer.number is not None) == (("unknown", True) if said else ("identified", False))
+        if answer.number is not None:
+            _, low, high = answer.number.becomes
+            assert (answer.number.name, answer.number.beside) == ("masses.damping", (answer.which[0].name,))
+            assert low < damping < high
 
 
 @pytest.mark.parametrize(
