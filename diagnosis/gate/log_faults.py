@@ -84,7 +84,7 @@ class Operator:
     """One of KINDS."""
     value: float
     unit: str
-    """Of the value."""
+    """Unit of the value."""
     what: str
     """What is wrong, after the name of the channel."""
     remedy: str

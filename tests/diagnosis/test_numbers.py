@@ -149,7 +149,7 @@ def test_a_calibrated_number_that_is_far_beyond_its_tolerance_is_said_where_noth
 
 
 def test_a_calibrated_number_that_is_far_off_stands_beside_an_effect_of_the_catalogue(tmp_path: Path) -> None:
-    """The same damping, and a sensor that shows 8 % too much."""
+    """A damping of 2.6 in place of 2 N.s/m, known to 1 %, and a sensor that shows 8 % too much."""
     found = answered(tmp_path, {"masses": {"damping": 2.6}, "sensors": {"gain_error[1]": 0.08}})
     answer, one = found.answer, found.answer.number
     assert answer.verdict == "unknown"
