@@ -18,7 +18,7 @@ def section(s: Subject, figures: Mapping[str, str]) -> str:
         return ""
     claim = "" if s.verdict != "unknown" else " The model is not adequate: this is what it closes nevertheless."
     if s.answer.number is not None:
-        with_it = " and the effects beside it" if s.answer.number.beside else " alone"
+        with_it = " with the effects beside it" if s.answer.number.beside else " alone"
         claim = f" It is the number {s.answer.number.name}{with_it} that closes this."
     noise = (
         "The noise is a guess, so it is not taken off: it is part of what was there before and of what remains."

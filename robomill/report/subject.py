@@ -171,7 +171,10 @@ def spoken(name: str) -> str:
 
 def of_number(x: Number) -> str:
     """A number of the model in the words of the page; parameters keep their names."""
-    return x.text.replace(" @ ", ", ").replace(" + ", " with ")
+    text = x.text
+    for name in (*x.beside, *x.instead_of):
+        text = text.replace(name, spoken(name))
+    return text.replace(" + ", " with ")
 
 
 def effect_name(w: Which) -> str:

@@ -21,6 +21,9 @@ _ALONE = (
 """In place of the introduction where an ambiguous answer has one effect."""
 _TOGETHER = "Effects of the catalogue do as much together. That several of them are as large as that takes is less likely than one number:"
 """In place of the introduction where one number of the model does as much as several effects."""
+_BESIDE = "The effects that the number stands beside are part of the cause."
+"""In place of the introduction where a number of the model is not all of it."""
+_OTHERS = "The others do together as much as the number, which is less likely than one number:"
 _ADOPTED = "<pre><code>robomill run SCENARIO.toml --adopt adopt.ssv</code></pre>"
 _INTRO = {
     "none": "None is needed. These came closest:",
@@ -55,7 +58,9 @@ def section(s: Subject) -> str:
     shown = table(("Effect", "Probability", "Value (90 % interval)", "Component", "Could be confused with"), rows)
     onset = paragraph(f"{spoken(s.answer.onset.text)}.") if s.answer.onset else ""
     intro = _ALONE if s.verdict == "ambiguous" and len(s.answer.which) == 1 else _INTRO[s.verdict]
-    if s.answer.number is not None and s.answer.number.instead_of:
+    if (x := s.answer.number) is not None and x.beside:
+        intro = f"{_BESIDE} {_OTHERS}" if x.instead_of else _BESIDE
+    elif x is not None and x.instead_of:
         intro = _TOGETHER
     return _number(s) + paragraph(intro) + shown + onset + _sets(s) + _isolability(s) + paragraph(_tried(s)) + _adopt(s)
 

@@ -28,7 +28,7 @@ from robomill.diagnosis.gate.checks import Finding
 from robomill.diagnosis.inference.intervals import MATERIAL
 from robomill.diagnosis.inference.machines import MACHINES
 from robomill.diagnosis.localisation.where import Where
-from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Estimate, Gap, Menu, Which
+from robomill.diagnosis.outcome.answer import Answer, Diagnosis, Estimate, Gap, Menu, Number, Which
 from robomill.diagnosis.outcome.calibration import Pulled
 from robomill.diagnosis.outcome.closure import HowFar
 from robomill.diagnosis.outcome.families import Family
@@ -42,7 +42,7 @@ from robomill.report.page import page as html
 from robomill.report.rests import sure
 from robomill.report.sheet import Sheet
 from robomill.report.style import COLOURS, MARK, WIDTH
-from robomill.report.subject import Subject, size, verdict_sentence
+from robomill.report.subject import Subject, of_number, size, verdict_sentence
 from robomill.report.where import times
 from robomill.report.which import section
 from tests.diagnosis.demo import CATALOGUE, SYSTEM, changed, measure, resolve
@@ -729,3 +729,11 @@ def test_gaps_of_all_conditions_in_a_row_are_in_one_unit(tmp_path: Path) -> None
     drawn = [max(np.abs(line.get_ydata()).max() for line in ax.lines[1:]) for ax in figure.axes[:2]]
     there = [max(np.abs(s.gap(c, channel, kind)).max() for kind in ("nominal", "adopted")) for c in s.conditions[:2]]
     assert drawn[1] / drawn[0] == pytest.approx(there[1] / there[0], rel=ROUNDOFF)
+
+
+def test_a_number_is_spoken_of_with_the_effects_beside_it() -> None:
+    estimate = Estimate(0.1, [0.09, 0.12], "1", 1.0)
+    said = of_number(Number("crane", "drive_gain", estimate, 0.99, ("load @ crane", "rope @ crane"), ("dry_friction @ crane",)))
+    assert said == (
+        "crane.drive_gain is 1.1 [1.09 .. 1.12] instead of 1, beside dry friction, crane, which does as much as load, crane with rope, crane"
+    )
