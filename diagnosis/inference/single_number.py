@@ -16,12 +16,14 @@ from robomill.diagnosis.inference.sensitivities import cosine, gain
 from robomill.orchestration.slaves.protocol import FloatArray
 
 
-def single(search: Search, numbers: Sequence[Candidate], known: Sequence[Fit], beside: Sequence[Fit] = ()) -> Fit | None:
+def single(
+    search: Search, numbers: Sequence[Candidate], known: Sequence[Fit], beside: Sequence[Fit] = (), tries: int = SINGLES
+) -> Fit | None:
     """The likeliest model of one of the `numbers`, by evidence and prior, in the terms of the search; None where none is large enough.
 
-    It is tried by itself, and in addition to each of the models `beside`. All are simulated once in each condition, and fitted are those
-    SINGLES that take most away as they are slopes. A number that does no more than an effect of its component is none, where that has the
-    same slope, or does the same in a model that is `known`.
+    All are simulated once in each condition, and fitted are those SINGLES that take most away as they are slopes. In addition to the models
+    `beside` it is tried, too: the likeliest ones, so many `tries`. A number that does no more than an effect of its component is none,
+    where that has the same slope, or does the same in a model that is `known`.
     """
     simulator, space, conditions = search.simulator, search.evidence.space, range(len(search.groups))
 
@@ -46,7 +48,7 @@ def single(search: Search, numbers: Sequence[Candidate], known: Sequence[Fit], b
     fits = _fitted(alone, alone.linear_fits([search.nominal()]))
     if beside:
         all_of_them = search.of(columns)
-        fits += _fitted(all_of_them, sorted(all_of_them.linear_fits(beside), key=evidence_of, reverse=True)[:SINGLES])
+        fits += _fitted(all_of_them, sorted(all_of_them.linear_fits(beside), key=evidence_of, reverse=True)[:tries])
     fits = [f for f in fits if f.large_enough()]
     bases = [search.nominal(), *beside]
     alike = {f.model[-1]: _alike(search, f.model[-1], columns[f.model[-1]]) for f in fits}

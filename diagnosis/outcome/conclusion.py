@@ -22,7 +22,7 @@ from robomill.diagnosis.inference.intervals import by_least_squares
 from robomill.diagnosis.inference.machines import p_none
 from robomill.diagnosis.inference.priors import log_posteriors, probabilities
 from robomill.diagnosis.inference.scatter import Spell, levels, spell, swing
-from robomill.diagnosis.inference.search import Search
+from robomill.diagnosis.inference.search import EXTENSIONS, SINGLES, Search
 from robomill.diagnosis.inference.sets import weighed
 from robomill.diagnosis.inference.single_number import log_prior, single
 from robomill.diagnosis.inference.time_varying import Changing, changing
@@ -267,7 +267,8 @@ class Conclusion:
         if not (verdict == "unknown" or (named and doubtful)) or self.differs is not None:
             return None
         beside = [f for f in self.fits if f.model and set(f.model) <= set(self.best.model)] if machine and far else []
-        fit = single(self.search, self.numbers, self.fits, beside)
+        tries = SINGLES if named else EXTENSIONS  # what would be named is worth more of them than what is refused already
+        fit = single(self.search, self.numbers, self.fits, beside, tries)
         if fit is None or at_bound(fit.model, fit.values):
             return None
         its = fit.log_evidence + log_prior(fit, self.search, self.numbers)
