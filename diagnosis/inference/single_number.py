@@ -21,9 +21,9 @@ def single(
 ) -> Fit | None:
     """The likeliest model of one of the `numbers`, by evidence and prior, in the terms of the search; None where none is large enough.
 
-    All are simulated once in each condition, and fitted are those SINGLES that take most away as they are slopes. In addition to the models
-    `beside` it is tried, too: the likeliest ones, so many `tries`. A number that does no more than an effect of its component is none,
-    where that has the same slope, or does the same in a model that is `known`.
+    All are simulated once in each condition. Fitted are those SINGLES that take most away by themselves as they are slopes; with models
+    `beside`, the likeliest in addition to one of these, so many `tries`. A number that does no more than an effect of its component is
+    none, where that has the same slope, or does the same in a model that is `known`.
     """
     simulator, space, conditions = search.simulator, search.evidence.space, range(len(search.groups))
 
@@ -40,17 +40,13 @@ def single(
         return gain(space.without([address]), column, c)
 
     ranked = sorted(numbers, key=takes, reverse=True)
-    chosen = ranked if beside else ranked[:SINGLES]
-    columns = {c: column for c in chosen if (column := does(c)) is not None}
+    columns = {c: column for c in (ranked if beside else ranked[:SINGLES]) if (column := does(c)) is not None}
     if not columns:
         return None
-    alone = search.of({c: column for c, column in columns.items() if c in ranked[:SINGLES]})
-    fits = _fitted(alone, alone.linear_fits([search.nominal()]))
-    if beside:
-        all_of_them = search.of(columns)
-        fits += _fitted(all_of_them, sorted(all_of_them.linear_fits(beside), key=evidence_of, reverse=True)[:tries])
+    other, bases = search.of(columns), beside or [search.nominal()]
+    grown = sorted(other.linear_fits(bases), key=evidence_of, reverse=True)
+    fits = _fitted(other, grown[:tries] if beside else grown)
     fits = [f for f in fits if f.large_enough()]
-    bases = [search.nominal(), *beside]
     alike = {f.model[-1]: _alike(search, f.model[-1], columns[f.model[-1]]) for f in fits}
     wanted = {frozenset((*f.model[:-1], x)) for f in fits for x in alike[f.model[-1]]}
     asked = _fitted(search, [g for g in search.linear_fits(bases) if frozenset(g.model) in wanted]) if wanted else []
@@ -59,7 +55,7 @@ def single(
         *rest, number = f.model
         same = [g for g in asked if any(set(g.model) == {*rest, x} for x in alike[number])]
         if not rest:
-            same += [g for g in known if len(g.model) == 1 and g.model[0].component == number.component and _same(f.signature, g.signature)]
+            same += [g for g in known if len(g.model) == 1 and g.model[0].component == number.component and not _told(search, f, g)]
         return all(f.log_evidence > g.log_evidence + search.growth for g in same)
 
     def likely(f: Fit) -> float:
@@ -100,9 +96,16 @@ def _alike(search: Search, c: Candidate, column: FloatArray) -> list[Candidate]:
     return [x for x in search.candidates if not same.isdisjoint(x.addresses)]
 
 
-def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
+def _same(one: FloatArray, other: FloatArray) -> bool:
     """Whether two changes [n] have the same direction."""
-    return one is not None and other is not None and abs(cosine(one, other)) > SAME_SIGNATURE
+    return abs(cosine(one, other)) > SAME_SIGNATURE
+
+
+def _told(search: Search, one: Fit, other: Fit) -> bool:
+    """Whether two models do something else in these runs: by more than a standard deviation of noise."""
+    if one.signature is None or other.signature is None:
+        return True
+    return search.evidence.space.square(one.signature - other.signature) > 1.0
 
 
 def _fitted(search: Search, chosen: Sequence[Fit]) -> list[Fit]:

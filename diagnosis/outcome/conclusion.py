@@ -268,8 +268,15 @@ class Conclusion:
             return None
         beside = [f for f in self.fits if f.model and set(f.model) <= set(self.best.model)] if machine and far else []
         tries = SINGLES if named else EXTENSIONS  # what would be named is worth more of them than what is refused already
-        fit = single(self.search, self.numbers, self.fits, beside, tries)
-        if fit is None or at_bound(fit.model, fit.values):
+        for bases in ([], beside) if beside else ([],):  # what one number does by itself needs no effects
+            fit = single(self.search, self.numbers, self.fits, bases, tries)
+            if fit is not None and (found := self.believed_number(fit, named)) is not None:
+                return found
+        return None
+
+    def believed_number(self, fit: Fit, named: bool) -> _Single | None:
+        """A model of a number, if it is likelier than what is `named` or what it has in addition, and likelier right than a stand-in."""
+        if at_bound(fit.model, fit.values):
             return None
         its = fit.log_evidence + log_prior(fit, self.search, self.numbers)
         others = log_posteriors([self.best], self.search.candidates)[0]
