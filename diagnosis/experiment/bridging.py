@@ -35,7 +35,7 @@ def bridged(simulator: Simulator, groups: Sequence[Sequence[FloatArray]]) -> lis
 
 
 def missing(condition: Condition, run: Run, channels: Sequence[str]) -> npt.NDArray[np.bool_]:
-    """Which points of the grid lie in a gap of a channel, [n, channels]: no sample is near, and two samples or more of the log are missing.
+    """Which points of the grid lie in a gap of a channel, [n, channels]: no sample is near, and one or more of the log are missing.
 
     Near is ALL_APART steps, as for stamps that all are off.
     """
@@ -47,6 +47,7 @@ def missing(condition: Condition, run: Run, channels: Sequence[str]) -> npt.NDAr
             continue
         after = np.clip(np.searchsorted(t, condition.grid), min(1, len(t) - 1), len(t) - 1)
         apart = np.minimum(np.abs(condition.grid - t[after - 1]), np.abs(t[after] - condition.grid))
+        # half way between samples that follow each other and a single one that is missing
         gone[:, c] = (t[after] - t[after - 1] > 1.5 * usual) & (apart > ALL_APART * condition.step)
     return gone
 

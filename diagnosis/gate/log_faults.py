@@ -58,7 +58,7 @@ ICE = unit_of("degC").offset
 """K. Zero of the scale that temperatures are logged in: a sign or a prefix is wrong about it."""
 FAHRENHEIT = 1.0 / unit_of("degF").factor
 """Degrees Fahrenheit in a kelvin; degrees Fahrenheit and Celsius are the same number at -40."""
-SAME = unit_of("degF").offset / (1.0 - unit_of("degF").factor)
+KELVIN_IS_FAHRENHEIT = unit_of("degF").offset / (1.0 - unit_of("degF").factor)
 """K. Where degrees Fahrenheit and kelvin are the same number."""
 _ORTHOGONAL = ("sign", "axes", "rotation")
 KINDS = (*_ORTHOGONAL, "unit")
@@ -214,7 +214,7 @@ def exact(channels: Sequence[str], units: Sequence[str | None]) -> Iterator[Oper
         scales = [(zero, f, mistake) for zero in zeros for f, (mistake, where) in FACTORS.items() if made_in(unit, where)]
         if unit == "K":
             scales += [(ICE - 40.0, FAHRENHEIT, "degF for degC"), (ICE - 40.0, 1.0 / FAHRENHEIT, "degC for degF")]
-            scales += [(SAME, FAHRENHEIT, "degF for K"), (SAME, 1.0 / FAHRENHEIT, "K for degF")]
+            scales += [(KELVIN_IS_FAHRENHEIT, FAHRENHEIT, "degF for K"), (KELVIN_IS_FAHRENHEIT, 1.0 / FAHRENHEIT, "K for degF")]
         for zero, factor, mistake in scales:
             what = f"is {factor:.4g} times what it should be ({mistake})"
             yield Operator((i,), factor * np.eye(1), "unit", factor, "1", what, _UNIT, zero * (1.0 - factor))

@@ -113,11 +113,11 @@ def _without(laboratory: Laboratory, i: int, mistake: Mistake) -> Laboratory:
     """The laboratory with condition `i` driven by what is measured without the mistake."""
     condition = laboratory.conditions[i]
     (run, *_), system = condition.runs, condition.system or laboratory.system
-    if not set(mistake.columns) <= set(run.columns):
+    players = _players(laboratory, condition)
+    if not players or not set(mistake.columns) <= set(run.columns):
         return laboratory
     logged = np.stack([run.columns[c] for c in mistake.columns], axis=1)
     true = replace(run, columns={**run.columns, **dict(zip(mistake.columns, mistake.operator.true(logged).T, strict=True))})
-    players = _players(laboratory, condition)
 
     def resolver(source: str, name: str) -> Slave:
         if source.startswith(UNDONE):

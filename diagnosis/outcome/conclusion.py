@@ -209,11 +209,10 @@ class Conclusion:
         shown = self.best if number is None else number.fit
         stays = dict.fromkeys(shown.model, number.p_fit) if number is not None else {}
         which = self.which(marginal, pairs, {c: max(belief * instead.belief(c), stays.get(c, 0.0)) for c in marginal}, shown)
+        limits = verdict in ("unknown", "none")  # else the answer says why they are there
         answer = Answer(
             verdict,
-            tuple(
-                f for f in self.findings if f.kind != gate.LIMITED or verdict in ("unknown", "none")
-            ),  # else the answer says why it is there
+            tuple(f for f in self.findings if f.kind != gate.LIMITED or limits),
             which=which,
             isolability=tuple(pairs),
             gap=gap,
