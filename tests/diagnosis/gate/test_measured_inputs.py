@@ -12,12 +12,12 @@ import pytest
 
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
-from robomill.diagnosis.gate.measured_inputs import Mistake, mistakes
+from robomill.diagnosis.gate.measured_inputs import Mistake, _without, mistakes
 from robomill.orchestration.runs.importing import write_run
 from robomill.orchestration.runs.run import Run
 from robomill.orchestration.slaves.protocol import PortData
 from robomill.orchestration.system.definition import Component, Connection, System
-from tests.diagnosis.axis import catalogue, resolve
+from tests.diagnosis.axis import catalogue, resolve, system
 from tests.diagnosis.demo import Part, real
 from tests.diagnosis.experiment.test_driven import SYSTEM, recorded
 from tests.tolerances import ROUNDOFF
@@ -159,3 +159,13 @@ def test_a_mistake_may_be_of_inputs_and_outputs_together(tmp_path: Path, mistake
     good, bad = verdicts
     assert good["verdict"] == "none"
     assert [(f["channel"], f["text"].partition(":")[0]) for f in bad["gate"]["findings"] if f["fatal"]] == [(name, said)]
+
+
+def test_a_condition_that_plays_nothing_stays_as_it_is(tmp_path: Path) -> None:
+    """In a campaign another condition may have the same columns, and several repeats."""
+    run = logged(tmp_path, lambda _, x: x)
+    played = next(m for m in possible(run) if m.finding.kind == "sign")
+    condition = type("Condition", (), {"system": system(), "runs": [run, run]})()
+    laboratory: Any = type("Laboratory", (), {"conditions": [condition], "system": system()})()
+    assert set(played.columns) <= set(run.columns)
+    assert _without(laboratory, 0, played) is laboratory
