@@ -135,8 +135,11 @@ class Places:
         return Place(name, side, self._solved(problems))
 
     def _solved(self, problems: Sequence[Problem]) -> list[Solved]:
-        wanted = [p for p in problems if not self.arrays or not self.arrays.isdisjoint(p.targets)]
-        return [solve(doubted(p, self.replays, self.doubts, self.deviation)) for p in wanted]
+        return [self._solve(p) for p in problems if not self.arrays or not self.arrays.isdisjoint(p.targets)]
+
+    def _solve(self, problem: Problem) -> Solved:
+        solved = solve(doubted(problem, self.replays, self.doubts, self.deviation))
+        return self._solve(problem.of(solved.terms)) if problem.simulated is not None and solved.terms else solved
 
     def _leaves_more_than_noise(self, place: Place) -> bool:
         left = {c: float(x.sum()) for s in place.forms for c, x in s.left.items() if c in self.deviation}

@@ -3,17 +3,21 @@
 - A measured output of the component itself: what a term adds is seen as it is.
 - An output that was not measured, behind which another component has measured ones: what a small constant shift of the output does there,
   at each time, tells what a term does there.
-- An input of a component with several measured outputs: what a term does to them is simulated, with the component alone. One law at an
+- An input of a component with several measured outputs: what a term does to them is what the component alone makes of it. One law at an
   input shows in all of them, as the component makes it (filtered, turned), where laws at the outputs would be as many.
 - An input of a component with measured outputs behind it that add up what goes in (they are not replayed alone): what a term does to all
-  that is measured is simulated in the closed loop.
+  that is measured is what the closed loop makes of it.
+
+At an input terms are chosen by the response to pulses (`responses`), and those that are chosen are simulated.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from heapq import heappush, heappushpop
 
 import numpy as np
@@ -23,6 +27,7 @@ from robomill.diagnosis.experiment.simulation import Laboratory, decimate
 from robomill.diagnosis.forms.doubts import Doubts, likeliest, passed_on
 from robomill.diagnosis.forms.layout import Side
 from robomill.diagnosis.forms.library import OF_ONE, Term, library, periodic
+from robomill.diagnosis.forms.responses import Response
 from robomill.diagnosis.forms.selection import Rows
 from robomill.diagnosis.forms.signals import Host, Variable, index_of, series, value, variables
 from robomill.models.components.correction import TIME
@@ -106,11 +111,18 @@ class Problem:
     """Whether the gap and all columns are those of the closed loop, and not of components alone."""
     approximate: bool = False
     """Whether the closed loop may do otherwise than the columns say: they are slopes, or of outputs that are not as they were measured."""
+    simulated: Callable[[str, Term], Sequence[FloatArray]] | None = None
+    """Simulates what a term of an element does, as `extra`, where that is by a response; None where columns are what they are."""
 
     @property
     def targets(self) -> tuple[str, ...]:
         """Arrays of these channels."""
         return tuple(dict.fromkeys(map(base_name, self.channels)))
+
+    def of(self, terms: Sequence[tuple[str, Term]]) -> Problem:
+        """The problem with these terms only, each of them simulated."""
+        assert self.simulated is not None
+        return replace(self, terms=list(terms), extra={t: self.simulated(*t) for t in terms}, simulated=None)
 
     def column(self, element: str, term: Term) -> list[FloatArray]:
         """What a term does, by condition, block means over the decimation, [blocks, channels]."""
@@ -235,7 +247,7 @@ def behind(laboratory: Laboratory, replays: Sequence[ComponentReplay], component
 
 
 def entering(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: str, deviation: Mapping[str, float]) -> list[Problem]:
-    """One problem for the inputs of a component, as far as outputs show them; each term is simulated, the component alone.
+    """One problem for the inputs of a component, as far as outputs show them, the component alone.
 
     Terms are of inputs, of the time, and of outputs that no input of now reaches: what was measured of the others holds what the law does
     already. `deviation`: channels that count, with the standard deviation of their noise [unit of the channel].
@@ -261,7 +273,7 @@ def entering(laboratory: Laboratory, replays: Sequence[ComponentReplay], compone
 
 
 def into(laboratory: Laboratory, replays: Sequence[ComponentReplay], component: str) -> list[Problem]:
-    """One problem for the inputs of a component with measured outputs behind it that add up; each term is simulated in the closed loop."""
+    """One problem for the inputs of a component with measured outputs behind it that add up, in the closed loop."""
     if not any(a.partition(".")[0] in _reached(replays[0], component) for r in replays for a in r.adding):
         return []
     seen = Seen.of(laboratory, replays, component, "input", in_loop=True)
@@ -291,30 +303,48 @@ def _simulated(
     *,
     in_loop: bool,
 ) -> list[Problem]:
-    """The problem of the `gap` in some channels, over `scale`, with terms at inputs that are simulated one by one; none without any term.
+    """The problem of the `gap` in some channels, over `scale`, with terms at inputs, by their `Response`; none without any term.
 
     `usual`: size of what passes, by column (`_push`). `in_loop`: gap and columns are those of the closed loop.
     """
     d, step, scaled = laboratory.decimation, replays[0].step, [g / scale for g in gap]
     gaps = [decimate(g, d) for g in scaled]
     best = _Screened(sum(map(len, gaps)))
+    slowest = max(c.every for c in laboratory.system.components) * laboratory.system.step
     for element, (column, late) in seen.host.sources.items():
-        if element not in seen.host.ports:
+        terms = seen.library(element, alone=in_loop) if element in seen.host.ports else []
+        if not terms:
             continue
-        for term in seen.library(element, alone=in_loop):
-            made = []
-            for r, known in zip(replays, seen.known, strict=True):
-                x = term.values(known, len(r.grid))
-                x = np.append(x[1:], x[-1]) if late else x  # it arrives a step later than it is sent
-                push = _push(usual[column], x)
-                made.append(decimate(does(r, column, push * x) / (push * scale), d))
-            best.add((element, term), made, gaps)
+        made = []
+        for r, known in zip(replays, seen.known, strict=True):
+            given = np.stack([_sent(term.values(known, len(r.grid)), late) for term in terms], axis=1)
+            width = max(1, math.ceil(slowest / (d * r.step) - 0.5))
+            response = Response.of(partial(does, r, column), len(r.grid), d, width, _push(usual[column], np.ones(1)))
+            made.append(response.to(decimate(given, d)) / scale[:, None])
+        for k, term in enumerate(terms):
+            best.add((element, term), [x[:, :, k].copy() for x in made], gaps)
     extra = best.columns()
     read = {v.name for known in seen.known for v in known} & set(seen.host.ports)
     approximate = in_loop or not all(map(seen.host.is_input, read))
+
+    def simulated(element: str, term: Term) -> list[FloatArray]:
+        column, late = seen.host.sources[element]
+        made = []
+        for r, known in zip(replays, seen.known, strict=True):
+            x = _sent(term.values(known, len(r.grid)), late)
+            push = _push(usual[column], x)
+            made.append(decimate(does(r, column, push * x) / (push * scale), d))
+        return made
+
     if not extra:
         return []
-    return [Problem(seen, channels, list(extra), scaled, scale, [], d, step, extra, base=d, in_loop=in_loop, approximate=approximate)]
+    problem = Problem(seen, channels, list(extra), scaled, scale, [], d, step, extra, base=d, in_loop=in_loop, approximate=approximate)
+    return [replace(problem, simulated=simulated)]
+
+
+def _sent(x: FloatArray, late: bool) -> FloatArray:
+    """A series that arrives as x [n], where what is sent may arrive a step later."""
+    return np.append(x[1:], x[-1]) if late else x
 
 
 class _Screened:
@@ -342,7 +372,7 @@ class _Screened:
 
 
 def _push(usual: float, x: FloatArray) -> float:
-    """How much of a term [n] is tried: KNOWN of the size of what passes, or of one where nothing passes."""
+    """How much of a series [n] is tried: KNOWN of the size of what passes, or of one where nothing passes."""
     return KNOWN * (usual or 1.0) / (_usual([x]) or 1.0)
 
 
