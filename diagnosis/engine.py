@@ -194,8 +194,9 @@ def _nominal(search: Search, groups: Sequence[Sequence[FloatArray]], best: Fit) 
 def _wrong_input(search: Search, fits: Sequence[Fit]) -> Finding | None:
     """The mistake in a measured input without which the nominal system explains most; None where it does not explain enough.
 
-    It does if it leaves no more than the best model, or LITTLE of the gap: nothing is fitted, and no effect is as large as a wrong sign or
-    unit is.
+    It does if it leaves LITTLE of the gap: nothing is fitted, and no effect is as large as a wrong sign or unit is. It does, too, if it
+    leaves no more than the best model, and no more of the gap than a right model does (MISFIT). Tolerances explain much of a gap that goes
+    with a wrong input; so no more than MISFIT is left of its squares without them, and of several mistakes that leaves least.
     """
     gap = over_noise(search, fits[0])
     if gap < UNKNOWN:
@@ -204,9 +205,12 @@ def _wrong_input(search: Search, fits: Sequence[Fit]) -> Finding | None:
     ran = [(m, groups) for m in tried if (groups := undone(search.simulator, search.groups, m)) is not None]
     if not ran:
         return None
-    left = [max(looks_at(search, search.evidence.residual(groups))) for _, groups in ran]
-    mistake, groups = ran[int(np.argmin(left))]
-    explained = min(left) < LITTLE * gap or _nominal(search, groups, _simulated(search, _best(search, fits)))
+    squares = [float((search.evidence.residual(groups) ** 2).sum()) for _, groups in ran]
+    mistake, groups = ran[int(np.argmin(squares))]
+    if min(squares) > MISFIT * float((search.evidence.space.y**2).sum()):
+        return None
+    left = max(looks_at(search, search.evidence.residual(groups)))
+    explained = left < LITTLE * gap or (left < MISFIT * gap and _nominal(search, groups, _simulated(search, _best(search, fits))))
     return mistake.finding if explained else None
 
 
@@ -260,10 +264,15 @@ def _explained(
     the log as it is: LITTLE of that may be left, too. Where the log as it is has no model that is likelier right than a stand-in
     (`_right`), as much may be left as a law may be off (MISFIT). A unit that is undone divides whatever is left, so that it has none. A
     fault is believed, too, where the best model of the log without it is likelier right than a stand-in, by what it leaves and by its
-    calibrated numbers, and that of the log as it is is not, or shows nothing of it. What a model leaves is what simulations leave.
+    calibrated numbers, and that of the log as it is is not, or shows nothing of it. What a model leaves is what simulations leave. Where
+    the noise is a guess, that of a gap is as large as the gap is fast; so what is left has to be less in the noise of the log as it is.
     """
     other, found = searched(catalogue, search.simulator, groups, nuisances)
     best, as_it_is = _simulated(other, _best(other, found)), _simulated(search, _best(search, fits))
+    if search.evidence.whitening.guessed and all(map(log_faults.keeps_size, faults)):
+        shown = search.mean_signature(best.values)
+        if shown is None or max(looks_at(search, search.evidence.residual(groups) - shown)) > over_noise(search, as_it_is):
+            return None
     believed = bool(faults) and _right(search, fits, as_it_is) and _shows(search, as_it_is, {f.channel for f in faults})
     if faults and not believed and _right(other, found, best):
         return best

@@ -23,7 +23,7 @@ from robomill.orchestration.slaves.protocol import FloatArray, Slave
 
 UNDONE = "undone:"
 """Source of a component that plays what was measured, with a mistake undone."""
-_PUT_RIGHT = ": with that put right, the nominal system explains nearly all of the gap, or as much as any effects do"
+_PUT_RIGHT = ": with that put right, the nominal system explains nearly all of the gap"
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,11 @@ def mistakes(laboratory: Laboratory, n: int) -> list[Mistake]:
 def undone(simulator: Simulator, groups: Sequence[Sequence[FloatArray]], mistake: Mistake) -> list[list[FloatArray]] | None:
     """Measured repeats of the diagnosed conditions as the nominal system would see them without the mistake; None where it cannot run.
 
-    Taken off is what the mistake undone changes in the simulation, so that what is left beside the nominal one is left of the other.
+    What is left beside the nominal simulation is what is left beside that without the mistake, in the units of the log: the noise is one
+    of these.
     """
     laboratory, changes, made = simulator.laboratory, simulator.seeded(()), []
+    again = [mistake.operator.scale if c in mistake.columns else 1.0 for c in laboratory.channels]
     for i, group in enumerate(groups):
         changed = _without(laboratory, i, mistake)
         (nominal,) = simulator.many([(i, changes)], "measured inputs")
@@ -65,7 +67,7 @@ def undone(simulator: Simulator, groups: Sequence[Sequence[FloatArray]], mistake
         if nominal is None or without is None:
             return None
         measured = zip(group, laboratory.measured_in(i), changed.measured_in(i), strict=True)
-        made.append([x + (true - logged) - (without - nominal) for x, logged, true in measured])
+        made.append([x - logged + nominal + again * (true - without) for x, logged, true in measured])
     return made
 
 

@@ -23,7 +23,8 @@ def single(
 
     All are simulated once in each condition. Fitted are those SINGLES that take most away by themselves as they are slopes; with models
     `beside`, the likeliest in addition to one of these, so many `tries`. A number that does no more than an effect of its component is
-    none, where that has the same slope, or does the same in a model that is `known`.
+    none, where that has the same slope, or does the same in a model that is `known`. The effect is tried from where the number is, too: its
+    own fit may have ended elsewhere.
     """
     simulator, space, conditions = search.simulator, search.evidence.space, range(len(search.groups))
 
@@ -56,7 +57,10 @@ def single(
         same = [g for g in asked if any(set(g.model) == {*rest, x} for x in alike[number])]
         if not rest:
             same += [g for g in known if len(g.model) == 1 and g.model[0].component == number.component and not _told(search, f, g)]
-        return all(f.log_evidence > g.log_evidence + search.growth for g in same)
+        if any(f.log_evidence <= g.log_evidence + search.growth for g in same):
+            return False
+        near = (_in_place(search, f, x, columns[number]) for x in alike[number] if len(x.addresses) == 1)
+        return all(g is None or f.log_evidence > g.log_evidence + search.growth for g in near)
 
     def likely(f: Fit) -> float:
         return f.log_evidence + log_prior(f, search, numbers)
@@ -94,6 +98,19 @@ def _alike(search: Search, c: Candidate, column: FloatArray) -> list[Candidate]:
     addresses, known, _ = search.alone
     same = {a for a, one in zip(addresses, known.T, strict=True) if a[0] == c.component and _same(one, column)}
     return [x for x in search.candidates if not same.isdisjoint(x.addresses)]
+
+
+def _in_place(search: Search, fit: Fit, effect: Candidate, column: FloatArray) -> Fit | None:
+    """The fit with an effect in place of its last member, a number whose slope is `column` [n], near where that is."""
+    *rest, number = fit.model
+    (of_number,), (address,) = number.addresses, effect.addresses
+    own = search.evidence.sensitivities[address]
+    per = float(column @ own) / float(own @ own) * effect.prior.scale / number.prior.scale
+    value, deviation = per * fit.values[of_number], abs(per) * fit.deviations[of_number]
+    if not min(effect.bounds) <= value <= max(effect.bounds):
+        return None
+    values = {a: v for a, v in fit.values.items() if a != of_number} | {address: value}
+    return search.fitted((*rest, effect), values, {**fit.deviations, address: deviation})
 
 
 def _same(one: FloatArray, other: FloatArray) -> bool:

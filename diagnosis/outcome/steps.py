@@ -25,7 +25,7 @@ class Step:
     """An effect that joins those before it."""
 
     effect: str
-    """Its name and place."""
+    """Its name and place; several, joined by `+`, where the system does not run with fewer of them."""
     left: Mapping[str, Left]
     """Figure (`channel` of `HowFar`) -> what is left with this effect and all before it."""
 
@@ -43,11 +43,13 @@ class Steps:
 def steps(closing: Closing, fit: Fit) -> Steps:
     """The effects of a model one after the other, each set simulated: (number of effects - 1) simulations more per condition and repeat."""
     values: dict[Address, float] = {}
-    kind, added = closing.hardest, []
+    kind, added, together = closing.hardest, [], []
     for c in ranked(fit, closing.search.evidence.space.without(list(fit.values))):
         values |= {a: fit.values[a] for a in c.addresses}
-        found = closing.of(physical(values), (kind,))
-        added.append(Step(c.name, {h.channel: Left(h.after, h.closure) for h in found}))
+        together.append(c.name)
+        if found := closing.of(physical(values), (kind,)):
+            added.append(Step(" + ".join(together), {h.channel: Left(h.after, h.closure) for h in found}))
+            together = []
     return Steps(kind, tuple(added))
 
 
