@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from robomill.diagnosis.candidates import LOGGING, Address, Candidate, Nuisance
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.experiment.campaign import Campaign
 from robomill.diagnosis.experiment.measured import Condition, DataError, in_units
-from robomill.diagnosis.experiment.simulation import Laboratory
+from robomill.diagnosis.experiment.simulation import Laboratory, decimate
 from robomill.diagnosis.gate import run_set
 from robomill.diagnosis.gate.checks import Finding
+from robomill.diagnosis.inference.adequacy import MISFIT
 from robomill.diagnosis.numbers import lacking
 from robomill.orchestration.assembly import MEASURED, Resolver, assemble, run
 from robomill.orchestration.slaves.protocol import PortData, base_name
@@ -21,6 +24,8 @@ from robomill.orchestration.system.parameters import Convert
 
 ROWS = 1500
 """Samples that a diagnosis works on, over all conditions: longer logs are averaged in blocks."""
+RINGING = 4 * ROWS
+"""Samples, where means over more would lose what the machine does."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +110,8 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
         refinement=catalogue.refinement,
     )
     laboratory.conditions, laboratory.ports = _with_channels(laboratory, n)
-    laboratory.channels, laboratory.decimation = list(laboratory.ports), _decimation(system, conditions, n)
+    laboratory.channels, laboratory.decimation = list(laboratory.ports), 1
+    laboratory.decimation = _decimation(laboratory, n)
     return Prepared(laboratory, n, catalogue, nuisances, numbers, skipped, tuple(short))
 
 
@@ -188,7 +194,29 @@ def _with_channels(laboratory: Laboratory, n: int) -> tuple[list[Condition], dic
     return made, ports
 
 
-def _decimation(system: System, conditions: Sequence[Condition], n: int) -> int:
-    """Communication steps of `system` that a sample is the mean over: at most ROWS samples, none shorter than a step of any system."""
-    points = sum(len(c.grid) * round(c.step / system.step, 6) for c in conditions[:n])
-    return max(1, math.ceil(points / ROWS), *(math.ceil(round(c.step / system.step, 6)) for c in conditions))
+def _decimation(laboratory: Laboratory, n: int) -> int:
+    """Communication steps of the system that a sample is the mean over: at most ROWS samples, none shorter than a step of any system.
+
+    Where nothing was repeated, noise is what is fast, and what the machine does within a sample would be taken for it. There a sample is
+    no longer than its means keep all but MISFIT of the variance of each signal of the nominal system, with at most RINGING samples.
+    """
+    step, conditions = laboratory.system.step, laboratory.conditions
+    points = sum(len(c.grid) * round(c.step / step, 6) for c in conditions[:n])
+    least = max(1, *(math.ceil(round(c.step / step, 6)) for c in conditions))
+    longest = max(least, math.ceil(points / ROWS))
+    if any(len(c.runs) > 1 for c in conditions[:n]):
+        return longest
+    signals = [laboratory.sampled(i, ()) for i in range(n)] if longest > least else []
+
+    def kept(factor: int) -> float:
+        """Share of the variance that the means have, of the channel that loses most."""
+        whole, there = np.zeros(len(laboratory.channels)), np.zeros(len(laboratory.channels))
+        for x, c in zip(signals, conditions, strict=False):
+            if x is not None:
+                samples = max(1, round(factor * step / c.step))
+                whole += ((x - x.mean(axis=0)) ** 2).sum(axis=0)
+                there += samples * ((decimate(x, samples) - x.mean(axis=0)) ** 2).sum(axis=0)
+        return float((there[whole > 0.0] / whole[whole > 0.0]).min(initial=1.0))
+
+    least = max(least, math.ceil(points / RINGING))
+    return next((k for k in range(longest, least, -1) if kept(k) > 1.0 - MISFIT), min(least, longest))

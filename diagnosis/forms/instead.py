@@ -26,10 +26,10 @@ from robomill.diagnosis.forms.library import Term
 from robomill.diagnosis.forms.ports import Problem, alike, direct
 from robomill.diagnosis.forms.selection import Labels, Rows
 from robomill.diagnosis.forms.signals import index_of
+from robomill.diagnosis.inference.ceiling import FOLDS
 from robomill.diagnosis.inference.estimation import Fit
 from robomill.diagnosis.inference.intervals import MATERIAL, Noise
 from robomill.diagnosis.inference.machines import MACHINES
-from robomill.diagnosis.outcome.ceiling import FOLDS
 from robomill.orchestration.errors import OrchestrationError
 from robomill.orchestration.slaves.protocol import FloatArray
 

@@ -12,7 +12,7 @@ from robomill.diagnosis.forms.library import SLIDES, Term
 from robomill.diagnosis.forms.ports import Problem
 from robomill.diagnosis.forms.selection import MOST, Divided, Labels, Rows, fitted, worse
 from robomill.diagnosis.forms.signals import Variable
-from robomill.diagnosis.outcome.ceiling import FOLDS
+from robomill.diagnosis.inference.ceiling import FOLDS
 from robomill.orchestration.slaves.protocol import FloatArray
 
 Place = tuple[str, Variable]

@@ -15,7 +15,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from robomill.diagnosis.experiment.simulation import decimate
 from robomill.diagnosis.forms.selection import Labels
-from robomill.diagnosis.outcome.ceiling import FOLDS
+from robomill.diagnosis.inference.ceiling import FOLDS
 from robomill.orchestration.slaves.protocol import FloatArray
 
 

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from robomill.diagnosis.experiment.repeats import RESAMPLES
+from robomill.diagnosis.inference.ceiling import FOLDS
 from robomill.diagnosis.inference.intervals import MATERIAL, MEMORY
-from robomill.diagnosis.outcome.ceiling import FOLDS
 from robomill.diagnosis.outcome.closure import BLOCKS
 from robomill.orchestration.slaves.protocol import FloatArray
 

@@ -12,7 +12,7 @@ from robomill.diagnosis.forms.periods import with_periods
 from robomill.diagnosis.forms.ports import Problem
 from robomill.diagnosis.forms.selection import Chosen, Products, Rows, Values, choose, chosen_in, pruned, values
 from robomill.diagnosis.forms.siblings import together, with_siblings
-from robomill.diagnosis.outcome.ceiling import FOLDS
+from robomill.diagnosis.inference.ceiling import FOLDS
 from robomill.diagnosis.outcome.closure import BLOCKS
 from robomill.orchestration.slaves.protocol import FloatArray
 

@@ -21,6 +21,7 @@ from scipy.fft import dct
 from robomill.diagnosis.candidates import LOGGING, Address, Candidate, selects
 from robomill.diagnosis.experiment.measured import DataError
 from robomill.diagnosis.experiment.simulation import Laboratory
+from robomill.diagnosis.inference.ceiling import cross_fitted
 from robomill.diagnosis.inference.columns import Columns
 from robomill.diagnosis.inference.estimation import Model, Space
 from robomill.diagnosis.inference.noise import SPELL, Whitening, fast, own_noise, whitening
@@ -255,7 +256,7 @@ def gather(
     there = [laboratory.there(name)[active] for name in conditions]
     independent = [laboratory.independent(name) for name in conditions]
     if like is None:
-        over = _left_by_all(over, changes, independent)
+        over = _left_by_regression(_left_by_all(over, changes, independent), changes, means, independent)
     spare = _spare(laboratory, active) if like is None else []
     w = _whitening(groups, nominals, changes, begin, over, there, independent, spare) if like is None else like.whitening
     ws = [w.of(apart) for apart in independent]
@@ -465,6 +466,29 @@ def _left_by_all(left: Sequence[Sequence[FloatArray]], changes: Changes, indepen
     return found
 
 
+def _left_by_regression(
+    left: Sequence[Sequence[FloatArray]], changes: Changes, signals: Sequence[FloatArray], independent: Sequence[bool]
+) -> list[list[FloatArray]]:
+    """What is left of each run [samples, channels]; of one without repeats what a regression leaves of that.
+
+    It is on what all parameters do, and on the simulated `signals` and their rates. What these do to a part of a run, as they do in the
+    other parts (`cross_fitted`), is no noise, however fast it is. A channel of which it leaves more stays as it is.
+    """
+    found = [list(runs) for runs in left]
+    once = [i for i, apart in enumerate(independent) if len(left[i]) == 1 and not apart]
+    rates = {i: np.concatenate([signals[i], np.gradient(signals[i], axis=0)], axis=1) for i in once}
+    for c in range(left[0][0].shape[1]) if once else ():
+        columns = {i: np.column_stack([rates[i], *(change[i][:, c] for change in changes.values())]) for i in once}
+        size = np.sqrt(np.mean(np.concatenate(list(columns.values())) ** 2, axis=0))
+        does = {i: x[:, size > 0.0] / size[size > 0.0] for i, x in columns.items()}
+        for i in once:
+            gap = left[i][0][:, [c]]
+            rest = gap - cross_fitted(does[i], gap, [(does[k], left[k][0][:, [c]]) for k in once if k != i])
+            if (rest**2).sum() < (gap**2).sum():
+                found[i][0] = np.where(np.arange(found[i][0].shape[1]) == c, rest, found[i][0])
+    return found
+
+
 def _late(space: Space, clocks: Sequence[Candidate], channels: Sequence[str], size: float) -> frozenset[Address]:
     """Components that the nominal system would have to take for late by more than a late clock of the catalogue is: that is no nuisance.
 
@@ -519,13 +543,16 @@ def _whitening(
 ) -> Whitening:
     """From the repeats, above a floor of TRUST of what effects of typical size do to a channel, over the conditions that have it.
 
+    Where noise is a guess, that is of no more than there is: of typical size some effects make a simulation run away.
     Of channels that are repeated in no condition noise is what the `spare` repeats scatter, and a guess where there are none of these.
     """
     samples = np.maximum(np.sum([len(n[0]) * on for n, on in zip(nominals, there, strict=True)], axis=0), 1)
     rms = np.array([np.sqrt(sum((c * c).sum(axis=0) for c in change) / samples) for change in changes.values()])
+    known = np.any([on & (len(g) > 1) for g, on in zip(groups, there, strict=True)], axis=0)
+    size = np.maximum(*(np.sqrt(sum((x[0] ** 2).sum(axis=0) for x in of) / samples) for of in (groups, nominals)))
+    rms = np.where(known, rms, np.minimum(rms, size))
     floor = np.array([TRUST * np.median(r[r > 1e-3 * r.max()]) if r.max() > 0.0 else 0.0 for r in rms.T])
     least = 1e-9 + 1e-6 * np.abs(np.concatenate([n[0] for n in nominals])).max(axis=0)  # what numbers are not good for
-    known = np.any([on & (len(g) > 1) for g, on in zip(groups, there, strict=True)], axis=0)
     spare = [r for r in spare if np.any(r.there & ~known)]
     every, rest = [*groups, *(r.runs for r in spare)], [*left, *(r.runs for r in spare)]
     shown, apart = [*there, *(r.there & ~known for r in spare)], [*independent, *(r.independent for r in spare)]

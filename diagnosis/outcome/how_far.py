@@ -12,10 +12,10 @@ import numpy.typing as npt
 from robomill.diagnosis.candidates import Address
 from robomill.diagnosis.experiment.segments import by_array
 from robomill.diagnosis.experiment.simulation import setting
+from robomill.diagnosis.inference.ceiling import predicted_gap
 from robomill.diagnosis.inference.search import Search
 from robomill.diagnosis.localisation.where import WHOLE
 from robomill.diagnosis.outcome import closure
-from robomill.diagnosis.outcome.ceiling import predicted_gap
 from robomill.orchestration.slaves.protocol import FloatArray
 
 CLOSING = 4

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robomill.diagnosis.outcome.ceiling import predicted_gap
+from robomill.diagnosis.inference.ceiling import predicted_gap
 from robomill.diagnosis.outcome.closure import figures, products
 from robomill.orchestration.slaves.protocol import FloatArray
 from tests.tolerances import chance, of_variance, physics

@@ -31,12 +31,20 @@ def predicted_gap(signals: FloatArray, gap: FloatArray, known: Sequence[tuple[Fl
     scaled = [(s[:, moving] - centre[moving]) / spread[moving] for s in (signals, *(s for s, _ in known))]
     pace = np.sqrt(np.mean(np.concatenate([np.gradient(z, axis=0) for z in scaled]) ** 2, axis=0)) + 1e-300
     here, *others = [_features(z, pace) for z in scaled]
+    return cross_fitted(here, gap, [(x, g) for x, (_, g) in zip(others, known, strict=True)])
+
+
+def cross_fitted(features: FloatArray, gap: FloatArray, known: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
+    """The gap [samples, channels] as a ridge regression on features [samples, m], each part by the others.
+
+    `known`: features and gaps of other conditions.
+    """
     predicted = np.empty_like(gap)
     edges = np.linspace(0, len(gap), FOLDS + 1).astype(int)
     for low, high in itertools.pairwise(edges):
         rest = np.r_[0:low, high : len(gap)]
-        x, y = np.concatenate([here[rest], *others]), np.concatenate([gap[rest], *(g for _, g in known)])
-        predicted[low:high] = here[low:high] @ _ridge(x, y)
+        x, y = np.concatenate([features[rest], *(f for f, _ in known)]), np.concatenate([gap[rest], *(g for _, g in known)])
+        predicted[low:high] = features[low:high] @ _ridge(x, y)
     return predicted
 
 
