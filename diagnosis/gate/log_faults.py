@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,30 +29,32 @@ from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 ANGLES, SPEEDS, LENGTHS, FORCES, PRESSURES, RATES = ("rad",), ("rad/s",), ("m",), ("N", "N.m"), ("Pa",), ("m/s", "m3/s", "kg/s", "1/s")
 """SI units in which some mistakes are made, and in their rates: `m` stands for `m/s` and `m/s2`, too."""
-FACTORS: Mapping[float, tuple[str, tuple[str, ...]]] = {
-    1e3: ("milli- for units", ()),
-    1e-3: ("units for milli-", ()),
-    1e6: ("micro- for units", ()),
-    1e-6: ("units for micro-", ()),
-    180.0 / np.pi: ("degrees for radians", ANGLES),
-    np.pi / 180.0: ("radians for degrees", ANGLES),
-    9.80665: ("newtons (m/s2) for kilogram-force (g)", (*FORCES, "m/s2")),
-    1 / 9.80665: ("kilogram-force (g) for newtons (m/s2)", (*FORCES, "m/s2")),
-    14.5037738: ("pounds per square inch for bar", PRESSURES),
-    1 / 14.5037738: ("bar for pounds per square inch", PRESSURES),
-    60 / (2 * np.pi): ("rpm for rad/s", SPEEDS),
-    2 * np.pi / 60: ("rad/s for rpm", SPEEDS),
-    100.0: ("centimetres for metres, per cent for parts of one", (*LENGTHS, "1")),
-    0.01: ("metres for centimetres, parts of one for per cent", (*LENGTHS, "1")),
-    60.0: ("per minute for per second", RATES),
-    1 / 60.0: ("per second for per minute", RATES),
-    6e4: ("litres per minute for m3/s", ("m3/s",)),
-    1 / 6e4: ("m3/s for litres per minute", ("m3/s",)),
-    25.4: ("millimetres for inches", LENGTHS),
-    1 / 25.4: ("inches for millimetres", LENGTHS),
-    4.4482216: ("newtons for pound-force", FORCES),
-    1 / 4.4482216: ("pound-force for newtons", FORCES),
-}
+FACTORS: Sequence[tuple[float, str, tuple[str, ...]]] = (
+    (1e3, "milli- for units", ()),
+    (1e-3, "units for milli-", ()),
+    (1e6, "micro- for units", ()),
+    (1e-6, "units for micro-", ()),
+    (180.0 / np.pi, "degrees for radians", ANGLES),
+    (np.pi / 180.0, "radians for degrees", ANGLES),
+    (9.80665, "newtons (m/s2) for kilogram-force (g)", (*FORCES, "m/s2")),
+    (1 / 9.80665, "kilogram-force (g) for newtons (m/s2)", (*FORCES, "m/s2")),
+    (14.5037738, "pounds per square inch for bar", PRESSURES),
+    (1 / 14.5037738, "bar for pounds per square inch", PRESSURES),
+    (60 / (2 * np.pi), "rpm for rad/s", SPEEDS),
+    (2 * np.pi / 60, "rad/s for rpm", SPEEDS),
+    (100.0, "centimetres for metres", LENGTHS),
+    (100.0, "per cent for parts of one", ("1",)),
+    (0.01, "metres for centimetres", LENGTHS),
+    (0.01, "parts of one for per cent", ("1",)),
+    (60.0, "per minute for per second", RATES),
+    (1 / 60.0, "per second for per minute", RATES),
+    (6e4, "litres per minute for m3/s", ("m3/s",)),
+    (1 / 6e4, "m3/s for litres per minute", ("m3/s",)),
+    (25.4, "millimetres for inches", LENGTHS),
+    (1 / 25.4, "inches for millimetres", LENGTHS),
+    (4.4482216, "newtons for pound-force", FORCES),
+    (1 / 4.4482216, "pound-force for newtons", FORCES),
+)
 """Usual mistakes in units: measured over simulated, what it is called, and the units in which it is made (none: in any)."""
 ICE = unit_of("degC").offset
 """K. Zero of the scale that temperatures are logged in: a sign or a prefix is wrong about it."""
@@ -211,7 +213,7 @@ def exact(channels: Sequence[str], units: Sequence[str | None]) -> Iterator[Oper
             yield Operator((i,), -np.eye(1), "sign", -1.0, "1", "has the wrong sign", "turn it", 2.0 * zero)
         if unit == "1":
             yield Operator((i,), -np.eye(1), "sign", -1.0, "1", "is inverted (0 for 1, 1 for 0)", "take it from 1", 1.0)
-        scales = [(zero, f, mistake) for zero in zeros for f, (mistake, where) in FACTORS.items() if made_in(unit, where)]
+        scales = [(zero, f, mistake) for zero in zeros for f, mistake, where in FACTORS if made_in(unit, where)]
         if unit == "K":
             scales += [(ICE - 40.0, FAHRENHEIT, "degF for degC"), (ICE - 40.0, 1.0 / FAHRENHEIT, "degC for degF")]
             scales += [(KELVIN_IS_FAHRENHEIT, FAHRENHEIT, "degF for K"), (KELVIN_IS_FAHRENHEIT, 1.0 / FAHRENHEIT, "K for degF")]

@@ -543,14 +543,16 @@ def _whitening(
 ) -> Whitening:
     """From the repeats, above a floor of TRUST of what effects of typical size do to a channel, over the conditions that have it.
 
-    Where noise is a guess, that is of no more than there is: of typical size some effects make a simulation run away.
+    Where noise is a guess, effects that do more than all there is are left out, if there are others: of typical size some make a simulation
+    run away.
     Of channels that are repeated in no condition noise is what the `spare` repeats scatter, and a guess where there are none of these.
     """
     samples = np.maximum(np.sum([len(n[0]) * on for n, on in zip(nominals, there, strict=True)], axis=0), 1)
     rms = np.array([np.sqrt(sum((c * c).sum(axis=0) for c in change) / samples) for change in changes.values()])
     known = np.any([on & (len(g) > 1) for g, on in zip(groups, there, strict=True)], axis=0)
     size = np.maximum(*(np.sqrt(sum((x[0] ** 2).sum(axis=0) for x in of) / samples) for of in (groups, nominals)))
-    rms = np.where(known, rms, np.minimum(rms, size))
+    within = known | (rms <= size)
+    rms = np.where(within | ~np.any(within & (rms > 0.0), axis=0), rms, 0.0)
     floor = np.array([TRUST * np.median(r[r > 1e-3 * r.max()]) if r.max() > 0.0 else 0.0 for r in rms.T])
     least = 1e-9 + 1e-6 * np.abs(np.concatenate([n[0] for n in nominals])).max(axis=0)  # what numbers are not good for
     spare = [r for r in spare if np.any(r.there & ~known)]

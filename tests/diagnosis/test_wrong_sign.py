@@ -138,5 +138,5 @@ def test_how_much_a_turned_sign_may_leave_depends_on_what_explains_the_log_as_it
     monkeypatch.setattr(engine, "over_noise", over_noise)
     sign = Finding("rotor.w", "sign", -1.0, "1", "has the wrong sign")
     catalogue = cast("Any", None)
-    as_it_is.simulator = None
+    as_it_is.simulator, as_it_is.evidence = None, SimpleNamespace(whitening=SimpleNamespace(guessed=False))
     assert (engine._explained(catalogue, as_it_is, [nominal, best], [], [], [sign]) is best) is found  # MISFIT, LITTLE
