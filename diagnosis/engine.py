@@ -196,18 +196,20 @@ def _wrong_input(search: Search, fits: Sequence[Fit]) -> Finding | None:
 
     It does if it leaves LITTLE of the gap: nothing is fitted, and no effect is as large as a wrong sign or unit is. It does, too, if it
     leaves no more than the best model, and no more of the gap than a right model does (MISFIT). Tolerances explain much of a gap that goes
-    with a wrong input; so no more than MISFIT is left of its squares without them, and of several mistakes that leaves least.
+    with a wrong input; so no more than MISFIT is left of its squares without them, and of several mistakes that leaves least. It also has to
+    explain most of what varies in what was measured: beside an input that is much too large, one that does nothing leaves little.
     """
     gap = over_noise(search, fits[0])
     if gap < UNKNOWN:
         return None
     tried = mistakes(search.simulator.laboratory, len(search.groups))
-    ran = [(m, groups) for m in tried if (groups := undone(search.simulator, search.groups, m)) is not None]
+    ran = [(m, *found) for m in tried if (found := undone(search.simulator, search.groups, m)) is not None]
     if not ran:
         return None
-    squares = [float((search.evidence.residual(groups) ** 2).sum()) for _, groups in ran]
-    mistake, groups = ran[int(np.argmin(squares))]
-    if min(squares) > MISFIT * float((search.evidence.space.y**2).sum()):
+    squares = [float((search.evidence.residual(groups) ** 2).sum()) for _, groups, _ in ran]
+    mistake, groups, varies = ran[int(np.argmin(squares))]
+    whole, there = (float((y**2).sum()) for y in (search.evidence.space.y, search.evidence.residual(varies)))
+    if min(squares) > MISFIT * whole or 2.0 * min(squares) > there:
         return None
     left = max(looks_at(search, search.evidence.residual(groups)))
     explained = left < LITTLE * gap or (left < MISFIT * gap and _nominal(search, groups, _simulated(search, _best(search, fits))))

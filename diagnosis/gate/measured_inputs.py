@@ -49,13 +49,18 @@ def mistakes(laboratory: Laboratory, n: int) -> list[Mistake]:
     return list(found.values())
 
 
-def undone(simulator: Simulator, groups: Sequence[Sequence[FloatArray]], mistake: Mistake) -> list[list[FloatArray]] | None:
+Groups = list[list[FloatArray]]
+
+
+def undone(simulator: Simulator, groups: Sequence[Sequence[FloatArray]], mistake: Mistake) -> tuple[Groups, Groups] | None:
     """Measured repeats of the diagnosed conditions as the nominal system would see them without the mistake; None where it cannot run.
 
     What is left beside the nominal simulation is what is left beside that without the mistake, in the units of the log: the noise is one
-    of these.
+    of these. And the same with all that varies in what was measured, as if nothing was simulated.
     """
-    laboratory, changes, made = simulator.laboratory, simulator.seeded(()), []
+    laboratory, changes = simulator.laboratory, simulator.seeded(())
+    left: Groups = []
+    varies: Groups = []
     again = [mistake.operator.scale if c in mistake.columns else 1.0 for c in laboratory.channels]
     for i, group in enumerate(groups):
         changed = _without(laboratory, i, mistake)
@@ -66,9 +71,10 @@ def undone(simulator: Simulator, groups: Sequence[Sequence[FloatArray]], mistake
             return None
         if nominal is None or without is None:
             return None
-        measured = zip(group, laboratory.measured_in(i), changed.measured_in(i), strict=True)
-        made.append([x - logged + nominal + again * (true - without) for x, logged, true in measured])
-    return made
+        measured = list(zip(group, laboratory.measured_in(i), changed.measured_in(i), strict=True))
+        left.append([x - logged + nominal + again * (true - without) for x, logged, true in measured])
+        varies.append([nominal + again * (true - true.mean(axis=0)) for _, _, true in measured])
+    return left, varies
 
 
 def _players(laboratory: Laboratory, condition: Condition) -> list[str]:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import dct
 
 from robomill.diagnosis.candidates import LOGGING, Address, Candidate, selects
@@ -24,7 +25,7 @@ from robomill.diagnosis.experiment.simulation import Laboratory
 from robomill.diagnosis.inference.ceiling import cross_fitted
 from robomill.diagnosis.inference.columns import Columns
 from robomill.diagnosis.inference.estimation import Model, Space
-from robomill.diagnosis.inference.noise import SPELL, Whitening, fast, own_noise, whitening
+from robomill.diagnosis.inference.noise import FAST, SPELL, Whitening, fast, own_noise, whitening
 from robomill.orchestration.slaves.protocol import FloatArray, base_name
 
 TRUST = 0.02
@@ -471,14 +472,16 @@ def _left_by_regression(
 ) -> list[list[FloatArray]]:
     """What is left of each run [samples, channels]; of one without repeats what a regression leaves of that.
 
-    It is on what all parameters do, and on the simulated `signals` and their rates. What these do to a part of a run, as they do in the
-    other parts (`cross_fitted`), is no noise, however fast it is. A channel of which it leaves more stays as it is.
+    It is on what all parameters do, and on the FAST samples of the simulated `signals` around each one: so a filter or a clock may change
+    them. What these do to a part of a run, as they do in the other parts (`cross_fitted`), is no noise, however fast it is. A channel of
+    which it leaves more stays as it is.
     """
     found = [list(runs) for runs in left]
     once = [i for i, apart in enumerate(independent) if len(left[i]) == 1 and not apart]
-    rates = {i: np.concatenate([signals[i], np.gradient(signals[i], axis=0)], axis=1) for i in once}
+    around = {i: sliding_window_view(np.pad(signals[i], ((FAST // 2, FAST // 2), (0, 0)), "edge"), FAST, axis=0) for i in once}
+    windows = {i: x.reshape(len(x), -1) for i, x in around.items()}
     for c in range(left[0][0].shape[1]) if once else ():
-        columns = {i: np.column_stack([rates[i], *(change[i][:, c] for change in changes.values())]) for i in once}
+        columns = {i: np.column_stack([x, *(change[i][:, c] for change in changes.values())]) for i, x in windows.items()}
         size = np.sqrt(np.mean(np.concatenate(list(columns.values())) ** 2, axis=0))
         does = {i: x[:, size > 0.0] / size[size > 0.0] for i, x in columns.items()}
         for i in once:
