@@ -196,8 +196,8 @@ def _wrong_input(search: Search, fits: Sequence[Fit]) -> Finding | None:
 
     It does if it leaves LITTLE of the gap: nothing is fitted, and no effect is as large as a wrong sign or unit is. It does, too, if it
     leaves no more than the best model, and no more of the gap than a right model does (MISFIT). Tolerances explain much of a gap that goes
-    with a wrong input; so no more than MISFIT is left of its squares without them, and of several mistakes that leaves least. It also has to
-    explain most of what varies in what was measured: beside an input that is much too large, one that does nothing leaves little.
+    with a wrong input. So no more than MISFIT is left of its squares without them, and of several mistakes that leaves least. Most of what
+    varies in what was measured has to be explained, too: beside an input that is much too large, one that does nothing leaves little.
     """
     gap = over_noise(search, fits[0])
     if gap < UNKNOWN:
