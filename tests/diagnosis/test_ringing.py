@@ -112,7 +112,7 @@ def catalogue(folder: Path) -> Catalogue:
 
 
 def answer(folder: Path, truth: Mapping[str, float], **how: Any) -> dict[str, Any]:
-    """Of one recording, with a smaller one held out."""
+    """The diagnosis of one recording, with a smaller one held out."""
     runs = [recorded(folder, truth, size=size, **how) for size in (0.1, 0.05)]
     return diagnose(SYSTEM, runs[:1], catalogue(folder), held_out=runs[1:], resolver=lambda _, name: Circuit(name)).result
 
@@ -140,14 +140,14 @@ def test_a_law_that_is_in_no_catalogue_is_unknown(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_an_offset_that_is_in_no_catalogue_is_no_mistake_in_units_or_signs(tmp_path: Path) -> None:
-    """Of input and output in volt together, each divided by 1000, a thousandth of any gap would be left."""
+    """Input and output are in volt: with both divided by 1000, a thousandth of any gap would be left."""
     found = answer(tmp_path, {"offset": 0.01})
     assert found["verdict"] != "bad_log"
 
 
 @pytest.mark.slow
 def test_an_input_that_is_turned_is_said(tmp_path: Path) -> None:
-    """Of one input and one output nobody can say which."""
+    """Nobody can say which of one input and one output is turned."""
     found = answer(tmp_path, {}, change=lambda u: -u)
     ((channel, kind),) = {(f["channel"], f["kind"]) for f in found["gate"]["findings"] if f["fatal"]}
     assert channel in ("drive.u", "circuit.shown")
@@ -162,7 +162,7 @@ def test_a_clock_that_is_in_no_catalogue_is_unknown(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("samples", "factor"), [(ROWS, 1), (2 * ROWS, 1), (2 * RINGING, 2)])
 def test_samples_are_no_longer_than_their_means_keep_what_the_machine_does(tmp_path: Path, samples: int, factor: int) -> None:
-    """Of a ringing of 8.3 samples means over two keep 83 %, too little; beyond RINGING samples they are taken all the same."""
+    """Means over two samples keep 83 % of a ringing of 8.3, too little; beyond RINGING samples they are taken all the same."""
     lost = 1.0 - np.sinc(2.0 * STEP * NATURAL / (2.0 * np.pi)) ** 2
     assert lost > MISFIT
     run = recorded(tmp_path, {}, samples)

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from robomill.diagnosis.candidates import Address
 from robomill.diagnosis.catalogue import Catalogue
 from robomill.diagnosis.engine import diagnose
 from robomill.diagnosis.inference.estimation import Fit, Space
-from robomill.diagnosis.outcome.steps import ranked
+from robomill.diagnosis.outcome.closure import HowFar
+from robomill.diagnosis.outcome.steps import Left, ranked, steps
 from tests.diagnosis.demo import CATALOGUE, SYSTEM, measure, resolve
 from tests.diagnosis.formula import candidate
 from tests.tolerances import ROUNDOFF
@@ -46,3 +51,23 @@ def test_the_order_is_by_what_is_explained_of_what_is_left() -> None:
     assert np.array_equal(fit.signatures()[twin], parts[:, 1])
     alone = Space(np.array([3.0, 0.0, 1.0]), {"run": slice(0, 3)}, np.zeros((3, 0)))
     assert [c.effect for c in ranked(fit, alone)] == ["a", "c", "b"]
+
+
+def test_an_effect_with_which_the_system_does_not_run_joins_the_next_one() -> None:
+    """With the first one alone it runs away: of that no figure is left."""
+    one, other = (candidate(name, scale=1.0) for name in ("a", "b"))
+    y = np.array([3.0, 1.0])
+    fit = Fit((one, other), {one.addresses[0]: 1.0, other.addresses[0]: 2.0}, {}, 0.0, 0.0, y, np.diag([3.0, 0.5]))
+    figure = HowFar("force error rms", "c.f", "N", "held-out condition", 5.0, 0.5, 0.1, 0.99)
+
+    class Runaway:
+        hardest = "held-out condition"
+        search = SimpleNamespace(evidence=SimpleNamespace(space=Space(y, {"run": slice(0, 2)}, np.zeros((2, 0)))))
+
+        def of(self, changes: Mapping[Address, float], kinds: tuple[str, ...]) -> tuple[HowFar, ...]:
+            assert kinds == (self.hardest,)
+            return (figure,) if len(changes) > 1 else ()
+
+    (step,) = steps(cast("Any", Runaway()), fit).added
+    assert step.effect == f"{one.name} + {other.name}"
+    assert step.left == {"c.f": Left(0.5, 0.99)}
