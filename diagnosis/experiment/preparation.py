@@ -111,7 +111,7 @@ def prepared(campaign: Campaign, catalogue: Catalogue, resolver: Resolver | None
     )
     laboratory.conditions, laboratory.ports = _with_channels(laboratory, n)
     laboratory.channels, laboratory.decimation = list(laboratory.ports), 1
-    laboratory.decimation = _decimation(laboratory, n)
+    laboratory.decimation = _decimation(laboratory, n, any(c.has_phase for c in catalogue.candidates))
     return Prepared(laboratory, n, catalogue, nuisances, numbers, skipped, tuple(short))
 
 
@@ -194,17 +194,18 @@ def _with_channels(laboratory: Laboratory, n: int) -> tuple[list[Condition], dic
     return made, ports
 
 
-def _decimation(laboratory: Laboratory, n: int) -> int:
+def _decimation(laboratory: Laboratory, n: int, turns: bool) -> int:
     """Communication steps of the system that a sample is the mean over: at most ROWS samples, none shorter than a step of any system.
 
     Where nothing was repeated, noise is what is fast, and what the machine does within a sample would be taken for it. There a sample is
-    no longer than its means keep all but MISFIT of the variance of each signal of the nominal system, with at most RINGING samples.
+    no longer than its means keep all but MISFIT of the variance of each signal of the nominal system, with at most RINGING samples. But
+    where something `turns` with a phase that nobody knows, such as a cutter, it is not compared sample by sample.
     """
     step, conditions = laboratory.system.step, laboratory.conditions
     points = sum(len(c.grid) * round(c.step / step, 6) for c in conditions[:n])
     least = max(1, *(math.ceil(round(c.step / step, 6)) for c in conditions))
     longest = max(least, math.ceil(points / ROWS))
-    if any(len(c.runs) > 1 for c in conditions[:n]):
+    if turns or any(len(c.runs) > 1 for c in conditions[:n]):
         return longest
     signals = [laboratory.sampled(i, ()) for i in range(n)] if longest > least else []
 

@@ -472,16 +472,15 @@ def _left_by_regression(
 ) -> list[list[FloatArray]]:
     """What is left of each run [samples, channels]; of one without repeats what a regression leaves of that.
 
-    It is on what all parameters do, and on the FAST samples of the simulated `signals` around each one: so a filter or a clock may change
-    them. What these do to a part of a run, as they do in the other parts (`cross_fitted`), is no noise, however fast it is. A channel of
-    which it leaves more stays as it is.
+    It is on what all parameters do to the channel, and on the FAST samples of its simulated signal around each one: so a filter or a clock
+    may change it. What these do to a part of a run, as they do in the other parts (`cross_fitted`), is no noise, however fast it is. A
+    channel of which it leaves more stays as it is.
     """
     found = [list(runs) for runs in left]
     once = [i for i, apart in enumerate(independent) if len(left[i]) == 1 and not apart]
     around = {i: sliding_window_view(np.pad(signals[i], ((FAST // 2, FAST // 2), (0, 0)), "edge"), FAST, axis=0) for i in once}
-    windows = {i: x.reshape(len(x), -1) for i, x in around.items()}
     for c in range(left[0][0].shape[1]) if once else ():
-        columns = {i: np.column_stack([x, *(change[i][:, c] for change in changes.values())]) for i, x in windows.items()}
+        columns = {i: np.column_stack([x[:, c], *(change[i][:, c] for change in changes.values())]) for i, x in around.items()}
         size = np.sqrt(np.mean(np.concatenate(list(columns.values())) ** 2, axis=0))
         does = {i: x[:, size > 0.0] / size[size > 0.0] for i, x in columns.items()}
         for i in once:
