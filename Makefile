@@ -11,7 +11,7 @@ run: $(READY) ## mill the test part four ways: FMUs, recordings, table and pictu
 	$(BIN)/robomill build
 	$(BIN)/robomill run scenarios/test_part.toml --fmus --overwrite
 
-# A worker needs up to 3 GB. Twenty minutes on two cores; on a slow machine what has not begun after an hour is skipped and counted.
+# A worker needs up to 3 GB. 25 to 40 minutes on two cores; on a slow machine what has not begun after an hour is skipped and counted.
 test: $(DEVELOP) ## every test, the slow ones too, on up to four cores
 	$(BIN)/python -m pytest -m "slow or not slow" --numprocesses auto --maxprocesses 4 --dist loadfile --within 60
 

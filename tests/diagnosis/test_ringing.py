@@ -20,7 +20,6 @@ from robomill.orchestration.slaves.protocol import FloatArray, PortData
 from robomill.orchestration.system.definition import Component, Connection, System
 from robomill.orchestration.system.parameters import same_unit_only
 from tests.diagnosis.demo import Part, real
-from tests.tolerances import EXACT
 
 STEP = 1e-3
 NATURAL = 2.0 * np.pi * 120.0
@@ -174,4 +173,4 @@ def test_a_slow_machine_is_averaged_as_far_as_asked(tmp_path: Path) -> None:
     """What a run of constant input shows is kept by means over any number of samples."""
     run = recorded(tmp_path, {}, 4 * ROWS, change=np.zeros_like)
     found = prepared(Campaign.of(SYSTEM, [run]), catalogue(tmp_path), lambda _, name: Circuit(name), same_unit_only)
-    assert found.laboratory.decimation == pytest.approx(4, abs=EXACT)
+    assert found.laboratory.decimation == 4
